@@ -75,7 +75,6 @@ def _parser() -> argparse.ArgumentParser:
         live,
         training,
         lifters,
-        live,
         protocols,
     ):
         module.add_commands(commands)

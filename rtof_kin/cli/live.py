@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+import webbrowser
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
@@ -14,10 +15,12 @@ from rtof_kin.cli.recordings import lifter_of
 from rtof_kin.cli.terminal import add_model, command, err, out, warnings_in_summary
 
 if TYPE_CHECKING:
+    from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.live.open_sources import Streams
     from rtof_kin.live.samples import Sink, Source
     from rtof_kin.live.session import LiveSession
     from rtof_kin.live.session_summary import SessionSummary
+    from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
 _LONGEST_WAIT: Final = 10.0
@@ -99,6 +102,7 @@ def _live(options: argparse.Namespace) -> None:
     from rtof_kin.core.threads import limit_threads
 
     limit_threads(None)
+    from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimator import OnlineEstimator, OnlineSettings
     from rtof_kin.live.open_sources import open_sinks, open_sources
@@ -116,21 +120,25 @@ def _live(options: argparse.Namespace) -> None:
         )
     sinks: list[Sink] = []
     try:
-        sinks += open_sinks([*options.out, *(["view"] if options.view else [])], setup)
+        sinks += open_sinks(options.out, setup)
+        servers = _served(sinks, setup, options.view)
         landmarks = _started(streams.sources, bool(options.camera))
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
         recorder = None
         if options.output is not None:
             recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
+        display = LiveDisplay(out, setup.skeleton)
         session = LiveSession(
-            setup, streams.sources, estimator, sinks=sinks, recorder=recorder,
+            setup, streams.sources, estimator, sinks=(*sinks, display), recorder=recorder,
             video_delay_s=options.video_delay,
         )  # fmt: skip
-        _print_summary(_run(session, setup, sinks, streams, options), options)
+        _print_summary(_run(session, display, servers, streams, options.seconds), options)
     finally:
-        for one in (*streams.sources, *sinks):
-            one.close()
+        for source in streams.sources:
+            source.close()
+        for sink in sinks:
+            sink.close()
 
 
 def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
@@ -155,29 +163,44 @@ def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
     return ()
 
 
-def _run(
-    session: LiveSession, setup: Recording, sinks: list[Sink], streams: Streams, options: argparse.Namespace
-) -> SessionSummary:
-    """Run until the end, Ctrl-C, or the time given, and show what happens."""
-    from rtof_kin.cli.live_display import LiveDisplay
+def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
+    """Return the servers among the outputs and print their addresses; with `view` there is one."""
+    from rtof_kin.live.websocket_server import WebSocketServer
 
-    clock = streams.replay_time if streams.replayed else time.monotonic
-    display = LiveDisplay(out, setup.skeleton, session.status)
-    session.add_sink(display)
+    servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
+    if view and not servers:
+        servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
+        sinks += servers
+    for server in servers:
+        err.print(f"{server.url} shows the skeleton in a browser", soft_wrap=True)
+    if view:
+        webbrowser.open(servers[0].url)
+    return servers
+
+
+def _run(
+    session: LiveSession, display: LiveDisplay, servers: Sequence[WebSocketServer], streams: Streams,
+    seconds: float | None,
+) -> SessionSummary:  # fmt: skip
+    """Run until the end, Ctrl-C, or the time given, and show what happens."""
+    replay = streams.replay
+    clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
     if not streams.replayed:
-        for source in streams.sources:  # what came during the preparation has no time of arrival
+        for source in streams.sources:  # when it came during the preparation is not known
             source.poll()
     begun = clock()
 
     def stop() -> bool:
-        display.refresh()
-        return options.seconds is not None and clock() - begun >= options.seconds
+        if display.due():
+            status = session.status()
+            display.show(status)
+            for server in servers:
+                server.send_status(status)
+        return seconds is not None and clock() - begun >= seconds
 
-    try:
-        paced = streams.replay.paced or not streams.replayed
-        return session.run(stop, clock=clock, **({} if paced else {"period_s": 0.0}))
-    finally:
-        display.close()
+    with display:
+        waits = {} if replay.paced or not streams.replayed else {"period_s": 0.0}
+        return session.run(stop, clock=clock, **waits)
 
 
 def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -32,18 +32,13 @@ class LiveDisplay:
     """Output of a live session on the console.
 
     Args:
-        console: that is printed to. skeleton: of the estimates. status: of the streams, see
-            `rtof_kin.live.monitor.Monitor.status`. now: seconds of the system.
+        console: that is printed to. skeleton: of the estimates. now: seconds of the system.
     """
 
     def __init__(
-        self,
-        console: Console,
-        skeleton: SkeletonModel,
-        status: Callable[[], Mapping[str, Any]],
-        now: Callable[[], float] = time.monotonic,
+        self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic
     ):
-        self._console, self._skeleton, self._status, self._now = console, skeleton, status, now
+        self._console, self._skeleton, self._now = console, skeleton, now
         self._last: OnlineEstimate | None = None
         self._seconds: deque[float] = deque(maxlen=_FRAMES)
         self._lags: deque[float] = deque(maxlen=_FRAMES)
@@ -54,9 +49,16 @@ class LiveDisplay:
         self.frames = 0
         """Estimates so far."""
         self._live: Live | None = None
-        if console.is_terminal:
-            self._live = Live(console=console, auto_refresh=False, transient=True)
+
+    def __enter__(self) -> Self:
+        self._begun = self._shown = self._now()
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, auto_refresh=False, transient=True)
             self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     # --- sink --------------------------------------------------------------------------------------
 
@@ -82,16 +84,21 @@ class LiveDisplay:
         else:
             self._said.append(Text(sentence))
 
-    def refresh(self) -> None:
-        """Show the present state, if it is time to."""
-        now = self._now()
-        if now - self._shown < (_LINE_EVERY if self._live is None else _TABLE_EVERY):
-            return
-        self._shown = now
+    def due(self) -> bool:
+        """Return whether it is time to show the present state again."""
+        return self._now() - self._shown >= (_LINE_EVERY if self._live is None else _TABLE_EVERY)
+
+    def show(self, status: Mapping[str, Any]) -> None:
+        """Show the present state.
+
+        Args:
+            status: of the streams, see `rtof_kin.live.monitor.Monitor.status`.
+        """
+        self._shown = self._now()
         if self._live is None:
-            self._console.print(self._line(), soft_wrap=True)
+            self._console.print(self._line(status), soft_wrap=True)
         else:
-            self._live.update(self._table(), refresh=True)
+            self._live.update(self._table(status), refresh=True)
 
     def close(self) -> None:
         """Leave the last messages on the terminal; may be called twice."""
@@ -103,27 +110,26 @@ class LiveDisplay:
 
     # --- content -----------------------------------------------------------------------------------
 
-    @property
-    def figures(self) -> str:
-        """Rate, lag and time of a frame in words."""
+    def _figures(self, rate: float | None) -> str:
+        """Return rate, lag and time of a frame in words."""
         if not self._seconds:
             return "no estimate yet"
-        rate = self._status().get("rate_hz")
         p50, p99 = 1000 * np.percentile(self._seconds, [50, 99])
         parts = [] if rate is None else [f"{rate:.0f} Hz"]
         parts += [f"lag {1000 * np.median(self._lags):.0f} ms", f"frame {p50:.1f} ms (p99 {p99:.1f})"]
         return ", ".join(parts)
 
-    def _line(self) -> str:
-        status = self._status()
+    def _line(self, status: Mapping[str, Any]) -> str:
         streams = [*status["sensors"], *([status["camera"]] if status["camera"] else [])]
         good = sum(one["state"] == "ok" for one in streams)
         angles = "; ".join(f"{name} {text}" for name, text in self._angles())
-        parts = [f"{self._now() - self._begun:6.1f} s", self.figures, f"{good} of {len(streams)} streams ok"]
+        parts = [
+            f"{self._now() - self._begun:6.1f} s", self._figures(status["rate_hz"]),
+            f"{good} of {len(streams)} streams ok",
+        ]  # fmt: skip
         return ", ".join(parts) + (f"; {angles} deg" if angles else "")
 
-    def _table(self) -> Group:
-        status = self._status()
+    def _table(self, status: Mapping[str, Any]) -> Group:
         streams = Table(
             "stream", Column("state", no_wrap=True), Column("rate\n[Hz]", justify="right"),
             Column("loss\n[%]", justify="right"), Column("late\n[ms]", justify="right"), "says",
@@ -144,7 +150,8 @@ class LiveDisplay:
         for name in _ANGLES:
             what = name.replace("_", " ")
             angles.add_row(what, found.get(f"left {what}", ""), found.get(f"right {what}", ""))
-        head = Text(f"{self._now() - self._begun:.0f} s   {self.figures}   end with Ctrl-C", "bold")
+        figures = self._figures(status["rate_hz"])
+        head = Text(f"{self._now() - self._begun:.0f} s   {figures}   end with Ctrl-C", "bold")
         return Group(head, streams, angles, *self._said)
 
     def _angles(self) -> list[tuple[str, str]]:

@@ -24,6 +24,8 @@ OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
 """Words of outputs, for messages."""
 _LSL, _UDP, _WS = "lsl", "udp", "ws"
 _OUTLET: Final = "rtof_kin"
+_PORT: Final = 8765
+"""Of the WebSocket, unless another is given."""
 _SKELETON: Final = "total_capture"
 
 
@@ -227,5 +229,6 @@ def _sink(word: str, setup: Recording) -> Sink:
     if kind.lower() == _WS and (not rest or rest.isdecimal()):
         from rtof_kin.live.websocket_server import WebSocketServer
 
-        return WebSocketServer(setup.skeleton, **({"port": int(rest)} if rest else {}))
+        port = int(rest) if rest else _PORT
+        return WebSocketServer(setup.skeleton, port, floor_height=setup.floor_height)
     raise SourceError(f"--out {word}: there is no such output; give {OUTPUTS}")

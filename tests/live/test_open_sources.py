@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -108,7 +107,7 @@ def test_a_setup_must_have_the_camera_that_is_used(tmp_path: Path) -> None:
         opened([DEMO], [], setup=other)
     h36m = replace(
         demo(), skeleton_table="human36m", joint_offsets=np.empty((0, 3)), imus=None, calibration=None,
-        keypoints=demo().video.select(["Hips", "Neck"]), truth=None,
+        keypoints=demo().video.select(["Hip", "Neck"]), truth=None,
     )  # fmt: skip
     with pytest.raises(RtofError, match="human36m"):
         opened(["0"], [], setup=h36m)
@@ -129,11 +128,10 @@ def test_other_outputs_are_refused_with_those_that_there_are(words: list[str]) -
 
 
 @pytest.fixture
-def network() -> Iterator[None]:
+def network() -> None:
     """Skip where what LSL and UDP need is not installed."""
     pytest.importorskip("pylsl")
     pytest.importorskip("pythonosc")
-    yield
 
 
 @pytest.mark.usefixtures("network")
