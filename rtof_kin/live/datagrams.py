@@ -35,6 +35,7 @@ from rtof_kin.vision.video_file import library
 INSTALL: Final = "pip install 'rtof_kin[live]'"
 """Command that installs what OSC needs."""
 _BUNDLE: Final = b"#bundle\x00"
+_TYPES: Final = frozenset(b"ihfdstTFN[]")
 _DEEPEST: Final = 8
 """Levels of bundles in bundles."""
 _QUATERNION: Final = {"quat", "quaternion", "orientation"}
@@ -163,6 +164,7 @@ def _osc_contents(datagram: bytes) -> Iterator[Content]:
     messages, types = _osc()
     try:
         for tag, data in _osc_messages(datagram, types):
+            _check_types(data)
             message = messages.OscMessage(data)
             yield from _of_osc(message.address, message.params, data, tag)
     except (messages.ParseError, types.ParseError, ValueError, OverflowError, RecursionError) as error:
@@ -192,6 +194,14 @@ def _osc_messages(datagram: bytes, types: Any) -> Iterator[tuple[float | None, b
             parts.append((tag or time, data[at : at + size], depth + 1))
             at += size
         waiting += reversed(parts)
+
+
+def _check_types(data: bytes) -> None:
+    """Raise for a type of argument that pythonosc would skip and log."""
+    first = data.find(b",")
+    tags = data[first + 1 : max(data.find(b"\x00", first), 0)] if first >= 0 else b""
+    if not set(tags) <= _TYPES:
+        raise ValueError("an argument of a type that numbers and names do not have")
 
 
 def _of_osc(address: str, values: list[Any], data: bytes, tag: float | None) -> Iterator[Content]:

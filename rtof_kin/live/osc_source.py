@@ -257,7 +257,7 @@ class OscSource:
             if len(self._sensors) == _MOST_SENSORS:
                 self._remark(Remark("", "sensors", f"more than {_MOST_SENSORS} names of sensors"))
                 return
-        problem = _problem(reading)
+        problem = _problem(reading) or self._undated(name, reading.time)
         if problem is not None:
             self._remark(problem)
             return
@@ -289,7 +289,7 @@ class OscSource:
         return sensor.compared(first)
 
     def _points(self, points: Points, now: float) -> None:
-        problem = self._problem_of(points)
+        problem = self._problem_of(points) or self._undated("frames", points.time)
         stamp = now + self._wall if points.time is None else points.time
         number, before = self._last_frame
         if problem is None and stamp == before:
@@ -323,6 +323,11 @@ class OscSource:
         if any(math.isinf(value) for row in points.uv_px for value in row):
             return Remark("frames", "infinite", "have an infinite coordinate; send null for unseen points")
         return None
+
+    def _undated(self, subject: str, stamp: float | None) -> Remark | None:
+        if stamp is not None or self._clock is Clock.OWN:
+            return None
+        return Remark(subject, "no time", "no time is sent, though the clock is declared common; send it")
 
     def _names(self, names: tuple[str, ...]) -> None:
         if not self._landmarks:

@@ -48,6 +48,8 @@ _SEND_BUFFER_BYTES: Final = 1 << 16
 """Asked of the system for each client: more would make a slow client see old poses."""
 _LONGEST_REQUEST: Final = 4096
 """[bytes] of what a client says."""
+_PATIENCE_S: Final = 1.0
+"""For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
 _LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
 _LOG.addHandler(logging.NullHandler())  # else a broken request is printed
 _HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
@@ -193,7 +195,7 @@ class WebSocketServer:
     async def _serve(self) -> None:
         async with self._websockets.serve(
             self._attend, sock=self._socket, process_request=self._answer, compression=None, logger=_LOG,
-            server_header=None, max_size=_LONGEST_REQUEST, open_timeout=5, close_timeout=1,
+            server_header=None, max_size=_LONGEST_REQUEST, open_timeout=_PATIENCE_S, close_timeout=_PATIENCE_S,
         ):  # fmt: skip
             await self._stop.wait()
 

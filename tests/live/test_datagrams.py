@@ -106,6 +106,7 @@ def test_frames_by_osc_and_json_are_equal() -> None:
         (b"#bundle\x00" + bytes(8) + struct.pack(">i", -4), "", "unreadable"),
         (b"#bundle\x00" + bytes(8) + struct.pack(">i", 400), "", "unreadable"),
         (b"#bundle\x00" + bytes(3), "", "unreadable"),
+        (b"/imu/S1\x00,dI\x00" + bytes(8), "", "unreadable"),
     ],
 )
 def test_what_cannot_be_read_is_a_remark(datagram: Any, subject: str, kind: str) -> None:

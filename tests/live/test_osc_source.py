@@ -146,6 +146,16 @@ def test_parts_without_time_are_paired_and_stamped_at_arrival(port: Port) -> Non
     port.told("S1", "no time", "arrival")
 
 
+def test_common_clock_needs_times() -> None:
+    port = Port(OscSource(0, landmarks=["Nose"], clock=Clock.COMMON))
+    assert port.source.clock is Clock.COMMON
+    port.send(reading("S1", None), {"uv": [[1, 2]]}, reading("S2", 1.0))
+    assert [one.sensor for one in port.flush()] == ["S2"]
+    port.told("S1", "no time", "common")
+    port.told("frames", "no time")
+    port.close()
+
+
 def test_a_part_whose_other_part_does_not_come_is_a_sample(port: Port) -> None:
     stamp = 100.0
     for _ in range(11):

@@ -13,12 +13,11 @@ window.addEventListener("error", event => {
   root.dataset.error = event.message;
 });
 
-// Mean or largest of the numbers of recent frames.
 const mean = list => list.reduce((sum, value) => sum + value, 0) / list.length;
 const digits = value => value.toFixed(value < 10 ? 1 : 0);
 
 // Figures of the last second, and the largest of the last SPAN seconds.
-function show_figures(frames, arrived) {
+function show_figures(frames) {
   const now = performance.now();
   const recent = frames.filter(frame => now - frame.at < STALE);
   const figure = (name, value, note) => {
@@ -28,8 +27,8 @@ function show_figures(frames, arrived) {
   const most = key => `at most ${digits(1000 * Math.max(...frames.map(frame => frame[key])))} in ${SPAN} s`;
   figure("lag", () => digits(1000 * mean(recent.map(frame => frame.lag))), () => most("lag"));
   figure("frame", () => digits(1000 * mean(recent.map(frame => frame.seconds))), () => most("seconds"));
-  const seconds = Math.min(STALE, Math.max(now - arrived, 1)) / 1000;
-  figure("rate", () => (recent.length / seconds).toFixed(0));
+  const seconds = recent.length ? (recent[recent.length - 1].at - recent[0].at) / 1000 : 0;
+  figure("rate", () => seconds < 0.5 ? "\u2013" : ((recent.length - 1) / seconds).toFixed(0));
 }
 
 // Pairs of right and left angles by clinical name: name -> [{side, sign, index, joint}].
@@ -104,11 +103,11 @@ function body_of(frame, skeleton, floor) {
     if (source === BRIDGED) return {colour: themed("predicted"), dash: true};
     return {colour: themed(source === BOTH ? "seen-by-both" : "seen-by-one")};
   };
+  const [x, y] = known ? pelvis : [0, 0];
   return {
     joints: skeleton.joints, parents: skeleton.parents, at, look,
-    target: [known ? pelvis[0] : 0, known ? pelvis[1] : 0, 0.52 * skeleton.height_m],
-    radius: 0.7 * skeleton.height_m,
-    reach: Math.min(known ? Math.hypot(pelvis[0], pelvis[1]) + skeleton.height_m : 0, 12),
+    target: [x, y, 0.52 * skeleton.height_m], radius: 0.7 * skeleton.height_m,
+    floor: [Math.round(2 * x) / 2, Math.round(2 * y) / 2], reach: 3,  // goes with the person, in whole squares
   };
 }
 
@@ -157,7 +156,7 @@ function show_connection(state) {
 
 (() => {
   let skeleton = null, charts = [], paint_scene = null, floor = null, fixed_floor = false;
-  let frames = [], arrived = 0, dirty = false, told = false, connected = false, wait = 250;
+  let frames = [], dirty = false, told = false, connected = false, wait = 250;
 
   function paint() {
     dirty = false;
@@ -184,7 +183,6 @@ function show_connection(state) {
     const stamp = state.header.stamp, time = stamp.sec + 1e-9 * stamp.nanosec, at = performance.now();
     const last = frames[frames.length - 1];
     if (last && (time <= last.time || time - last.time > SPAN)) frames = [];  // another recording, or a jump
-    if (!frames.length) arrived = at;
     const {position: p, valid, provenance} = state.joints, sourced = provenance.some(source => source > 0);
     frames.push({time, at, q: state.position, p, valid, provenance, sourced, lag: state.lag_s, seconds: state.frame_s});
     while (time - frames[0].time > SPAN) frames.shift();
@@ -216,7 +214,7 @@ function show_connection(state) {
     else show_connection(newest < STALE ? "live" : "stale");
     told = told || connected;
     if (document.hidden) return;
-    show_figures(frames, arrived);
+    show_figures(frames);
     if (newest < STALE) for (const draw of charts) draw(frames);
   }, 125);
   connect();

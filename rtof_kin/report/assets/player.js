@@ -24,7 +24,7 @@ function start_player(data, moved) {
     const frame = nearest(data.times, now), seen = valid[frame] > 0;
     const root = at(frame, 0), known = follow.checked && !Number.isNaN(root[0]);
     paint_scene({
-      joints: data.joints, parents: data.parents, reach, at: joint => at(frame, joint),
+      joints: data.joints, parents: data.parents, floor: [0, 0], reach, at: joint => at(frame, joint),
       target: [known ? root[0] : 0, known ? root[1] : 0, 0.52 * data.height],
       radius: known ? 0.7 * data.height : reach,
       look: joint => ({colour: themed(seen && !unseen(frame, joint) ? side[joint] : "unseen")}),

@@ -2,7 +2,8 @@
 // A skeleton on a floor in 3D: drag or arrow keys to turn, wheel or + and - to zoom; z is up, the floor at 0.
 // canvas: element; height: of the person; repaint(): called when the view changes.
 // Returns paint(body) with {at(joint) -> [x, y, z] or NaN, joints, parents, target: [x, y, z] in the middle,
-// radius: shown to either side, reach: of the floor, look(joint) -> {colour, dash}}, lengths in m.
+// radius: shown to either side, floor: [x, y] of its middle, reach: of the floor, look(joint) -> {colour, dash}},
+// lengths in m.
 function start_scene(canvas, height, repaint) {
   const pen = canvas.getContext("2d");
   const view = {yaw: -0.9, pitch: 0.15, zoom: 1};
@@ -20,11 +21,11 @@ function start_scene(canvas, height, repaint) {
     };
   }
 
-  function paint_floor(see, reach) {
+  function paint_floor(see, [x, y], reach) {
     const edge = Math.ceil(2 * Math.max(reach, 1.5)) / 2;
     pen.beginPath();
     for (let i = -edge; i <= edge + 1e-9; i += 0.5)
-      for (const [a, b] of [[[i, -edge, 0], [i, edge, 0]], [[-edge, i, 0], [edge, i, 0]]]) {
+      for (const [a, b] of [[[x + i, y - edge, 0], [x + i, y + edge, 0]], [[x - edge, y + i, 0], [x + edge, y + i, 0]]]) {
         pen.moveTo(...see(a).slice(0, 2));
         pen.lineTo(...see(b).slice(0, 2));
       }
@@ -39,7 +40,7 @@ function start_scene(canvas, height, repaint) {
     pen.lineCap = "round";
     pen.strokeStyle = themed("line");
     pen.lineWidth = ratio;
-    paint_floor(see, body.reach);
+    paint_floor(see, body.floor, body.reach);
     body.parents.forEach((parent, joint) => {
       if (parent < 0) return;
       const a = body.at(parent), b = body.at(joint);
