@@ -131,7 +131,7 @@ def _live(options: argparse.Namespace) -> None:
         display = LiveDisplay(out, setup.skeleton)
         session = LiveSession(
             setup, streams.sources, estimator, sinks=(*sinks, display), recorder=recorder,
-            video_delay_s=options.video_delay,
+            video_delay_s=options.video_delay, in_background=streams.in_real_time,
         )  # fmt: skip
         _print_summary(_run(session, display, servers, streams, options.seconds), options)
     finally:
@@ -142,25 +142,32 @@ def _live(options: argparse.Namespace) -> None:
 
 
 def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
-    """Start the sources and return the names of the points; those of a port come with its first frames."""
+    """Start the sources and return the names of the points; those of a port come with its first frames.
+
+    Sensors of the network that are not there yet are tried again by the session.
+    """
     from rtof_kin.core.errors import SourceError
 
-    for source in sources:
-        source.start()
+    missing: list[SourceError] = []
+    for i, source in enumerate(sources):
+        try:
+            source.start()
+        except SourceError as error:
+            missing.append(error)
+            if (filmed and i == 0) or not source.name.startswith("lsl:") or len(missing) == len(sources):
+                raise
+    if not filmed:
+        return ()
     deadline = time.monotonic() + _LONGEST_WAIT
-    told = False
-    while filmed and time.monotonic() < deadline:
-        if landmarks := next((source.landmarks for source in sources if source.landmarks), ()):
-            return landmarks
-        if not told:
-            err.print(f"waiting for the points of {sources[0].name}", soft_wrap=True)
-            told = True
+    if not sources[0].landmarks:
+        err.print(f"waiting for the points of {sources[0].name}", soft_wrap=True)
+    while not sources[0].landmarks:
+        if time.monotonic() > deadline:
+            raise SourceError(
+                f"{sources[0].name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
+            )
         time.sleep(0.02)
-    if filmed:
-        raise SourceError(
-            f"{sources[0].name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
-        )
-    return ()
+    return sources[0].landmarks
 
 
 def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
@@ -199,7 +206,7 @@ def _run(
         return seconds is not None and clock() - begun >= seconds
 
     with display:
-        waits = {} if replay.paced or not streams.replayed else {"period_s": 0.0}
+        waits = {} if streams.in_real_time else {"period_s": 0.0}
         return session.run(stop, clock=clock, **waits)
 
 

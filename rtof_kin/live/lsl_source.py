@@ -80,11 +80,13 @@ class _LslSource:
         return self._finished
 
     def start(self) -> None:
-        """Find the stream and connect; takes about a second.
+        """Find the stream and connect, unless that is done; takes about a second.
 
         Raises:
             SourceError: no stream, or two, of the name; no connection; channels that cannot be used.
         """
+        if self._inlet is not None:
+            return
         inlet, offset = find_one(self.stream, self._timeout_s)
         for remark in self._understand(inlet):
             self._note(remark)

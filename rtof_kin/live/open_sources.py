@@ -40,6 +40,11 @@ class Streams:
     replayed: bool
     """Whether all of them are replayed, so that they end."""
 
+    @property
+    def in_real_time(self) -> bool:
+        """Whether time passes by itself; else by polls of the sources."""
+        return self.replay.paced or not self.replayed
+
 
 @dataclass
 class _Opening:
