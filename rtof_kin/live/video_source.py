@@ -1,0 +1,208 @@
+"""Points of a person in a webcam's or a video's images, as they come.
+
+Of a webcam the newest image is examined and those that came meanwhile are dropped and counted; of a video
+every image is. Stamps are the times at which images were taken, so that the time that detection takes shows
+as lag.
+"""
+
+from __future__ import annotations
+
+import math
+import time as system
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.core.errors import RtofError, SourceError
+from rtof_kin.live.person_points import PersonPoints
+from rtof_kin.live.replay_clock import ReplayClock
+from rtof_kin.live.samples import Clock, Sample
+from rtof_kin.live.video_threads import Examination, Image, Images
+from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
+from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+from rtof_kin.vision.video import read_video
+from rtof_kin.vision.video_file import upright_image
+from rtof_kin.vision.video_metadata import read_video_metadata
+
+_SLOW: Final = 0.5
+"""[s] Latency of a video from which on it is told of; then twice as much, and so on."""
+_FIRST_TOLD: Final = 30
+"""Dropped images of a webcam that are told of first; then twice as many, and so on."""
+
+
+class VideoSource:
+    """Source of the points of one person in a webcam's or a video's images; it may be started again.
+
+    Args:
+        source: number or device of a webcam, or a video file.
+        detector: gives the detector; by default the one at hand.
+        camera_px: width and height of the calibrated image; None: those of the video.
+        layout: of the detector's points; None: by their number.
+        replay: clock of a file, shared with other replays. clock: of the stamps.
+        now: clock of a webcam's stamps, s; with LSL its `local_clock`.
+    """
+
+    def __init__(
+        self,
+        source: str | Path | int,
+        detector: Callable[[], PersonDetector] = choose_detector,
+        *,
+        camera_px: tuple[int, int] | None = None,
+        layout: str | None = None,
+        replay: ReplayClock | None = None,
+        clock: Clock = Clock.COMMON,
+        now: Callable[[], float] = system.monotonic,
+    ):
+        self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
+        self._live = is_webcam(source)
+        self._replay, self._clock, self._now = replay or ReplayClock(), clock, now
+        self._run: Examination | None = None
+        self._closed = False
+        self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
+
+    # --- what it says of itself --------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Name of the file, or number of the webcam."""
+        return f"camera {self._source}" if self._live else Path(str(self._source)).name
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the time stamps."""
+        return self._clock
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the points: the skeleton's landmarks, then the detector's own; known from `start` on."""
+        return () if self._run is None else self._run.points.names
+
+    @property
+    def finished(self) -> bool:
+        """Whether the video ended and all was polled."""
+        return self._closed or (self._run is not None and not self._live and self._run.ended)
+
+    @property
+    def latency_s(self) -> float:
+        """Median time from the taking of an image to its points, s; NaN before the first."""
+        return math.nan if self._run is None else self._run.latency_s
+
+    @property
+    def detection_s(self) -> float:
+        """Median time that detection takes for an image, s; NaN before the first."""
+        return math.nan if self._run is None else self._run.detection_s
+
+    @property
+    def dropped(self) -> int:
+        """Images of a webcam that were not examined."""
+        return 0 if self._run is None else self._run.dropped
+
+    # --- source ------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open camera and detector, and begin to read, unless that is done.
+
+        Raises:
+            SourceError: there is no such camera, it is in use or not allowed, the file is no video, there is
+                no detector, or the images are not those of the calibrated camera.
+        """
+        if self._run is not None and not self._closed:
+            return
+        with ExitStack() as opened:
+            try:
+                images = opened.enter_context(closing(self._webcam() if self._live else self._file()))
+                first = next(images, None)
+                if first is None:
+                    raise SourceError(f"{self.name}: gives no image; see whether another program shows one")
+                detector = opened.enter_context(closing(self._detector()))
+                size = (first.pixels.shape[1], first.pixels.shape[0])
+                points = PersonPoints(detector, size, self._camera_px, self._layout)
+            except SourceError:
+                raise
+            except RtofError as error:
+                raise SourceError(f"{error}") from error
+            opened.pop_all()  # from here on the threads release them
+        self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
+        self._run = Examination(
+            images, first, detector, points, None if self._live else self._replay, self._now
+        )
+
+    def poll(self) -> list[Sample]:
+        """Return the frames that were examined; without pace it waits for those of the clock's time.
+
+        Raises:
+            SourceError: the webcam stopped; it may be started again.
+        """
+        run = self._run
+        if run is None or self._closed:
+            return []
+        if not self._live:
+            return list(run.take(self._replay.now(self), wait=not self._replay.paced))
+        found = run.take()
+        if run.ended and not found:
+            why = run.problems.popleft() if run.problems else "it gives no further images"
+            raise SourceError(f"{self.name}: stopped: {why}; see whether it is connected")
+        return list(found)
+
+    def notices(self) -> list[str]:
+        """Return what was dropped or doubtful since the last call."""
+        run, told = self._run, list[str]()
+        if run is None:
+            return []
+        for said in (run.points.notices, *([] if self._live else [run.problems])):
+            while said:
+                told.append(said.popleft())
+        took = f"detection takes {1000 * run.detection_s:.0f} ms an image"
+        if self._live and run.dropped >= self._tell_dropped:
+            self._tell_dropped = 2 * run.dropped
+            count = run.dropped + run.examined
+            told.append(f"{run.dropped} of {count} images were not examined, as {took}")
+        if not self._live and self._replay.paced and run.latency_s >= self._tell_late:
+            self._tell_late = 2 * run.latency_s
+            told.append(
+                f"its points are {run.latency_s:.1f} s late and will be later, as {took}; lower the speed, "
+                "or take a faster detector"
+            )
+        return [f"{self.name}: {sentence}" for sentence in told]
+
+    def close(self) -> None:
+        """Stop the threads and release camera and detector."""
+        self._closed = True
+        if self._run is not None:
+            self._run.close()
+
+    # --- images ------------------------------------------------------------------------------------
+
+    def _file(self) -> Images:
+        """Generate the images of the file."""
+        seconds = read_video_metadata(str(self._source)).seconds
+        self._replay.cover(self.name, 0.0, np.inf if seconds is None else seconds)
+        for frame in read_video(str(self._source)):
+            yield Image(frame.time, frame.image, self._now())
+
+    def _webcam(self) -> Images:
+        """Generate the images of the webcam with the times at which they were taken."""
+        assert not isinstance(self._source, Path)
+        container, stream = open_webcam(self._source, self._camera_px)
+        with closing(container):
+            times = CaptureTimes()
+            for frame in images_of(container, stream):
+                taken = times(frame.time, self._now())
+                yield Image(taken, upright_image(frame, stream), taken)
+
+
+def is_webcam(source: str | Path | int) -> bool:
+    """Return whether a source is a webcam: a number or a device.
+
+    Args:
+        source: of `VideoSource`.
+    """
+    return isinstance(source, int) or str(source).startswith("/dev/video")
