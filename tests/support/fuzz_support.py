@@ -206,7 +206,7 @@ def _opencap() -> bytes:
 
 def _points_xdf() -> bytes:
     labels = ("nose_x", "nose_y", "nose_confidence", "left_hip_x", "left_hip_y")
-    values = np.random.default_rng(0).uniform(0.1, 1, (4, 5))
+    values = np.random.default_rng(0).uniform(0.1, 1, (4, 5)) * [640, 480, 1, 640, 480]
     return xdf_file.content(xdf_file.Stream(1, "points", labels, np.arange(4.0), values, type="MoCap"))
 
 
