@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
 
 _LONGEST_WAIT: Final = 10.0
 """[s] for the names of the points of a camera's stream."""
+_MEASURING: Final = 2.0
+"""[s] for the first examined image of a webcam."""
+_LATENCY, _MARGIN = (0.2, 0.6), 1.5
+"""[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
 _EXAMPLES: Final = """
 cameras (--camera):
   0, /dev/video2           a webcam: the person is detected on this machine
@@ -67,6 +73,11 @@ def add_commands(commands: Any) -> None:
     parser.add_argument(
         "--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below"
     )
+    parser.add_argument(
+        "--map", metavar="FILE",
+        help="two columns: each sensor of the streams, and its segment or its name in SETUP; default: they "
+        "have the names that SETUP has for them",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
     parser.add_argument(
         "--lag", type=float, default=0.25, metavar="S",
@@ -115,14 +126,18 @@ def _live(options: argparse.Namespace) -> None:
         check_replaceable(options.output, INDEX)
     with warnings_in_summary("rtof_kin.recording.files"):
         setup = Recording.load(options.setup)
+        if not options.imus and setup.keypoints is not None:
+            setup = replace(setup, imus=None, calibration=None)
         streams = open_sources(
-            options.camera, options.imus, setup, speed=options.speed, detector=lambda: detector_of(options)
-        )
+            options.camera, options.imus, setup, speed=options.speed, names=options.map,
+            detector=lambda: detector_of(options),
+        )  # fmt: skip
     sinks: list[Sink] = []
     try:
         sinks += open_sinks(options.out, setup)
         servers = _served(sinks, setup, options.view)
         landmarks = _started(streams.sources, bool(options.camera))
+        settings = replace(settings, video_latency_s=_latency(streams.sources[0]))
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
         recorder = None
@@ -168,6 +183,19 @@ def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
             )
         time.sleep(0.02)
     return sources[0].landmarks
+
+
+def _latency(camera: Source) -> float:
+    """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
+    from rtof_kin.live.video_source import VideoSource
+
+    if not isinstance(camera, VideoSource):
+        return 0.0
+    deadline = time.monotonic() + _MEASURING
+    while camera.live and not math.isfinite(camera.latency_s) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    measured = camera.latency_s if math.isfinite(camera.latency_s) else 0.0
+    return min(max(_LATENCY[0], _MARGIN * measured), _LATENCY[1])
 
 
 def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
