@@ -193,9 +193,10 @@ class WebSocketServer:
             runner.run(self._serve())
 
     async def _serve(self) -> None:
+        patience = {"open_timeout": _PATIENCE_S, "close_timeout": _PATIENCE_S}
         async with self._websockets.serve(
             self._attend, sock=self._socket, process_request=self._answer, compression=None, logger=_LOG,
-            server_header=None, max_size=_LONGEST_REQUEST, open_timeout=_PATIENCE_S, close_timeout=_PATIENCE_S,
+            server_header=None, max_size=_LONGEST_REQUEST, **patience,
         ):  # fmt: skip
             await self._stop.wait()
 
