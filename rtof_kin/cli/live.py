@@ -136,10 +136,11 @@ def _live(options: argparse.Namespace) -> None:
     try:
         sinks += open_sinks(options.out, setup)
         servers = _served(sinks, setup, options.view)
-        landmarks = _started(streams.sources, bool(options.camera))
+        landmarks = _points_of(streams.sources[0]) if options.camera else ()
         settings = replace(settings, video_latency_s=_latency(streams.sources[0]))
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
+        _start(streams.sources)
         recorder = None
         if options.output is not None:
             recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
@@ -156,33 +157,35 @@ def _live(options: argparse.Namespace) -> None:
             sink.close()
 
 
-def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
-    """Start the sources and return the names of the points; those of a port come with its first frames.
-
-    Sensors of the network that are not there yet are tried again by the session.
-    """
+def _points_of(camera: Source) -> tuple[str, ...]:
+    """Start a camera and return the names of its points; those of a port come with the first frames."""
     from rtof_kin.core.errors import SourceError
 
-    missing: list[SourceError] = []
-    for i, source in enumerate(sources):
-        try:
-            source.start()
-        except SourceError as error:
-            missing.append(error)
-            if (filmed and i == 0) or not source.name.startswith("lsl:") or len(missing) == len(sources):
-                raise
-    if not filmed:
-        return ()
+    camera.start()
     deadline = time.monotonic() + _LONGEST_WAIT
-    if not sources[0].landmarks:
-        err.print(f"waiting for the points of {sources[0].name}", soft_wrap=True)
-    while not sources[0].landmarks:
+    if not camera.landmarks:
+        err.print(f"waiting for the points of {camera.name}", soft_wrap=True)
+    while not camera.landmarks:
         if time.monotonic() > deadline:
             raise SourceError(
-                f"{sources[0].name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
+                f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
             )
         time.sleep(0.02)
-    return sources[0].landmarks
+    return camera.landmarks
+
+
+def _start(sources: Sequence[Source]) -> None:
+    """Start sources; sensors of the network that are not there, beside others, are left to the session."""
+    from rtof_kin.core.errors import SourceError
+
+    missing = 0
+    for source in sources:
+        try:
+            source.start()
+        except SourceError:
+            missing += 1
+            if not source.name.startswith("lsl:") or missing == len(sources):
+                raise
 
 
 def _latency(camera: Source) -> float:
@@ -221,8 +224,7 @@ def _run(
     replay = streams.replay
     clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
     if not streams.replayed:
-        for source in streams.sources:  # when it came during the preparation is not known
-            source.poll()
+        streams.sources[0].poll()  # when it came during the preparation is not known
     begun = clock()
 
     def stop() -> bool:
