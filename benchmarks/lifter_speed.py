@@ -1,9 +1,9 @@
 """Speed of the lifter on one thread: a long recording at once, and frame by frame.
 
 ``python -m benchmarks.lifter_speed`` repeats the demo recording (60 Hz, 21 landmarks, 8 sensors) and
-writes results/lifter_speed.json and .md. Other programs slow all of this down, so both the time on the clock and
-that of the processor are given, of pushes also the median of the best 50 in a row, and the speed of one matrix
-product.
+writes results/lifter_speed.json and .md. Other programs slow all of this down, so the time on the clock and
+that of the processor are given, of pushes also the median of the best 50 in a row, and the speed of one
+matrix product.
 """
 
 from __future__ import annotations
