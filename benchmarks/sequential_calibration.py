@@ -1,0 +1,281 @@
+"""Calibration that goes on while a person moves, beside calibration from a whole recording.
+
+``python -m benchmarks.sequential_calibration --corpus DIR`` joins motions of one held-out person (or rig),
+again and again where they are short, to 70 s; realistic 2D, 8 sensors. Of the first 60 s, one window of 50
+frames in each second is passed to `SequentialCalibration`, with states that the batch solver finds for it
+with what is applied by then: a stand-in for the online estimator. Estimates after 10, 30 and 60 s, and of
+`calibrate` from all 60 s, are compared with the truth, and applied to the last 10 s, which no
+calibration has seen.
+
+Cases: nothing planted; the detector's usual delay; delay, headings, mountings planted as well. On the
+re-posed rig (``_tc``) the posture of everybody is known and none is that of the prior. Each set of open
+unknowns is a variant. An interrupted run resumes where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from benchmarks import harness
+from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.calibration import planting
+from benchmarks.calibration.sessions import joined
+from benchmarks.rerigged import rerigged
+from lifting.predict import Lifter
+from rtof_kin.calibration.estimate import calibrate, even_noise
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.residuals import CalibrationObservations
+from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.calibration.sequential import SequentialCalibration, WindowObservations
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+from rtof_kin.simulation.detector_errors import DetectorErrors
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
+from rtof_kin.solve.joint_space.annealing import Annealing
+from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
+
+SESSIONS = {
+    "16": ("16_15", "16_16", "16_21", "16_22", "16_31", "16_32", "16_47", "16_58"),
+    "02": ("02_06", "02_10", "02_05", "02_07", "02_08"),
+    "14": ("14_08",),
+    "09": ("09_12", "09_01", "09_03"),
+    "snu": ("snu_balance", "snu_dance", "snu_kick", "snu_pirouette"),
+    "rokoko": ("ad_rokoko_jesse_dance",),
+    "02_tc": ("02_10", "02_06", "02_05", "02_07"),
+    "14_tc": ("14_08",),
+    "16_tc": ("16_15", "16_16", "16_31", "16_47"),
+}
+"""Motions of one person; `_tc`: re-posed."""
+SECONDS, LAST = 60.0, 10.0
+"""[s] that are calibrated from, and that the effect is measured on."""
+MOMENTS = (10.0, 30.0, 60.0)
+FRAMES = 50
+CASES = ("right", "usual", "planted")
+DELAY, HEADING, MOUNTING = 0.03, np.radians(8.0), np.radians(5.0)
+"""Planted errors: a delay of either sign, the deviation of headings, the angle of mountings."""
+_CLOSED = CalibrationPriors(
+    sigma_delay=None, sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None
+)
+_ALL = replace(
+    _CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0), sigma_swing=np.radians(4.0),
+    sigma_twist=np.radians(5.0),
+)  # fmt: skip
+VARIANTS = {
+    "delay": replace(_CLOSED, sigma_delay=0.05),
+    "delay, heading": replace(_CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0)),
+    "delay, heading, mounting": _ALL,
+    "posture": replace(_CLOSED, sigma_posture=np.radians(5.0)),
+}
+FIGURES = ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg")
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job1:
+    """One recording."""
+
+    session: str
+    camera: int
+    case: str
+
+    @property
+    def key(self) -> str:
+        """Its name."""
+        return f"{self.session}/{self.camera}/{self.case}"
+
+
+@cache
+def session(corpus: Path, name: str) -> MocapClip:
+    """Motions of one person, one after the other, again where there are too few."""
+    rows, wanted = harness.split(), SESSIONS[name]
+    clips = harness.whole_clips(corpus, rows["test"], sorted(set(wanted)))
+    by_name = {clip.name: clip for clip in clips}
+    chosen = [by_name[n] for n in wanted] * 20
+    clip = joined(chosen, SECONDS + LAST, name)
+    return replace(rerigged(clip), name=name) if name.endswith("_tc") else clip
+
+
+def recorded(clip: MocapClip, job: Job1) -> tuple[Recording, dict[str, dict[str, Array]]]:
+    """The recording, and kind -> item -> truth of what is wrong."""
+    detector = DetectorErrors(delay_frames=(2 if job.case == "usual" else 0,))
+    own = zlib.crc32(clip.name.encode())
+    settings = SimulationSettings(keypoints=detector, sensors=harness.SENSOR_SETS["8"])
+    recording = simulate(
+        clip.poses, clip.joint_offsets, camera=standard_cameras(clip.poses, own)[job.camera],
+        settings=settings, seed=own + job.camera, name=clip.name,
+    )  # fmt: skip
+    rng = np.random.default_rng([own, job.camera])
+    wrong: planting.Wrong = {}
+    if job.case == "planted":
+        assert recording.calibration is not None
+        sensors, axes = recording.calibration.joints, rng.standard_normal((8, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        wrong = {
+            "delay": {"video": DELAY * rng.choice([-1.0, 1.0], 1)},
+            "heading": {joint: HEADING * rng.standard_normal(1) for joint in sensors},
+            "mounting": dict(zip(sensors, MOUNTING * axes, strict=True)),
+        }
+    known = planting.unknowns(recording, wrong)
+    for joint, slip in planting.slips(recording).items():
+        known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
+    known["delay", "video"] = known["delay", "video"][:1] + (2 / 60 if job.case == "usual" else 0.0)
+    truths: dict[str, dict[str, Array]] = {}
+    for (kind, item), value in known.items():
+        truths.setdefault(kind, {})[item] = value[:1] if kind == "heading" else value
+    recording = planting.with_late_video(recording, planting.unknowns(recording, wrong)["delay", "video"])
+    return planting.with_turned_sensors(recording, planting.unknowns(recording, wrong)), truths
+
+
+def part(recording: Recording, start: float, stop: float) -> Recording:
+    """Between two times of the video."""
+    seen, truth, imus = recording.video, recording.truth, recording.imus
+    assert truth is not None
+    assert imus is not None
+    frames = slice(*np.searchsorted(seen.times, [start, stop]).tolist())
+    own = slice(*np.searchsorted(imus.times, [start - 0.5, stop + 0.5]).tolist())
+    cut = replace(
+        imus, times=imus.times[own], R_inertial_sensor=imus.R_inertial_sensor[own],
+        f_sensor=imus.f_sensor[own],
+    )  # fmt: skip
+    return replace(recording, keypoints=seen[frames], truth=truth[frames], imus=cut)
+
+
+class StandIn:
+    """Windows of a recording with states that the batch solver finds, as an online estimator would."""
+
+    def __init__(self, job: Job, prepared: Prepared) -> None:
+        """Collect the observations of the recording."""
+        recording, solver = prepared.recording, job.settings.fragment
+        assert recording.imus is not None
+        assert recording.calibration is not None
+        native = recording.calibration.apply(recording.imus)
+        self.settings, self.times = solver, prepared.start.times
+        self.data, again = (
+            Observations(
+                prepared.skeleton, FRAMES, solver, prepared.guess, prepared.keypoints,
+                native.resample(self.times), places=native.joints,
+            )
+            for _ in range(2)
+        )  # fmt: skip
+        self.problem = again.problem
+        self.given = CalibrationObservations.of(self.data, self.times)
+        slow = low_passed(even_noise(native), solver)
+        assert slow is not None
+        self._sensors = slow
+        self._solver = LevenbergMarquardt(self.data.problem, self.data.limits)
+
+    def window(self, first: int, found: SequentialCalibration) -> WindowObservations:
+        """Frames from `first`, solved with what is applied."""
+        data, part, given = self.data, slice(first, first + FRAMES), self.given
+        rows = {name: values[part] for name, values in given.rows.items()}
+        own = CalibrationObservations(
+            self.times[part], rows, given.constant, given.a_world[part], given.w_acceleration[part]
+        )
+        near = slice(*np.searchsorted(self._sensors.times, own.times[[0, -1]] + [-0.5, 0.5]).tolist())
+        sensors = self._sensors[near]  # what an estimator keeps
+
+        def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
+            q, w, a, w_a, _ = sensor_data(times, sensors, data.sensors, self.settings)
+            return q, w, a, w_a
+
+        corrected = found.applied(own, sampled)
+        values = corrected.fragment(0, FRAMES)
+        data.problem.bind(values)
+        s = self.settings
+        annealing = Annealing(s, data.problem, data.confidence[part], data.points.sizes, values.observation)
+        solved = self._solver.solve(
+            data.start[part], s.annealing + s.max_iterations, s.tolerance, None, annealing
+        )
+        variance = annealing.sigma**2
+        knee = s.robust_reprojection / s.largest_correlation_factor
+        own = own.changed(
+            w_visual=data.confidence[part] / variance, knee_visual=np.full((FRAMES, 1), knee)
+        )
+        return WindowObservations(own, solved.x, sampled, solved.multipliers)
+
+
+def passed(stand_in: StandIn, found: SequentialCalibration) -> tuple[dict[float, SelfCalibration], list[float]]:
+    """Pass the recording once; calibration after each of the moments, and the time of every slice, s."""
+    after, seconds = dict[float, SelfCalibration](), list[float]()
+    since = stand_in.times - stand_in.times[0]
+    for moment in np.arange(1.0, SECONDS + 0.1):
+        first = int(np.searchsorted(since, moment)) - FRAMES
+        if first < 0 or first + FRAMES > len(since):
+            continue
+        found.corrections(1.0)
+        slices = found.update(stand_in.window(first, found))
+        while True:
+            began = perf_counter()
+            done = next(slices, True)
+            seconds.append(perf_counter() - began)
+            if done:
+                break
+        if moment in MOMENTS:
+            after[float(moment)] = found.as_self_calibration()
+    return after, seconds
+
+
+def errors(found: SelfCalibration, truths: dict[str, dict[str, Array]]) -> dict[str, float]:
+    """Kind -> root mean square of what remains, of the values that are applied; and before."""
+    out = {}
+    for kind in dict.fromkeys(q.kind for q in found.quantities):
+        applied = found.of_kind(kind)
+        truth = truths.get(kind, {})
+        off = [applied.get(item, np.zeros_like(value)) - value for item, value in truth.items()]
+        if off:
+            out[kind] = float(np.sqrt(np.mean(np.square(off))))
+            out[f"{kind} before"] = float(np.sqrt(np.mean(np.square(list(truth.values())))))
+    return out
+
+
+def rows_of(corpus: Path, job: Job1, variants: list[str], lifter: Lifter) -> Iterator[Row]:
+    """What each variant finds, and what it does to the last seconds."""
+    recording, truths = recorded(session(corpus, job.session), job)
+    first, last = part(recording, 0.0, SECONDS), part(recording, SECONDS, SECONDS + LAST)
+    settings = ReconstructionSettings(confidence=False)
+    own = Job.of(first, None, lifter, settings, None).with_solver(None)
+    prepared = own.prepare("sf2")
+    stand_in = StandIn(own, prepared)
+
+    def effect(found: SelfCalibration | None) -> Row:
+        made = reconstruct(
+            last, mode="rtof", lifter=lifter, settings=settings, calibrate=False, calibration=found
+        )
+        assert made.metrics is not None
+        return {name: float(made.metrics[name]) for name in FIGURES}
+
+    before = effect(None)
+    for variant in variants:
+        priors = VARIANTS[variant]
+        about = {**vars(job), "variant": variant}
+        yield {**about, "how": "none", **before}
+        found = SequentialCalibration(stand_in.problem, stand_in.settings, priors)
+        after, seconds = passed(stand_in, found)
+        for moment, calibration in after.items():
+            yield {
+                **about, "how": f"{moment:g} s", **effect(calibration), "errors": errors(calibration, truths),
+                "p50_ms": 1e3 * float(np.median(seconds)), "p99_ms": 1e3 * float(np.percentile(seconds, 99)),
+                "worst_ms": 1e3 * max(seconds), "slices": len(seconds) / found.windows,
+            }
+        batch = calibrate(
+            replace(prepared.recording, keypoints=prepared.keypoints), prepared.guess, priors,
+            stand_in.settings, FRAMES,
+        )
+        yield {**about, "how": "batch", **effect(batch), "errors": errors(batch, truths)}

@@ -1,0 +1,380 @@
+"""Self-calibration that goes on while a person moves, window after window.
+
+Every window of N frames whose states were estimated adds to what is known of the unknowns y. Its
+information I and gradient s at the current y are those of `fragment_profile`, the same as in batch::
+
+    c <- (1 - d/m) c + d              d seconds of the window, m of memory
+    S <- (1 - d/m) S + I
+    b <- (1 - d/m) b + I (y - y_0) - s
+    y  = y_0 + (P + r S)^-1 r b       r = min(1, effective seconds / c)
+
+P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
+windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
+
+The energy of fast motion is not quadratic in the delay of the video. It is added up on a grid of delays,
+each after a Gauss-Newton step of the states; the posterior on the grid gives delay and deviation, and is
+wide while two delays explain the motion.
+
+An update takes tens of ms and comes in slices of about a ms. What is applied to new samples moves
+towards the estimate with a limited speed (`Pace`), so that poses do not jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from rtof_kin.calibration.estimate import quantities_of
+from rtof_kin.calibration.fragment_profile import ProfiledFragment
+from rtof_kin.calibration.posture_unknown import Posture
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.residuals import CalibrationObservations
+from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
+from rtof_kin.calibration.schur_complement import Slices
+from rtof_kin.calibration.sensor_unknowns import Delay, Heading, Mounting, Sampled
+from rtof_kin.calibration.unknowns import Unknown
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.core.numerics.banded import Factor, StoredFactor
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
+from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.observations import bone_axis
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+_DAMPING: Final = 1e-3
+_STEPS: Final = 2
+"""Gauss-Newton steps of a window's states at the current estimate."""
+_GRID: Final = np.linspace(-2.0, 2.0, 17)
+"""Delays that are tried, in standard deviations of the prior."""
+_FINE: Final = np.linspace(-2.0, 2.0, 401)
+_SHARPEST: Final = 0.02
+"""Smallest deviation of a delay, in those of the prior: samples are interpolated."""
+_KEPT: Final = 0.25
+"""Least deviation of a saved value, in those of the prior: sensors move a little between recordings."""
+
+
+@dataclass(frozen=True)
+class WindowObservations:
+    """A window of N frames, as measured: nothing of the calibration is applied."""
+
+    given: CalibrationObservations
+    """Of the N frames, evenly spaced; weights of the landmarks as in the estimator, sensors at the frames'
+    stamps."""
+    x: Array
+    """(N, 3 + 4A) estimated states."""
+    sampled: Sampled
+    """The sensors at any times near the window. Accelerations are smoothed over one sample, or delays
+    of half a sample seem likelier than others."""
+    multipliers: Array | None = None
+    """(N, M) of the limits."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast a sequential calibration follows, and is applied."""
+
+    memory_s: float = 60.0
+    """[s] of windows after which one counts 1/e."""
+    delay: float = 0.005
+    """[s/s] Largest speed of the applied delay."""
+    turn: float = np.radians(1.0)
+    """[rad/s] The same of headings, mountings and posture."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is applied to new samples."""
+
+    delay: float
+    """[s] to subtract from the stamps of the video."""
+    heading: Mapping[str, float]
+    """Segment -> rotation about world's z to apply to its measured orientation and acceleration, rad."""
+    R_mounting: Mapping[str, Array]
+    """Segment -> (3, 3) to multiply its measured orientation by, from the right."""
+    posture: Mapping[str, Array]
+    """Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad."""
+
+
+class SequentialCalibration:
+    """Estimate of delay, headings, mountings and posture from windows of a motion.
+
+    Attributes:
+        unknowns: kinds but the delay, in the order of y. columns: of each in y.
+        y: (G,) estimate. delay: s. windows: how many were used.
+    """
+
+    def __init__(
+        self,
+        problem: FragmentEnergy,
+        settings: JointSpaceSettings,
+        priors: CalibrationPriors,
+        start: SelfCalibration | None = None,
+        nuisances: Sequence[Unknown] = (),
+        pace: Pace | None = None,
+    ) -> None:
+        """Begin with the priors, or with a saved calibration.
+
+        Args:
+            problem: energy of a window, of which no other solver binds data. settings: of that solver.
+            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open.
+            start: values that are known already, of the same sensors.
+            nuisances: further unknowns that are estimated and not applied.
+            pace: speeds.
+
+        Raises:
+            CalibrationError: nothing is open.
+        """
+        self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
+        self._limits = Limits(problem.space) if settings.limits else None
+        self.unknowns = (*_opened(problem, priors), *nuisances)
+        if not self.unknowns and priors.sigma_delay is None:
+            raise CalibrationError("nothing is left open: give at least one standard deviation")
+        stops = np.cumsum([len(u.covariance) for u in self.unknowns]).astype(int).tolist()
+        self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=False))
+        covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(stops[-1:])]
+        self._usual = np.array(np.diag(covariance), dtype=float)
+        self._mean, self._delay_prior = _started(self.unknowns, covariance, priors, start)
+        self._prior = np.linalg.inv(covariance) if stops else covariance
+        self.y, self.delay, self.windows = self._mean.copy(), self._delay_prior[0], 0
+        self._seconds, self._information = 0.0, np.zeros_like(self._prior)
+        self._vector, self._energies = np.zeros_like(self._mean), np.zeros(len(_GRID))
+        self._applied, self._applied_delay = self._mean.copy(), self.delay
+        self._quantities = self._listed()
+
+    def update(self, window: WindowObservations) -> Slices[None]:
+        """Take a window into account, in slices of about a ms.
+
+        Args:
+            window: of as many frames as the problem has; later than those before.
+
+        Raises:
+            SolverError: the window's Hessian is not positive definite; nothing has changed then.
+        """
+        corrected = self._corrected(window, self.delay)
+        yield
+        fragment = ProfiledFragment(
+            self._problem, self._limits, self._settings, corrected, 0, window.x, window.multipliers
+        )
+        self._problem.bind(corrected.fragment(0, len(window.x)))
+        yield
+        fragment, factor = yield from self._settled(fragment)
+        energies = np.zeros(len(_GRID))
+        if self._priors.sigma_delay is not None:
+            energies = yield from self._searched(window, fragment.x, factor)
+            self._problem.bind(self._weighted(corrected).fragment(0, len(window.x)))
+            yield
+        told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
+        if self.unknowns:
+            fragment = replace(fragment, observations=self._weighted(corrected))
+            told, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
+        self._account(len(window.x) / corrected.rate_hz, told, force, energies)
+
+    def corrections(self, seconds: float) -> Corrections:
+        """Return what to apply to new samples.
+
+        Args:
+            seconds: since the last call; limits the change.
+        """
+        wanted, delay = self._wanted()
+        most, step = self._pace.turn * seconds, self._pace.delay * seconds
+        self._applied += np.clip(wanted - self._applied, -most, most)
+        self._applied_delay += float(np.clip(delay - self._applied_delay, -step, step))
+        own = {kind: self._applied_of(kind) for kind in ("heading", "mounting", "posture")}
+        return Corrections(
+            self._applied_delay,
+            {item: float(value[0]) for item, value in own["heading"].items()},
+            {item: so3.exp(value) for item, value in own["mounting"].items()},
+            own["posture"],
+        )
+
+    def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
+        """Return observations corrected by what `corrections` returned last.
+
+        Args:
+            given, sampled: as of `WindowObservations`.
+        """
+        return self._by(self._applied, self._applied_delay, given, sampled)
+
+    def as_self_calibration(self) -> SelfCalibration:
+        """Return the present estimate, as `calibrate` would."""
+        return SelfCalibration(self._quantities, converged=self.windows > 0)
+
+    def _corrected(self, window: WindowObservations, delay: float) -> CalibrationObservations:
+        """Observations at the present estimate, but for the delay."""
+        return self._by(self.y, delay, window.given, window.sampled)
+
+    def _by(
+        self, y: Array, delay: float, given: CalibrationObservations, sampled: Sampled
+    ) -> CalibrationObservations:
+        if self._priors.sigma_delay is not None:
+            given = Delay(1.0, None, sampled).correct(given, np.array([delay]))
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            given = unknown.correct(given, y[part])
+        return given
+
+    def _weighted(self, given: CalibrationObservations) -> CalibrationObservations:
+        """Observations with the weights of a calibration."""
+        p, rows = self._priors, given.rows
+        return given.changed(
+            w_visual=p.weight_vision * rows["w_visual"],
+            knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
+            w_sensor=p.weight_sensors * rows["w_sensor"],
+            w_prior=p.weight_poses * rows["w_prior"],
+            w_torso=p.weight_poses * rows["w_torso"],
+        )
+
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+        """The window after some steps of its states, and the last factor."""
+        problem = self._problem
+        energy = problem.total(fragment.x)
+        for _ in range(_STEPS):
+            slope = fragment.linearise()
+            yield
+            factor = problem.factorise(_DAMPING)
+            yield
+            x = problem.retract(fragment.x, factor.solve(-slope))
+            after = problem.total(x)
+            if not after < energy:
+                break
+            energy, fragment = after, replace(fragment, x=x)
+            yield
+        return fragment, factor
+
+    def _searched(
+        self, window: WindowObservations, x: Array, factor: Factor | StoredFactor
+    ) -> Slices[Array]:
+        """Energies of the window at the delays of the grid, each after a step of the states."""
+        problem = self._problem
+        energies = np.zeros(len(_GRID))
+        for k, delay in enumerate(self._grid(_GRID)):
+            problem.bind(self._corrected(window, float(delay)).fragment(0, len(x)))
+            yield
+            step = factor.solve(-problem.gradient(x))
+            energies[k] = problem.total(problem.retract(x, step))
+            yield
+        return energies
+
+    def _grid(self, deviations: Array) -> Array:
+        mean, sigma = self._delay_prior
+        return mean + sigma * deviations
+
+    def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
+        """Add the information of a window."""
+        if not (np.isfinite(told).all() and np.isfinite(force).all() and np.isfinite(energies).all()):
+            return
+        kept = max(0.0, 1 - seconds / self._pace.memory_s)
+        self._seconds = kept * self._seconds + seconds
+        self._information = kept * self._information + told
+        self._vector = kept * self._vector + told @ (self.y - self._mean) - force
+        self._energies = kept * self._energies + energies
+        self.windows += 1
+        if self.unknowns:
+            hessian = self._prior + self._share * self._information
+            self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
+        self._quantities = self._listed()
+
+    @property
+    def _share(self) -> float:
+        """Weight of all windows: together they count as the effective seconds at most."""
+        return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
+
+    def _listed(self) -> tuple[Quantity, ...]:
+        """Every item; also sets the delay."""
+        found = []
+        if self._priors.sigma_delay is not None:
+            found.append(self._delayed(self._priors.sigma_delay))
+        if self.unknowns:
+            hessian = self._prior + self._share * self._information
+            moved = quantities_of(
+                self.unknowns, self.y - self._mean, hessian, self._prior, self._priors.overcount,
+                self._usual,
+            )  # fmt: skip
+            means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
+            found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
+        return tuple(found)
+
+    def _delayed(self, usual: float) -> Quantity:
+        """The posterior of the delay on the grid."""
+        energy = CubicSpline(_GRID, self._energies)(_FINE) * self._share / self._priors.overcount
+        nats = energy - energy.min() + _FINE**2 / 2
+        p = np.exp(nats.min() - nats)
+        p /= p.sum()
+        mean = float(p @ _FINE)
+        sigma = max(float(np.sqrt(p @ (_FINE - mean) ** 2)), _SHARPEST) * self._delay_prior[1]
+        self.delay = float(self._grid(np.array(mean)))
+        step = _GRID[1] - _GRID[0]
+        beyond = abs(mean) > _GRID[-1] - step
+        doubt = f"the search ends at {self.delay:.3g} s, and the delay may lie beyond" if beyond else ""
+        known = float(np.clip(1 - sigma**2 / usual**2, 0.0, 1.0))
+        return Quantity(
+            "delay", "video", np.array([self.delay]), np.array([sigma]), np.array([usual]), known, doubt
+        )
+
+    def _wanted(self) -> tuple[Array, float]:
+        """What is to be applied: estimates that are known, else what it began with."""
+        wanted, first, delay = self._mean.copy(), 0, self._delay_prior[0]
+        for q in self._quantities:
+            known = q.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
+            if q.kind == "delay":
+                delay = self.delay if known else delay
+                continue
+            own = slice(first, first + len(q.value))
+            first = own.stop
+            if known:
+                wanted[own] = q.value
+        return wanted, delay
+
+    def _applied_of(self, kind: str) -> dict[str, Array]:
+        """Item -> its applied numbers."""
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            if unknown.name == kind:
+                values = self._applied[part].reshape(len(unknown.items), -1)
+                return dict(zip(unknown.items, values, strict=True))
+        return {}
+
+
+def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> list[Unknown]:
+    """The unknowns but the delay, in the order in which they correct the observations."""
+    skeleton, found = problem.space.skeleton, list[Unknown]()
+    sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
+    if priors.sigma_heading is not None and sensors:
+        found.append(Heading(sensors, priors.sigma_heading, None))
+    if priors.sigma_swing is not None and sensors:
+        axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
+        found.append(Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist))
+    if priors.sigma_posture is not None:
+        found.append(Posture.of(problem.space.names, priors.sigma_posture))
+    return found
+
+
+def _started(
+    unknowns: Sequence[Unknown], covariance: Array, priors: CalibrationPriors, start: SelfCalibration | None
+) -> tuple[Array, tuple[float, float]]:
+    """Means (G,) of the prior, and mean and deviation of the delay; narrows the covariance (G, G)."""
+    mean, delay, first = np.zeros(len(covariance)), (0.0, priors.sigma_delay or 1.0), 0
+    saved = {(q.kind, q.item): q for q in (start.quantities if start else ())}
+
+    def sigma(quantity: Quantity, usual: Array) -> Array:
+        return np.minimum(usual, np.hypot(quantity.sigma, _KEPT * usual))
+
+    known = saved.get(("delay", "video"))
+    if known is not None and known.verdict in (Verdict.OBSERVED, Verdict.WEAKLY):
+        delay = float(known.value[0]), float(sigma(known, np.array([delay[1]]))[0])
+    for unknown in unknowns:
+        width = len(unknown.covariance) // len(unknown.items)
+        for item in unknown.items:
+            own, known = slice(first, first + width), saved.get((unknown.name, item))
+            first += width
+            if known is None or known.verdict not in (Verdict.OBSERVED, Verdict.WEAKLY):
+                continue
+            usual = np.sqrt(np.diag(covariance)[own])
+            narrower = sigma(known, usual) / usual
+            mean[own] = known.value[:width]
+            covariance[own, own] *= np.outer(narrower, narrower)
+    return mean, delay
