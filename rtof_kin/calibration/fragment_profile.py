@@ -87,10 +87,12 @@ class ProfiledFragment:
 
         if changed("points", "image"):
             pixels = at.pixels(weights["w_visual"], weights["knee_visual"])
+            yield
             image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
             yield from out.add_in_parts(pixels, image)
         if changed("turns"):
             turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
+            yield
             yield from out.add_in_parts(turns, by("turns", turns.value, by_turn))
         if changed("feet") and shape.feet and weights["w_floor"].any():
             feet = at.feet(weights["w_floor"], shape.floor_cutoff)

@@ -39,7 +39,7 @@ from rtof_kin.calibration.schur_complement import Slices
 from rtof_kin.calibration.sensor_unknowns import Delay, Heading, Mounting, Sampled
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.core.numerics.banded import Factor, StoredFactor
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
@@ -50,9 +50,15 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 _DAMPING: Final = 1e-3
 _STEPS: Final = 2
 """Gauss-Newton steps of a window's states at the current estimate."""
-_GRID: Final = np.linspace(-2.0, 2.0, 17)
-"""Delays that are tried, in standard deviations of the prior."""
-_FINE: Final = np.linspace(-2.0, 2.0, 401)
+_REACH: Final = 2.0
+"""Delays that are tried reach so many standard deviations of the prior to both sides."""
+_COARSEST: Final = 1 / 3
+"""[sigma] Largest step between them; one frame where that is smaller."""
+_FINE: Final = np.linspace(-_REACH, _REACH, 401)
+"""[sigma] Delays of the posterior, which is interpolated."""
+_STILL: Final = np.radians(3.0)
+"""[rad] Turning in a window, in the mean of the sensors, below which it is not used: its errors are those of
+the window before."""
 _SHARPEST: Final = 0.02
 """Smallest deviation of a delay, in those of the prior: samples are interpolated."""
 _KEPT: Final = 0.25
@@ -101,6 +107,46 @@ class Corrections:
     """Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad."""
 
 
+_Sensors = tuple[Array, Array, Array, Array]
+"""Of `sensor_unknowns.Sampled`."""
+
+
+@dataclass(frozen=True)
+class _Late:
+    """Sensors at evenly spaced instants around a window."""
+
+    at: _Sensors
+    steps: Index
+    """(n,) delays that are tried, from the present one, in steps."""
+    step: float
+    """[s]"""
+    count: int
+    """Instants from the first to the last frame."""
+    parts: int
+    """Steps from frame to frame."""
+
+    def sensors(self, k: int) -> _Sensors:
+        """Return the sensors for a delay k steps longer than the present one."""
+        first = int(self.steps[-1]) - k
+        frames = slice(first, first + self.count, self.parts)
+        q, w, a, w_a = (values[frames] for values in self.at)
+        return q, w, a, w_a
+
+
+@dataclass(frozen=True)
+class _Energies:
+    """Energies of a window at some delays."""
+
+    delays: Array
+    """(n,) from the prior's mean, in its standard deviations."""
+    values: Array
+    """(n,) nats."""
+
+    def interpolated(self) -> Array:
+        """Return them at the delays `_FINE`, above the least."""
+        return np.asarray(CubicSpline(self.delays, self.values - self.values.min())(_FINE))
+
+
 class SequentialCalibration:
     """Estimate of delay, headings, mountings and posture from windows of a motion.
 
@@ -138,17 +184,17 @@ class SequentialCalibration:
         stops = np.cumsum([len(u.covariance) for u in self.unknowns]).astype(int).tolist()
         self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=False))
         covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(stops[-1:])]
-        self._usual = np.array(np.diag(covariance), dtype=float)
+        self._usual = np.array(np.diag(covariance))
         self._mean, self._delay_prior = _started(self.unknowns, covariance, priors, start)
-        self._prior = np.linalg.inv(covariance) if stops else covariance
+        self._prior = np.asarray(np.linalg.inv(covariance) if stops else covariance)
         self.y, self.delay, self.windows = self._mean.copy(), self._delay_prior[0], 0
         self._seconds, self._information = 0.0, np.zeros_like(self._prior)
-        self._vector, self._energies = np.zeros_like(self._mean), np.zeros(len(_GRID))
+        self._vector, self._energies = np.zeros_like(self._mean), np.zeros_like(_FINE)
         self._applied, self._applied_delay = self._mean.copy(), self.delay
         self._quantities = self._listed()
 
     def update(self, window: WindowObservations) -> Slices[None]:
-        """Take a window into account, in slices of about a ms.
+        """Take a window into account, in slices of one or two ms; one in which nobody moves is left out.
 
         Args:
             window: of as many frames as the problem has; later than those before.
@@ -156,24 +202,29 @@ class SequentialCalibration:
         Raises:
             SolverError: the window's Hessian is not positive definite; nothing has changed then.
         """
-        corrected = self._corrected(window, self.delay)
+        if _turning(window.given) < _STILL:
+            return
+        given, N = window.given, len(window.x)
+        late = self._late(window) if self._priors.sigma_delay is not None else None
+        yield
+        corrected = self._by(self.y, given, late.sensors(0) if late else None)
         yield
         fragment = ProfiledFragment(
             self._problem, self._limits, self._settings, corrected, 0, window.x, window.multipliers
         )
-        self._problem.bind(corrected.fragment(0, len(window.x)))
+        self._problem.bind(corrected.fragment(0, N))
         yield
         fragment, factor = yield from self._settled(fragment)
-        energies = np.zeros(len(_GRID))
-        if self._priors.sigma_delay is not None:
-            energies = yield from self._searched(window, fragment.x, factor)
-            self._problem.bind(self._weighted(corrected).fragment(0, len(window.x)))
-            yield
+        energies = (yield from self._searched(window, late, fragment.x, factor)) if late else None
         told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
             fragment = replace(fragment, observations=self._weighted(corrected))
+            self._problem.bind(fragment.observations.fragment(0, N))
+            yield
             told, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
-        self._account(len(window.x) / corrected.rate_hz, told, force, energies)
+        self._account(N / corrected.rate_hz, told, force, energies)
+        yield
+        self._quantities = self._listed()
 
     def corrections(self, seconds: float) -> Corrections:
         """Return what to apply to new samples.
@@ -199,21 +250,19 @@ class SequentialCalibration:
         Args:
             given, sampled: as of `WindowObservations`.
         """
-        return self._by(self._applied, self._applied_delay, given, sampled)
+        late = None if self._priors.sigma_delay is None else sampled(given.times - self._applied_delay)
+        return self._by(self._applied, given, late)
 
     def as_self_calibration(self) -> SelfCalibration:
         """Return the present estimate, as `calibrate` would."""
         return SelfCalibration(self._quantities, converged=self.windows > 0)
 
-    def _corrected(self, window: WindowObservations, delay: float) -> CalibrationObservations:
-        """Observations at the present estimate, but for the delay."""
-        return self._by(self.y, delay, window.given, window.sampled)
-
     def _by(
-        self, y: Array, delay: float, given: CalibrationObservations, sampled: Sampled
+        self, y: Array, given: CalibrationObservations, sampled: _Sensors | None
     ) -> CalibrationObservations:
-        if self._priors.sigma_delay is not None:
-            given = Delay(1.0, None, sampled).correct(given, np.array([delay]))
+        """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
+        if sampled is not None:
+            given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
         for unknown, part in zip(self.unknowns, self.columns, strict=True):
             given = unknown.correct(given, y[part])
         return given
@@ -246,38 +295,46 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
+    def _late(self, window: WindowObservations) -> _Late:
+        """The sensors at the present delay and at others, which reach as far as is tried."""
+        times, rate, (mean, sigma) = window.given.times, window.given.rate_hz, self._delay_prior
+        parts = int(np.ceil(1 / (_COARSEST * sigma * rate)))
+        step = 1 / (parts * rate)
+        present = (self.delay - mean) / step
+        lowest, highest = (int(v) for v in np.round(np.array([-1, 1]) * _REACH * sigma / step - present))
+        lowest, highest = min(lowest - 1, 0), max(highest + 1, 0)
+        count = parts * (len(times) - 1) + 1
+        instants = times[0] - self.delay + step * np.arange(-highest, count - lowest)
+        return _Late(window.sampled(instants), np.arange(lowest, highest + 1), step, count, parts)
+
     def _searched(
-        self, window: WindowObservations, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[Array]:
-        """Energies of the window at the delays of the grid, each after a step of the states."""
-        problem = self._problem
-        energies = np.zeros(len(_GRID))
-        for k, delay in enumerate(self._grid(_GRID)):
-            problem.bind(self._corrected(window, float(delay)).fragment(0, len(x)))
+        self, window: WindowObservations, late: _Late, x: Array, factor: Factor | StoredFactor
+    ) -> Slices[_Energies]:
+        """Energies of the window at other delays, each after a step of the states."""
+        problem, (mean, sigma) = self._problem, self._delay_prior
+        energies = np.zeros(len(late.steps))
+        for i, k in enumerate(late.steps.tolist()):
+            problem.bind(self._by(self.y, window.given, late.sensors(k)).fragment(0, len(x)))
             yield
-            step = factor.solve(-problem.gradient(x))
-            energies[k] = problem.total(problem.retract(x, step))
+            moved = problem.retract(x, factor.solve(-problem.gradient(x)))
+            energies[i] = problem.total(moved)
             yield
-        return energies
+        return _Energies(np.asarray((self.delay + late.step * late.steps - mean) / sigma), energies)
 
-    def _grid(self, deviations: Array) -> Array:
-        mean, sigma = self._delay_prior
-        return mean + sigma * deviations
-
-    def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
+    def _account(self, seconds: float, told: Array, force: Array, energies: _Energies | None) -> None:
         """Add the information of a window."""
-        if not (np.isfinite(told).all() and np.isfinite(force).all() and np.isfinite(energies).all()):
+        nats = np.zeros_like(_FINE) if energies is None else energies.interpolated()
+        if not all(np.isfinite(values).all() for values in (told, force, nats)):
             return
         kept = max(0.0, 1 - seconds / self._pace.memory_s)
         self._seconds = kept * self._seconds + seconds
         self._information = kept * self._information + told
         self._vector = kept * self._vector + told @ (self.y - self._mean) - force
-        self._energies = kept * self._energies + energies
+        self._energies = kept * self._energies + nats
         self.windows += 1
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
-        self._quantities = self._listed()
 
     @property
     def _share(self) -> float:
@@ -301,15 +358,14 @@ class SequentialCalibration:
 
     def _delayed(self, usual: float) -> Quantity:
         """The posterior of the delay on the grid."""
-        energy = CubicSpline(_GRID, self._energies)(_FINE) * self._share / self._priors.overcount
-        nats = energy - energy.min() + _FINE**2 / 2
+        mean, usual_sigma = self._delay_prior
+        nats = self._energies * self._share / self._priors.overcount + _FINE**2 / 2
         p = np.exp(nats.min() - nats)
         p /= p.sum()
-        mean = float(p @ _FINE)
-        sigma = max(float(np.sqrt(p @ (_FINE - mean) ** 2)), _SHARPEST) * self._delay_prior[1]
-        self.delay = float(self._grid(np.array(mean)))
-        step = _GRID[1] - _GRID[0]
-        beyond = abs(mean) > _GRID[-1] - step
+        at = float(p @ _FINE)
+        sigma = max(float(np.sqrt(p @ (_FINE - at) ** 2)), _SHARPEST) * usual_sigma
+        self.delay = mean + usual_sigma * at
+        beyond = abs(at) > _REACH - _COARSEST
         doubt = f"the search ends at {self.delay:.3g} s, and the delay may lie beyond" if beyond else ""
         known = float(np.clip(1 - sigma**2 / usual**2, 0.0, 1.0))
         return Quantity(
@@ -337,6 +393,17 @@ class SequentialCalibration:
                 values = self._applied[part].reshape(len(unknown.items), -1)
                 return dict(zip(unknown.items, values, strict=True))
         return {}
+
+
+def _turning(given: CalibrationObservations) -> float:
+    """Largest angle of the sensors from their first orientation, in the mean of those with data, rad."""
+    known = given.rows["w_sensor"] > 0
+    used = known.all(axis=0)
+    if not used.any():
+        return np.inf
+    q = given.rows["quat_sensor"][:, used]
+    cosine = np.abs(np.sum(q * q[:1], axis=-1)).min(axis=0)
+    return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
 
 
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> list[Unknown]:
