@@ -101,9 +101,9 @@ Truths = dict[str, dict[str, Array]]
 """Kind -> item -> what a perfect calibration finds."""
 HEAD = """# Calibration that goes on while a person moves
 
-`python -m benchmarks.sequential_calibration`: held-out people and rigs, 60 s, realistic 2D, eight sensors; see
-the module. *stated*: mean deviation at 60 s. *better / worse*: recordings whose figure changes by more than one
-per cent.
+`python -m benchmarks.sequential_calibration`: held-out people and rigs, 60 s, realistic 2D, eight sensors;
+see the module. *stated*: mean deviation at 60 s. *better / worse*: recordings whose figure changes by more
+than one per cent.
 
 """
 

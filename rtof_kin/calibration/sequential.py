@@ -11,9 +11,7 @@ information I and gradient s at the current y are those of `fragment_profile`, t
 P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
 windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
 
-The energy of fast motion is not quadratic in the delay of the video. It is added up on a grid of delays,
-each after a Gauss-Newton step of the states; the posterior on the grid gives delay and deviation, and is
-wide while two delays explain the motion.
+The delay of the video has a posterior of its own (`delay_posterior`), as energies are not quadratic in it.
 
 An update takes tens of ms and comes in slices of about a ms. What is applied to new samples moves
 towards the estimate with a limited speed (`Pace`), so that poses do not jump.
@@ -26,9 +24,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from rtof_kin.calibration.delay_posterior import DelayPosterior, LateSensors, Sensors
 from rtof_kin.calibration.estimate import quantities_of
 from rtof_kin.calibration.fragment_profile import ProfiledFragment
 from rtof_kin.calibration.posture_unknown import Posture
@@ -39,7 +37,7 @@ from rtof_kin.calibration.schur_complement import Slices
 from rtof_kin.calibration.sensor_unknowns import Delay, Heading, Mounting, Sampled
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.core.numerics.banded import Factor, StoredFactor
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
@@ -50,19 +48,13 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 _DAMPING: Final = 1e-3
 _STEPS: Final = 2
 """Gauss-Newton steps of a window's states at the current estimate."""
-_REACH: Final = 2.0
-"""Delays that are tried reach so many standard deviations of the prior to both sides."""
-_COARSEST: Final = 1 / 3
-"""[sigma] Largest step between them; one frame where that is smaller."""
-_FINE: Final = np.linspace(-_REACH, _REACH, 401)
-"""[sigma] Delays of the posterior, which is interpolated."""
 _STILL: Final = np.radians(3.0)
 """[rad] Turning in a window, in the mean of the sensors, below which it is not used: its errors are those of
 the window before."""
-_SHARPEST: Final = 0.02
-"""Smallest deviation of a delay, in those of the prior: samples are interpolated."""
 _KEPT: Final = 0.25
 """Least deviation of a saved value, in those of the prior: sensors move a little between recordings."""
+_KEPT_DELAY: Final = 0.5
+"""The same of a delay: clocks are started again."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +62,8 @@ class WindowObservations:
     """A window of N frames, as measured: nothing of the calibration is applied."""
 
     given: CalibrationObservations
-    """Of the N frames, evenly spaced; weights of the landmarks as in the estimator, sensors at the frames'
-    stamps."""
+    """Of the N frames, evenly spaced: landmarks with the weights that the estimator gave them, sensors at the
+    frames' stamps with those of `Observations`."""
     x: Array
     """(N, 3 + 4A) estimated states."""
     sampled: Sampled
@@ -107,52 +99,12 @@ class Corrections:
     """Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad."""
 
 
-_Sensors = tuple[Array, Array, Array, Array]
-"""Of `sensor_unknowns.Sampled`."""
-
-
-@dataclass(frozen=True)
-class _Late:
-    """Sensors at evenly spaced instants around a window."""
-
-    at: _Sensors
-    steps: Index
-    """(n,) delays that are tried, from the present one, in steps."""
-    step: float
-    """[s]"""
-    count: int
-    """Instants from the first to the last frame."""
-    parts: int
-    """Steps from frame to frame."""
-
-    def sensors(self, k: int) -> _Sensors:
-        """Return the sensors for a delay k steps longer than the present one."""
-        first = int(self.steps[-1]) - k
-        frames = slice(first, first + self.count, self.parts)
-        q, w, a, w_a = (values[frames] for values in self.at)
-        return q, w, a, w_a
-
-
-@dataclass(frozen=True)
-class _Energies:
-    """Energies of a window at some delays."""
-
-    delays: Array
-    """(n,) from the prior's mean, in its standard deviations."""
-    values: Array
-    """(n,) nats."""
-
-    def interpolated(self) -> Array:
-        """Return them at the delays `_FINE`, above the least."""
-        return np.asarray(CubicSpline(self.delays, self.values - self.values.min())(_FINE))
-
-
 class SequentialCalibration:
     """Estimate of delay, headings, mountings and posture from windows of a motion.
 
     Attributes:
         unknowns: kinds but the delay, in the order of y. columns: of each in y.
-        y: (G,) estimate. delay: s. windows: how many were used.
+        y: (G,) estimate. delay: posterior of the delay, or None. windows: how many were used.
     """
 
     def __init__(
@@ -161,7 +113,6 @@ class SequentialCalibration:
         settings: JointSpaceSettings,
         priors: CalibrationPriors,
         start: SelfCalibration | None = None,
-        nuisances: Sequence[Unknown] = (),
         pace: Pace | None = None,
     ) -> None:
         """Begin with the priors, or with a saved calibration.
@@ -170,7 +121,6 @@ class SequentialCalibration:
             problem: energy of a window, of which no other solver binds data. settings: of that solver.
             priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open.
             start: values that are known already, of the same sensors.
-            nuisances: further unknowns that are estimated and not applied.
             pace: speeds.
 
         Raises:
@@ -178,19 +128,21 @@ class SequentialCalibration:
         """
         self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
         self._limits = Limits(problem.space) if settings.limits else None
-        self.unknowns = (*_opened(problem, priors), *nuisances)
+        self.unknowns = _opened(problem, priors)
         if not self.unknowns and priors.sigma_delay is None:
             raise CalibrationError("nothing is left open: give at least one standard deviation")
         stops = np.cumsum([len(u.covariance) for u in self.unknowns]).astype(int).tolist()
         self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=False))
         covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(stops[-1:])]
         self._usual = np.array(np.diag(covariance))
-        self._mean, self._delay_prior = _started(self.unknowns, covariance, priors, start)
+        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if _is_known(q)}
+        self._mean = _started(self.unknowns, covariance, saved)
         self._prior = np.asarray(np.linalg.inv(covariance) if stops else covariance)
-        self.y, self.delay, self.windows = self._mean.copy(), self._delay_prior[0], 0
-        self._seconds, self._information = 0.0, np.zeros_like(self._prior)
-        self._vector, self._energies = np.zeros_like(self._mean), np.zeros_like(_FINE)
-        self._applied, self._applied_delay = self._mean.copy(), self.delay
+        self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
+        self._information, self._vector = np.zeros_like(self._prior), np.zeros_like(self._mean)
+        self.delay = _delay(priors.sigma_delay, saved.get(("delay", "video")))
+        self._begun = self.delay.delay if self.delay else 0.0
+        self._applied, self._applied_delay = self._mean.copy(), self._begun
         self._quantities = self._listed()
 
     def update(self, window: WindowObservations) -> Slices[None]:
@@ -205,7 +157,7 @@ class SequentialCalibration:
         if _turning(window.given) < _STILL:
             return
         given, N = window.given, len(window.x)
-        late = self._late(window) if self._priors.sigma_delay is not None else None
+        late = self.delay.around(given.times, given.rate_hz, window.sampled) if self.delay else None
         yield
         corrected = self._by(self.y, given, late.sensors(0) if late else None)
         yield
@@ -215,7 +167,7 @@ class SequentialCalibration:
         self._problem.bind(corrected.fragment(0, N))
         yield
         fragment, factor = yield from self._settled(fragment)
-        energies = (yield from self._searched(window, late, fragment.x, factor)) if late else None
+        energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
         told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
             fragment = replace(fragment, observations=self._weighted(corrected))
@@ -250,7 +202,7 @@ class SequentialCalibration:
         Args:
             given, sampled: as of `WindowObservations`.
         """
-        late = None if self._priors.sigma_delay is None else sampled(given.times - self._applied_delay)
+        late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
     def as_self_calibration(self) -> SelfCalibration:
@@ -258,7 +210,7 @@ class SequentialCalibration:
         return SelfCalibration(self._quantities, converged=self.windows > 0)
 
     def _by(
-        self, y: Array, given: CalibrationObservations, sampled: _Sensors | None
+        self, y: Array, given: CalibrationObservations, sampled: Sensors | None
     ) -> CalibrationObservations:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
         if sampled is not None:
@@ -295,43 +247,31 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
-    def _late(self, window: WindowObservations) -> _Late:
-        """The sensors at the present delay and at others, which reach as far as is tried."""
-        times, rate, (mean, sigma) = window.given.times, window.given.rate_hz, self._delay_prior
-        parts = int(np.ceil(1 / (_COARSEST * sigma * rate)))
-        step = 1 / (parts * rate)
-        present = (self.delay - mean) / step
-        lowest, highest = (int(v) for v in np.round(np.array([-1, 1]) * _REACH * sigma / step - present))
-        lowest, highest = min(lowest - 1, 0), max(highest + 1, 0)
-        count = parts * (len(times) - 1) + 1
-        instants = times[0] - self.delay + step * np.arange(-highest, count - lowest)
-        return _Late(window.sampled(instants), np.arange(lowest, highest + 1), step, count, parts)
-
     def _searched(
-        self, window: WindowObservations, late: _Late, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[_Energies]:
-        """Energies of the window at other delays, each after a step of the states."""
-        problem, (mean, sigma) = self._problem, self._delay_prior
-        energies = np.zeros(len(late.steps))
+        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
+    ) -> Slices[Array]:
+        """Energies of a window at other delays, each after a step of the states."""
+        assert self.delay is not None
+        problem, energies = self._problem, np.zeros(len(late.steps))
         for i, k in enumerate(late.steps.tolist()):
-            problem.bind(self._by(self.y, window.given, late.sensors(k)).fragment(0, len(x)))
+            problem.bind(self._by(self.y, given, late.sensors(k)).fragment(0, len(x)))
             yield
-            moved = problem.retract(x, factor.solve(-problem.gradient(x)))
-            energies[i] = problem.total(moved)
+            energies[i] = problem.total(problem.retract(x, factor.solve(-problem.gradient(x))))
             yield
-        return _Energies(np.asarray((self.delay + late.step * late.steps - mean) / sigma), energies)
+        return self.delay.interpolated(late, energies)
 
-    def _account(self, seconds: float, told: Array, force: Array, energies: _Energies | None) -> None:
+    def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
         """Add the information of a window."""
-        nats = np.zeros_like(_FINE) if energies is None else energies.interpolated()
-        if not all(np.isfinite(values).all() for values in (told, force, nats)):
+        if not all(np.isfinite(values).all() for values in (told, force, energies)):
             return
         kept = max(0.0, 1 - seconds / self._pace.memory_s)
         self._seconds = kept * self._seconds + seconds
         self._information = kept * self._information + told
         self._vector = kept * self._vector + told @ (self.y - self._mean) - force
-        self._energies = kept * self._energies + nats
         self.windows += 1
+        if self.delay:
+            self.delay.add(energies, kept)
+            self.delay.estimate(self._share / self._priors.overcount)
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
@@ -342,10 +282,8 @@ class SequentialCalibration:
         return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
 
     def _listed(self) -> tuple[Quantity, ...]:
-        """Every item; also sets the delay."""
-        found = []
-        if self._priors.sigma_delay is not None:
-            found.append(self._delayed(self._priors.sigma_delay))
+        """Every item."""
+        found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             moved = quantities_of(
@@ -356,33 +294,17 @@ class SequentialCalibration:
             found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
         return tuple(found)
 
-    def _delayed(self, usual: float) -> Quantity:
-        """The posterior of the delay on the grid."""
-        mean, usual_sigma = self._delay_prior
-        nats = self._energies * self._share / self._priors.overcount + _FINE**2 / 2
-        p = np.exp(nats.min() - nats)
-        p /= p.sum()
-        at = float(p @ _FINE)
-        sigma = max(float(np.sqrt(p @ (_FINE - at) ** 2)), _SHARPEST) * usual_sigma
-        self.delay = mean + usual_sigma * at
-        beyond = abs(at) > _REACH - _COARSEST
-        doubt = f"the search ends at {self.delay:.3g} s, and the delay may lie beyond" if beyond else ""
-        known = float(np.clip(1 - sigma**2 / usual**2, 0.0, 1.0))
-        return Quantity(
-            "delay", "video", np.array([self.delay]), np.array([sigma]), np.array([usual]), known, doubt
-        )
-
     def _wanted(self) -> tuple[Array, float]:
         """What is to be applied: estimates that are known, else what it began with."""
-        wanted, first, delay = self._mean.copy(), 0, self._delay_prior[0]
-        for q in self._quantities:
-            known = q.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
-            if q.kind == "delay":
-                delay = self.delay if known else delay
-                continue
+        first, quantities = 0, self._quantities
+        wanted, delay = self._mean.copy(), self._begun
+        if self.delay:
+            delay = float(quantities[0].value[0]) if _is_known(quantities[0]) else delay
+            quantities = quantities[1:]
+        for q in quantities:
             own = slice(first, first + len(q.value))
             first = own.stop
-            if known:
+            if _is_known(q):
                 wanted[own] = q.value
         return wanted, delay
 
@@ -406,7 +328,12 @@ def _turning(given: CalibrationObservations) -> float:
     return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
 
 
-def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> list[Unknown]:
+def _is_known(quantity: Quantity) -> bool:
+    """Whether a quantity is known better than before and not in doubt."""
+    return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
+
+
+def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
     sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
@@ -417,31 +344,30 @@ def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> list[Unknown]
         found.append(Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist))
     if priors.sigma_posture is not None:
         found.append(Posture.of(problem.space.names, priors.sigma_posture))
-    return found
+    return tuple(found)
+
+
+def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
+    """Posterior of a delay that is open."""
+    if usual is None or saved is None:
+        return None if usual is None else DelayPosterior(usual, 0.0, usual)
+    sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))
+    return DelayPosterior(usual, float(saved.value[0]), sigma)
 
 
 def _started(
-    unknowns: Sequence[Unknown], covariance: Array, priors: CalibrationPriors, start: SelfCalibration | None
-) -> tuple[Array, tuple[float, float]]:
-    """Means (G,) of the prior, and mean and deviation of the delay; narrows the covariance (G, G)."""
-    mean, delay, first = np.zeros(len(covariance)), (0.0, priors.sigma_delay or 1.0), 0
-    saved = {(q.kind, q.item): q for q in (start.quantities if start else ())}
-
-    def sigma(quantity: Quantity, usual: Array) -> Array:
-        return np.minimum(usual, np.hypot(quantity.sigma, _KEPT * usual))
-
-    known = saved.get(("delay", "video"))
-    if known is not None and known.verdict in (Verdict.OBSERVED, Verdict.WEAKLY):
-        delay = float(known.value[0]), float(sigma(known, np.array([delay[1]]))[0])
+    unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]
+) -> Array:
+    """Means (G,) of the prior; narrows its covariance (G, G) of items that are saved."""
+    mean, first = np.zeros(len(covariance)), 0
     for unknown in unknowns:
         width = len(unknown.covariance) // len(unknown.items)
         for item in unknown.items:
             own, known = slice(first, first + width), saved.get((unknown.name, item))
             first += width
-            if known is None or known.verdict not in (Verdict.OBSERVED, Verdict.WEAKLY):
-                continue
-            usual = np.sqrt(np.diag(covariance)[own])
-            narrower = sigma(known, usual) / usual
-            mean[own] = known.value[:width]
-            covariance[own, own] *= np.outer(narrower, narrower)
-    return mean, delay
+            if known is not None:
+                usual = np.sqrt(np.diag(covariance)[own])
+                share = np.minimum(1.0, np.hypot(known.sigma[:width] / usual, _KEPT))
+                mean[own] = known.value[:width]
+                covariance[own, own] *= np.outer(share, share)
+    return mean

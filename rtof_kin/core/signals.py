@@ -55,7 +55,7 @@ def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float 
     """
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)
-    for ok, sensors in _alike(np.isfinite(R).all(axis=(-2, -1))):
+    for ok, sensors in _alike(np.asarray(np.isfinite(R).all(axis=(-2, -1)))):
         t, M = times[ok], R[ok][:, sensors]
         inside = (at >= t[0]) & (at <= t[-1]) & ~_in_gap(t, at, max_gap)
         right = np.clip(np.searchsorted(t, at[inside]), min(1, len(t) - 1), len(t) - 1)
