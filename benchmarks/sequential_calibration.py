@@ -89,10 +89,12 @@ VARIANTS = {
 """What is open."""
 STUDIED = {
     "right": tuple(VARIANTS),
-    "usual": ("delay", "delay, heading", "delay, mounting", "delay, heading, mounting"),
+    "usual": ("delay", "delay, heading, mounting"),
     "planted": ("delay", "delay, heading, mounting"),
 }
 """Case -> variants."""
+BATCH = (("planted", "delay"), ("planted", "delay, heading, mounting"), ("right", "delay, heading, mounting"))
+"""Case and variant of which the batch calibration is made too."""
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 NEGLIGIBLE = 0.01
 """Relative change of a figure below which a recording counts as unchanged."""
@@ -298,6 +300,8 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
                 row["slices_ms"] = [float(f"{1e3 * v:.3g}") for v in np.percentile(seconds, [50, 99, 100])]
                 row["slices"] = len(seconds) / max(found.windows, 1)
             yield row
+        if (case.case, variant) not in BATCH:
+            continue
         batch = calibrate(
             replace(prepared.recording, keypoints=prepared.keypoints), prepared.guess, priors,
             stand_in.settings, FRAMES,
@@ -322,6 +326,7 @@ def tables(rows: list[Row]) -> list[Table]:
     """What remains of the errors, what it does, and in how many recordings."""
     remaining: list[tuple[Cell, ...]] = []
     effects: list[tuple[Cell, ...]] = []
+    moments = tuple(f"{m:g} s" for m in MOMENTS)
     before = {(r["session"], r["camera"], r["case"]): r for r in rows if r["how"] == "none"}
     for case, variant in [(name, variant) for name in STUDIED for variant in STUDIED[name]]:
         own = [r for r in rows if (r["case"], r["variant"]) == (case, variant)]
@@ -329,15 +334,16 @@ def tables(rows: list[Row]) -> list[Table]:
             factor = 1e3 if kind == "delay" else float(np.degrees(1.0))
             sizes = {
                 how: factor * np.sqrt(np.mean([np.square(r["errors"][kind]) for r in group], axis=0))
-                for how in (*(f"{m:g} s" for m in MOMENTS), "batch")
+                for how in (*moments, "batch")
                 if (group := [r for r in own if r["how"] == how and kind in r["errors"]])
             }
             last = sizes[f"{SECONDS:g} s"]
-            cells = [float(size[1]) for size in sizes.values()]
+            cells = [float(sizes[how][1]) if how in sizes else np.nan for how in (*moments, "batch")]
             remaining.append((case, variant, kind, float(last[0]), *cells, float(last[2])))
         for how in (f"{SECONDS:g} s", "batch"):
-            told = list[Cell]()
-            group = [r for r in own if r["how"] == how]
+            told, group = list[Cell](), [r for r in own if r["how"] == how]
+            if not group:
+                continue
             for figure in FIGURES:
                 off = np.array([before[r["session"], r["camera"], case][figure] for r in group])
                 change = np.array([r[figure] for r in group]) - off
@@ -345,7 +351,6 @@ def tables(rows: list[Row]) -> list[Table]:
                 told += [f"{off.mean():.1f}", f"{change.mean():+.2f}"]
                 told += [f"{np.sum(change[moved] < 0)} / {np.sum(change[moved] > 0)}"]
             effects.append((case, variant, how, len(group), *told))
-    moments = tuple(f"{m:g} s" for m in MOMENTS)
     headings = tuple(h for f in FIGURES.values() for h in (f, "change", "better / worse"))
     return [
         Table(

@@ -80,6 +80,8 @@ class UnknownsHessian:
         """
         flat = by_unknowns.reshape(-1, len(self.gradient))
         active = np.flatnonzero(flat.any(axis=0))
+        if not len(active):
+            return
         by_active = flat[:, active]
         weight = np.broadcast_to(residuals.weight[..., None], residuals.value.shape)
         weighted = weight.reshape(-1, 1) * by_active
