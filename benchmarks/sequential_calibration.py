@@ -93,8 +93,10 @@ STUDIED = {
     "planted": ("delay", "delay, heading, mounting"),
 }
 """Case -> variants."""
-BATCH = (("planted", "delay"), ("planted", "delay, heading, mounting"), ("right", "delay, heading, mounting"))
-"""Case and variant of which the batch calibration is made too."""
+FULL = (("planted", "delay, heading, mounting"), ("right", "delay, heading, mounting"))
+"""Case and variant of which the batch calibration is made too, and other thresholds are tried."""
+THRESHOLDS = {"60 s, all": 0.0, "60 s, 3 sigma": 3.0}
+"""Other values of `Pace.significant`."""
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 NEGLIGIBLE = 0.01
 """Relative change of a figure below which a recording counts as unchanged."""
@@ -300,8 +302,11 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
                 row["slices_ms"] = [float(f"{1e3 * v:.3g}") for v in np.percentile(seconds, [50, 99, 100])]
                 row["slices"] = len(seconds) / max(found.windows, 1)
             yield row
-        if (case.case, variant) not in BATCH:
+        if (case.case, variant) not in FULL:
             continue
+        for how, least in THRESHOLDS.items():
+            other = found.as_self_calibration(least)
+            yield {**about, "how": how, "errors": errors(other, truths), **effect(other)}
         batch = calibrate(
             replace(prepared.recording, keypoints=prepared.keypoints), prepared.guess, priors,
             stand_in.settings, FRAMES,
@@ -334,28 +339,29 @@ def tables(rows: list[Row]) -> list[Table]:
             factor = 1e3 if kind == "delay" else float(np.degrees(1.0))
             sizes = {
                 how: factor * np.sqrt(np.mean([np.square(r["errors"][kind]) for r in group], axis=0))
-                for how in (*moments, "batch")
+                for how in (*moments, *THRESHOLDS, "batch")
                 if (group := [r for r in own if r["how"] == how and kind in r["errors"]])
             }
             last = sizes[f"{SECONDS:g} s"]
-            cells = [float(sizes[how][1]) if how in sizes else np.nan for how in (*moments, "batch")]
-            remaining.append((case, variant, kind, float(last[0]), *cells, float(last[2])))
-        for how in (f"{SECONDS:g} s", "batch"):
-            told, group = list[Cell](), [r for r in own if r["how"] == how]
+            told = [sizes.get(how, np.full(3, np.nan))[1] for how in (*moments, *THRESHOLDS, "batch")]
+            remaining.append((case, variant, kind, float(last[0]), *map(float, told), float(last[2])))
+        for how in (f"{MOMENTS[0]:g} s", f"{SECONDS:g} s", *THRESHOLDS, "batch"):
+            shown, group = list[Cell](), [r for r in own if r["how"] == how and "flexion_deg" in r]
             if not group:
                 continue
             for figure in FIGURES:
                 off = np.array([before[r["session"], r["camera"], case][figure] for r in group])
                 change = np.array([r[figure] for r in group]) - off
                 moved = np.abs(change) > NEGLIGIBLE * off
-                told += [f"{off.mean():.1f}", f"{change.mean():+.2f}"]
-                told += [f"{np.sum(change[moved] < 0)} / {np.sum(change[moved] > 0)}"]
-            effects.append((case, variant, how, len(group), *told))
+                shown += [f"{off.mean():.1f}", f"{change.mean():+.2f}"]
+                shown += [f"{np.sum(change[moved] < 0)} / {np.sum(change[moved] > 0)}"]
+            effects.append((case, variant, how, len(group), *shown))
     headings = tuple(h for f in FIGURES.values() for h in (f, "change", "better / worse"))
     return [
         Table(
             "remaining", "Errors of the calibration, root mean square, ms and degrees",
-            ("case", "open", "of", "before", *moments, "batch", "stated"), (0, 0, 0, 1, 1, 1, 1, 1, 1),
+            ("case", "open", "of", "before", *moments, *THRESHOLDS, "batch", "stated"),
+            (0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1),
             tuple(remaining),
         ),
         Table(

@@ -191,10 +191,10 @@ def _height_px(keypoints: KeypointSequence) -> float:
 
 def quantities_of(
     unknowns: Sequence[Unknown], y: Array, hessian: Array, prior: Array, overcount: float,
-    variance_prior: Array | None = None,
+    variance_prior: Array | None = None, significant: float = 0.0,
 ) -> tuple[Quantity, ...]:  # fmt: skip
-    """Return every item with its standard deviations. Unobserved items, except nuisances, are fixed at zero,
-    and the others estimated given that.
+    """Return every item with its standard deviations. Unobserved and insignificant items, except nuisances,
+    are fixed at zero, and the others estimated given that.
 
     With prior P and information D, which autocorrelated errors make k times too large, the estimate's
     covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
@@ -202,6 +202,7 @@ def quantities_of(
     Args:
         unknowns: kinds, in the order of y. y: (G,) the estimate. hessian: (G, G) P + D. prior: (G, G) P.
         overcount: k. variance_prior: (G,) that verdicts refer to; by default that of P.
+        significant: least size of an estimate, in its standard deviations.
     """
     P, S = prior, hessian
     inverse = np.linalg.inv(S)
@@ -222,13 +223,16 @@ def quantities_of(
             for kind, item, own in parts
         )  # fmt: skip
 
-    kept, nuisances = np.zeros(len(y), dtype=bool), {u.name for u in unknowns if u.nuisance}
+    kept, told = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool)
+    nuisances = {u.name for u in unknowns if u.nuisance}
     for quantity, (_, _, own) in zip(listed(y, claimed), parts, strict=True):
-        kept[own] = quantity.kind in nuisances or quantity.verdict is not Verdict.PRIOR
+        size = float(np.sqrt(np.mean((quantity.value / quantity.sigma) ** 2)))
+        told[own] = quantity.verdict is not Verdict.PRIOR or quantity.kind in nuisances
+        kept[own] = told[own] & (size >= significant or quantity.kind in nuisances)
     given = np.where(kept, y, 0.0)
     if kept.any() and not kept.all():
         given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])
-    return listed(given, np.where(kept, claimed, variance))
+    return listed(given, np.where(told, claimed, variance))
 
 
 def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:

@@ -83,6 +83,9 @@ class Pace:
     """[s/s] Largest speed of the applied delay."""
     turn: float = np.radians(1.0)
     """[rad/s] The same of headings, mountings and posture."""
+    significant: float = 2.0
+    """[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
+    deviations, that is corrected: a smaller one may be the detector's."""
 
 
 @dataclass(frozen=True)
@@ -205,9 +208,13 @@ class SequentialCalibration:
         late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
-    def as_self_calibration(self) -> SelfCalibration:
-        """Return the present estimate, as `calibrate` would."""
-        return SelfCalibration(self._quantities, converged=self.windows > 0)
+    def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
+        """Return the present estimate, as `calibrate` would.
+
+        Args:
+            significant: as in `Pace`, which has the default.
+        """
+        return SelfCalibration(self._listed(significant), converged=self.windows > 0)
 
     def _by(
         self, y: Array, given: CalibrationObservations, sampled: Sensors | None
@@ -281,14 +288,14 @@ class SequentialCalibration:
         """Weight of all windows: together they count as the effective seconds at most."""
         return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
 
-    def _listed(self) -> tuple[Quantity, ...]:
+    def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
         """Every item."""
         found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             moved = quantities_of(
                 self.unknowns, self.y - self._mean, hessian, self._prior, self._priors.overcount,
-                self._usual,
+                self._usual, self._pace.significant if significant is None else significant,
             )  # fmt: skip
             means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
             found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
