@@ -21,7 +21,7 @@ from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression, RegressedLandmarks
-from rtof_kin.vision.layouts import OWN_LAYOUTS
+from rtof_kin.vision.layouts import OWN_LAYOUTS, Layout
 from rtof_kin.vision.recognise import Recognition, recognise
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
@@ -116,13 +116,36 @@ def keypoints_from_detections(
     _check_inside(uv, camera)
     form = recognition.layout
     landmarks = regression.apply(form.name, uv, confidence)
-    own = () if form.name in OWN_LAYOUTS else tuple(detector_point(form.name, p) for p in form.points)
-    sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, : len(own)]
-    keypoints = KeypointSequence(
-        camera, times, np.concatenate([landmarks.uv_px, uv[:, : len(own)]], axis=1),
-        np.concatenate([landmarks.confidence, sure], axis=1), landmarks.names + own,
-    )  # fmt: skip
+    points = with_own_points(form, landmarks, uv, confidence)
+    keypoints = KeypointSequence(camera, times, *points, keypoint_names(form, regression))
     return DetectedKeypoints(keypoints, landmarks, recognition, track)
+
+
+def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, ...]:
+    """Return the names of the skeleton's landmarks that a layout gives, then of its own points.
+
+    Args:
+        form: layout of the detector. regression: that estimates the landmarks.
+    """
+    own = () if form.name in OWN_LAYOUTS else tuple(detector_point(form.name, p) for p in form.points)
+    return regression.landmarks(form) + own
+
+
+def with_own_points(
+    form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array
+) -> tuple[Array, Array]:
+    """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`.
+
+    Args:
+        form: layout of the detector. landmarks: estimated from its points.
+        uv: (T, K, 2) px. confidence: (T, K).
+    """
+    K = 0 if form.name in OWN_LAYOUTS else len(form)
+    sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, :K]
+    return (
+        np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1),
+        np.concatenate([landmarks.confidence, sure], axis=1),
+    )
 
 
 def _check_inside(uv: Array, camera: Camera) -> None:

@@ -83,7 +83,7 @@ class LandmarkRegression:
         if layout in OWN_LAYOUTS:
             sigma = np.where(seen, 0.0, np.nan)
             return RegressedLandmarks(form.names, uv, np.where(seen, confidence, 0.0), sigma)
-        names = self._landmarks(form)
+        names = self.landmarks(form)
         out = np.full((len(uv), len(names), 2), np.nan)
         sigma, out_confidence = np.full(out.shape[:2], np.nan), np.zeros(out.shape[:2])
         for pattern, frames in _patterns(seen):
@@ -98,8 +98,14 @@ class LandmarkRegression:
             )
         return RegressedLandmarks(names, out, out_confidence, sigma)
 
-    def _landmarks(self, form: Layout) -> tuple[str, ...]:
-        """Return all joints and the landmarks that a layout shows."""
+    def landmarks(self, form: Layout) -> tuple[str, ...]:
+        """Return the landmarks that `apply` estimates: all joints, then those that a layout shows.
+
+        Args:
+            form: the layout.
+        """
+        if form.name in OWN_LAYOUTS:
+            return form.names
         shown = {name for name, points in self.table.seen_by.items() if set(points) & set(form.points)}
         return (*self._skeleton.names, *(name for name in self._skeleton.landmarks if name in shown))
 

@@ -51,6 +51,8 @@ def contained_models() -> dict[str, Path] | None:
 class MediaPipeDetector:
     """MediaPipe's Pose Landmarker on consecutive frames of one video."""
 
+    points: int = 33
+
     def __init__(self, model: str | Path | None = None, people: int = MOST_PEOPLE):
         """Load a model.
 

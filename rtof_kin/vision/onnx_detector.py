@@ -93,6 +93,7 @@ class OnnxDetector:
         """
         pose, people = _find_models(folder)
         rtmlib = library("rtmlib")
+        self.points = pose.points
         self._one_stage = pose.kind != "pose"
         make = rtmlib.RTMO if self._one_stage else rtmlib.RTMPose
         size = (pose.height, pose.width) if self._one_stage else (pose.width, pose.height)

@@ -20,6 +20,8 @@ class PersonDetector(Protocol):
 
     name: str
     """Its models, for people."""
+    points: int
+    """Number of points of a person."""
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
         """Return the people in the next image.

@@ -7,6 +7,7 @@ person is chosen: large, central and present most of the time, or the one asked 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.vision.detections import NO_IDENTITY, Detections
+from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person
 
 Ints = NDArray[np.int64]
 NOBODY = -1
@@ -102,6 +103,10 @@ class _Trail:
         self.people.append(person)
         if measures.identity[t, person] != NO_IDENTITY:
             self.identity = int(measures.identity[t, person])
+
+    def forget(self) -> None:
+        """Keep the last frame alone."""
+        self.frames, self.people = self.frames[-1:], self.people[-1:]
 
     def distance(self, measures: _Measures, t: int, person: int, now: float) -> float:
         """Return the distance of a person from the prediction, in sizes; inf beyond the reach."""
@@ -272,3 +277,52 @@ def _cost(edge: _Trail, other: _Trail, forward: bool, measures: _Measures, times
         return np.inf
     way = np.linalg.norm(measures.centre[start] - measures.centre[end])
     return float(abs(times[start[0]] - times[end[0]]) + way / measures.size[end])
+
+
+class PersonFollower:
+    """Follows one person frame by frame, without those to come.
+
+    The largest and most central person is chosen, and kept until nobody like that was seen for a second.
+
+    Args:
+        image_px: width and height of the image.
+    """
+
+    def __init__(self, image_px: tuple[float, float]):
+        self._image_px = image_px
+        self._trails: list[_Trail] = []
+        self._chosen: _Trail | None = None
+        self.chosen = 0
+        """How often a person was chosen."""
+        self.ambiguous = 0
+        """Number of frames in which another person fitted nearly as well."""
+
+    def follow(self, people: Sequence[Person], time: float) -> int | None:
+        """Return the index of the person among those of the next frame; None where that one is not seen.
+
+        Args:
+            people: of the frame. time: of the frame, s, later than that of the last one.
+        """
+        self._trails = [trail for trail in self._trails if time - trail.seen_at <= _LONGEST_GAP]
+        if self._chosen not in self._trails:
+            self._chosen = None
+        if not people:
+            return None
+        measures = _Measures(Detections.of_frames({0: people}))
+        there = np.flatnonzero(measures.present[0]).tolist()
+        taken = _link(self._trails, measures, 0, there, time)
+        for person in there:
+            if person not in taken:
+                self._trails.append(_Trail())
+                self._trails[-1].extend(measures, 0, person, time)
+        now = [trail for trail in self._trails if trail.seen_at == time]
+        for trail in now:
+            trail.forget()
+        if self._chosen is None and now:
+            self._chosen = max(now, key=lambda trail: _prominence(trail, measures, self._image_px))
+            self.chosen += 1
+        if self._chosen is None or self._chosen not in now:
+            return None
+        self.ambiguous += bool(self._chosen.unsure)
+        self._chosen.unsure.clear()
+        return self._chosen.people[0]

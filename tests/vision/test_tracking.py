@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.tracking import NOBODY, track_person
+from rtof_kin.vision.detections import Detections, Person
+from rtof_kin.vision.tracking import NOBODY, PersonFollower, track_person
 
 Array = NDArray[np.float64]
 T = 90
@@ -129,3 +129,42 @@ def test_a_brief_false_detection_elsewhere_does_not_continue_a_person() -> None:
     uv[seen, 0], confidence[seen, 0] = BODY + np.array([400.0, 540.0]), 0.8
     track = track_person(Detections(uv, confidence), TIMES, person=0, frame=60)
     assert (track.person[seen] == 0).all()
+
+
+def follow(*frames: list[tuple[float, float]]) -> tuple[PersonFollower, list[float | None]]:
+    """Where the followed person stands in each frame, px; people are (place, size) in an image of 1000 px."""
+    body = np.array([[0, 0], [0, 1], [0.3, 0.5], [-0.3, 0.5], [0, 0.4]])
+    follower = PersonFollower((1000.0, 800.0))
+    at: list[float | None] = []
+    for i, people in enumerate(frames):
+        found = [
+            Person(np.column_stack([body * size + [place, 100], np.full(5, 0.9)])) for place, size in people
+        ]
+        index = follower.follow(found, i / 30)
+        at.append(None if index is None else people[index][0])
+    return follower, at
+
+
+def test_the_follower_keeps_the_person_chosen_first_whatever_the_order_and_others_do() -> None:
+    follower, at = follow(
+        [(100, 200), (480, 220)], [(485, 220), (110, 210)], [(120, 300), (490, 220)], [(495, 220)]
+    )
+    assert at == [480, 485, 490, 495]
+    assert (follower.chosen, follower.ambiguous) == (1, 0)
+
+
+def test_the_follower_waits_a_second_for_a_person_who_is_hidden_and_then_takes_another() -> None:
+    other, gone = [(900.0, 200.0)], [(500.0, 200.0), (900.0, 200.0)]
+    follower, at = follow(gone, *[other] * 40)
+    assert at[:31] == [500, *[None] * 30]
+    assert at[-1] == 900
+    assert follower.chosen == 2
+    _, back = follow(gone, *[other] * 20, gone)
+    assert back[-1] == 500
+
+
+def test_the_follower_counts_frames_in_which_two_people_are_near() -> None:
+    near = [(500.0, 200.0), (505.0, 200.0)]
+    follower, at = follow([(500.0, 200.0)], near, near, [])
+    assert follower.ambiguous >= 1
+    assert at[-1] is None

@@ -22,7 +22,7 @@ _TRUSTED: Final = (0.5, 2.0)
 """Ratio of actual to predicted decrease within which the factor is reused."""
 _SLOW: Final = 0.5
 """Largest ratio of predicted decreases, of a step with a reused factor to the step before."""
-_STIFFNESS: Final = 1 / np.radians(1.0) ** 2
+STIFFNESS: Final = 1 / np.radians(1.0) ** 2
 """Penalty of the limits, 1/rad^2; multipliers make them exact."""
 _USUAL_TOLERANCE: Final = 1e-4
 _LIMIT_TOLERANCE: Final = np.radians(0.1)
@@ -214,14 +214,14 @@ class LevenbergMarquardt:
         assert self.limits is not None
         if self._angles is None or self._angles[0] is not x:
             self._angles = x, self.limits.values(x)
-        return self.limits.excess(self._angles[1] + m / _STIFFNESS)
+        return self.limits.excess(self._angles[1] + m / STIFFNESS)
 
     def _energy(self, x: Array, m: Array) -> float:
         energy = self.problem.total(x)
         if self.limits is None:
             return energy
         pushed = self._pushed(x, m)
-        return energy + float(0.5 * _STIFFNESS * np.sum(pushed**2) - 0.5 / _STIFFNESS * np.sum(m**2))
+        return energy + float(0.5 * STIFFNESS * np.sum(pushed**2) - 0.5 / STIFFNESS * np.sum(m**2))
 
     def linearise(self, x: Array, m: Array) -> Array:
         """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
@@ -233,14 +233,14 @@ class LevenbergMarquardt:
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
             return gradient
         frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
-        cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, _STIFFNESS * squares)
-        return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
+        cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, STIFFNESS * squares)
+        return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _gradient(self, x: Array, m: Array) -> Array:
         gradient = self.problem.gradient(x)
         if self.limits is None or not (pushed := self._pushed(x, m)).any():
             return gradient
-        return np.asarray(gradient + _STIFFNESS * self.limits.force(x, pushed))
+        return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
         """Return updated multipliers, and the largest violation of a limit or of complementarity, rad.
@@ -250,8 +250,8 @@ class LevenbergMarquardt:
         """
         if self.limits is None:
             return m, 0.0
-        new = _STIFFNESS * self._pushed(x, m)
-        return new, float(np.abs(new - m).max(initial=0.0)) / _STIFFNESS
+        new = STIFFNESS * self._pushed(x, m)
+        return new, float(np.abs(new - m).max(initial=0.0)) / STIFFNESS
 
 
 def _increase_damping(run: _Run) -> bool:

@@ -68,8 +68,14 @@ class FragmentEnergy(Protocol):
     def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
         """Add to entries of the diagonal blocks of the Hessian; the arguments broadcast."""
 
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
 
     def factorise(self, damping: float) -> Factor | StoredFactor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal.

@@ -83,6 +83,8 @@ class SimdProblem:
         self._bind_functions()
         self._known: tuple[Array, list[float]] | None = None
         self._inverse_known = False
+        self._filled = 0
+        """Columns to which `add_to_first` has added."""
 
     def _bind_functions(self) -> None:
         """Bind arrays to functions; frames are numbered as in `stencils`."""
@@ -173,6 +175,8 @@ class SimdProblem:
     def linearise(self, x: Array) -> tuple[float, Array]:
         """Return energy and gradient (N, D); keep the Hessian."""
         terms = self._turned(x)
+        self._matrix.entries[: self._filled] = 0.0  # entries that no term has are not written below
+        self._filled = 0
         self._run["linear"]()
         self._run["coupled"]()
         return sum(terms), self._columns.rows(self._gradient_now)
@@ -205,6 +209,12 @@ class SimdProblem:
         places, values = np.broadcast_to(places, shape), np.broadcast_to(values, shape)
         np.add.at(band, places[chosen], values[chosen])
 
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+        self._filled = len(matrix)
+        first = self._as_square(len(matrix))
+        first += np.tril(matrix)  # above the diagonal the view shows other columns: nothing is added there
+
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
         D, band, step = self.space.size, self._matrix.entries, self._matrix.step
@@ -213,6 +223,19 @@ class SimdProblem:
         rows = band.reshape(self.frames, D, -1)[: self.frames - k, c, np.clip(place, 0, step)]
         block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
         return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+        rows, columns = np.ogrid[: self._matrix.size, : self._matrix.size]
+        stored = (rows >= columns) & (rows - columns <= self._matrix.band)
+        lower = np.where(stored, self._as_square(self._matrix.size), 0.0)
+        return np.asarray(lower + np.tril(lower, -1).T)
+
+    def _as_square(self, size: int) -> Array:
+        """Writable view of the first columns in which only entries of the band are those of the matrix."""
+        flat = self._matrix.entries.reshape(-1)
+        steps = (flat.itemsize, self._matrix.step * flat.itemsize)
+        return np.lib.stride_tricks.as_strided(flat, (size, size), steps)
 
     def factorise(self, damping: float) -> StoredFactor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""

@@ -26,7 +26,7 @@ from rtof_kin.core.numerics.banded import Factor, factorise
 from rtof_kin.core.numerics.c_compiler import Buffered
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy import frame_energy
-from rtof_kin.solve.energy.jerk import Jerk
+from rtof_kin.solve.energy.jerk import LAGS, Jerk
 from rtof_kin.solve.energy.state import StateSpace
 
 TERMS: Final = (*frame_energy.TERMS, "acceleration", "smooth")
@@ -129,11 +129,28 @@ class JointProblem:
         """Add to entries of the diagonal blocks of the Hessian."""
         np.add.at(self._band, (frames, columns, rows), values)
 
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+        D = self.space.size
+        for t in range(len(matrix) // D):
+            below = matrix[t * D :, t * D : (t + 1) * D]
+            self._band[t, :, : len(below)] += below.T
+
     def lower_block(self, k: int) -> Array:
         """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
         D = self.space.size
         block = np.swapaxes(self._band[: self.frames - k, :, k * D : (k + 1) * D], 1, 2)
         return np.tril(block) + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+        N, D = self.frames, self.space.size
+        lower = np.zeros((N, D, N, D))
+        for k in range(min(LAGS, N)):
+            t = np.arange(N - k)
+            lower[t + k, :, t] = self.lower_block(k)
+        square = np.tril(lower.reshape(N * D, N * D))
+        return np.asarray(square + np.tril(square, -1).T)
 
     def factorise(self, damping: float) -> Factor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""

@@ -103,6 +103,11 @@ class StateSpace:
         turns = quat.log(quat.multiply(quat.conjugate(q[:-1]), q[1:]))
         return np.concatenate([np.diff(x[:, :3], axis=0), turns.reshape(len(x) - 1, -1)], axis=1)
 
+    def difference(self, x: Array, y: Array) -> Array:
+        """Return the tangents (T, D) that lead from states x (T, 3 + 4A) to states y, m and rad."""
+        turns = quat.log(quat.multiply(quat.conjugate(self.rotations(x)), self.rotations(y)))
+        return np.concatenate([y[:, :3] - x[:, :3], turns.reshape(len(x), -1) @ self.expand], axis=1)
+
     def low_passed(self, x: Array, rate_hz: float, cutoff_hz: float) -> Array:
         """Return low-pass filtered states.
 

@@ -45,7 +45,7 @@ class Annealing:
         largest = settings.sigma_reprojection_range[1] if given is None else given
         self._camera = np.array(shape.cameras, dtype=int)
         self._pictures = [
-            _Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
+            Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
             for own in (self._camera == c for c in range(1 + len(shape.further)))
         ]
         self._left = settings.annealing if given is None and shape.landmarks else 0
@@ -74,7 +74,7 @@ class Annealing:
         return float(np.mean([picture.sigma for picture in self._observing]))
 
     @property
-    def _observing(self) -> list[_Picture]:
+    def _observing(self) -> list[Picture]:
         """Cameras with enough landmarks for an estimate, else all."""
         return [picture for picture in self._pictures if picture.enough] or self._pictures
 
@@ -103,7 +103,7 @@ class Annealing:
             self._problem.reweigh(name, share * self._others[name])
 
 
-class _Picture:
+class Picture:
     """The errors of one camera's landmarks.
 
     Attributes:
@@ -120,7 +120,7 @@ class _Picture:
 
     def estimate(self, residuals: Array) -> bool:
         """Estimate from residuals (N, L, 2), px; return whether the size has changed much."""
-        size, self.factor = self._estimated(residuals)
+        size, self.factor = self.estimated(residuals)
         self._found = size * self.factor
         return abs(self._found / self._kept - 1) >= _SETTLED
 
@@ -129,8 +129,9 @@ class _Picture:
         self._kept = self._found
         self.sigma = float(np.clip(self._found, *bounds))
 
-    def _estimated(self, residuals: Array) -> tuple[float, float]:
-        """Size of a residual per axis, px, and the factor for its autocorrelation, of a landmark of size 1.
+    def estimated(self, residuals: Array) -> tuple[float, float]:
+        """Return size of a residual (N, L, 2) per axis, px, and the factor for its autocorrelation, of a
+        landmark of size 1.
 
         With a correlation r from frame to frame, errors weigh like white ones that are
         sqrt((1 + r) / (1 - r)) times larger.

@@ -109,7 +109,8 @@ class Observations:
         self.space = StateSpace(skeleton, [*turning, *self.sensors], settings.hinges)
         given = () if footholds is None else footholds.joints
         standing = tuple(n for n in skeleton.names if given and (n in given or n in FEET))
-        self.problem = self._problem(active, standing)
+        self._energy_of = self._energies(active, standing)
+        self.problem = self._energy_of(frames)
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if settings.limits else None
         self._observe(start, seen, bone_imus, active)
@@ -182,8 +183,15 @@ class Observations:
         self.space.rotations(x)[:, [name in self.fixed for name in self.space.names]] = [1.0, 0, 0, 0]
         return self.space.low_passed(x, start.rate_hz, self.settings.smooth_start_hz)
 
-    def _problem(self, active: Collection[str], standing: tuple[str, ...]) -> FragmentEnergy:
-        """The energy for joints with active sensors and joints that may have footholds."""
+    def energy(self, frames: int) -> FragmentEnergy:
+        """Return an energy like `problem` of another number of frames, with arrays of its own."""
+        return self._energy_of(frames)
+
+    def _energies(
+        self, active: Collection[str], standing: tuple[str, ...]
+    ) -> Callable[[int], FragmentEnergy]:
+        """The energy of a number of frames, for joints with active sensors and joints that may have footholds.
+        """
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(
@@ -200,8 +208,8 @@ class Observations:
         unsensed, smooth = s.jerk_without_sensors, bare(active)
         others = s.jerk if active else unsensed
         jerk = others, *(unsensed if name in smooth else others for name in self.space.names)
-        return built_energy(
-            skeleton.name, shape, self.space.names, self.frames, s.hinges, s.compile, jerk,
+        return lambda frames: built_energy(
+            skeleton.name, shape, self.space.names, frames, s.hinges, s.compile, jerk,
             s.robust_acceleration, skeleton.table.prior,
         )  # fmt: skip
 

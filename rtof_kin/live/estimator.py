@@ -1,0 +1,428 @@
+"""Online estimator: samples of a camera and of inertial sensors in, poses at a fixed lag out.
+
+Frames follow each other at an even rate, up to the newest time of any stream. A frame begins at the state
+that the ones before it predict; samples that belong to a frame of the window change its observations whenever
+they arrive, late ones too. So a video that lags the sensors is bridged by them, and without a camera the feet
+that stand hold the root, as in mode imu. See `solve.joint_space.fixed_lag` for the mathematics.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.observability import WHOLE, levels_by_points
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.inertial.initial_poses import poses_from_sensors
+from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
+from rtof_kin.live.sensor_buffer import SensorBuffer
+from rtof_kin.live.window import Window, speeds
+from rtof_kin.recording.recording import Recording
+from rtof_kin.solve.joint_space.covariance import confidence_of
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+if TYPE_CHECKING:
+    from lifting.predict import Lifter
+    from lifting.streaming import StreamedPose, StreamingLifter
+
+_LONGEST_LAG_S: Final = 1.0
+_LEAST_FRAMES: Final = 10  # of a window
+_BEYOND_LAG: Final = 4  # frames of the window before the returned one
+_LOOKAHEADS_S: Final = (0.0, 0.07, 0.22)  # ages at which a frame is lifted
+_GRACE: Final = 1e-6  # [frames] of rounding
+_BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
+_BRIDGED_S: Final = 0.5  # [s] without image and sensors for which a pose counts as valid
+
+
+@dataclass(frozen=True)
+class OnlineSettings:
+    """Settings of the online estimator."""
+
+    rate_hz: float = 60.0
+    """[Hz] Frames of the estimate; usually the rate of the video."""
+    lag_s: float = 0.0
+    """[s] Age of the returned poses, 0 to 1: the older, the more accurate."""
+    window_s: float | None = None
+    """[s] Length of the frames that are optimised. None: 10 frames, more for the lag and a late video."""
+    video_delay_s: float = 0.0
+    """[s] By how much the stamps of the video are late against the clock of the sensors."""
+    video_latency_s: float = 0.0
+    """[s] Greatest usual age of an image when it arrives: the window covers it."""
+    iterations: int = 1
+    """Levenberg-Marquardt iterations for each frame."""
+    confidence: bool = False
+    """Whether to compute the covariance of every returned pose."""
+    solver: JointSpaceSettings = field(default_factory=JointSpaceSettings)
+    """Standard deviations of the residuals; the floor is that of the recording where none is given."""
+
+    def __post_init__(self) -> None:
+        if not 5 <= self.rate_hz <= 500:
+            raise InvalidInputError(f"rate_hz: {self.rate_hz:g} frames per second; give 5 to 500")
+        if not 0 <= self.lag_s <= _LONGEST_LAG_S:
+            raise InvalidInputError(f"lag_s: {self.lag_s:g} s is outside 0 to {_LONGEST_LAG_S:g} s")
+        if self.iterations < 1:
+            raise InvalidInputError("iterations: at least one for each frame")
+
+    @property
+    def lag_frames(self) -> int:
+        """The lag in frames."""
+        return round(self.lag_s * self.rate_hz)
+
+    @property
+    def frames(self) -> int:
+        """N of the window."""
+        least = max(_LEAST_FRAMES, self.lag_frames + 1 + _BEYOND_LAG)
+        late = round((self.video_latency_s + self.video_delay_s) * self.rate_hz) + 1 + _BEYOND_LAG
+        asked = 0 if self.window_s is None else round(self.window_s * self.rate_hz)
+        return max(least, late, asked)
+
+
+class OnlineEstimator:
+    """Fixed-lag smoother of live streams.
+
+    Attributes:
+        skeleton: the subject's. settings: as given. dropped: by sensor, and ``video``: samples too late.
+    """
+
+    def __init__(
+        self, setup: Recording, landmarks: Sequence[str] = (), settings: OnlineSettings | None = None,
+        lifter: Lifter | None = None,
+    ) -> None:  # fmt: skip
+        """Build the problem, which compiles code the first time.
+
+        Args:
+            setup: recording whose camera, body, floor and calibration of sensors are used; not its streams.
+            landmarks: names of the L points of the video; none for sensors alone.
+            settings: rate, lag and solver. lifter: keypoints to 3D; by default the shipped one.
+
+        Raises:
+            InvalidInputError: there is neither camera nor calibrated sensor.
+        """
+        self.settings = s = settings or OnlineSettings()
+        self.skeleton, self._landmarks = setup.skeleton, tuple(landmarks)
+        self._camera = setup.video.camera if landmarks else None
+        solver = s.solver
+        if solver.floor_height is None:
+            solver = replace(solver, floor_height=setup.floor_height)
+        self._sensors: SensorBuffer | None = None
+        if setup.calibration is not None:
+            joints = tuple(dict.fromkeys(setup.calibration.joints))
+            self._sensors = SensorBuffer(setup.calibration, joints, s.rate_hz, solver.acceleration_cutoff_hz)
+        if self._camera is None and self._sensors is None:
+            raise InvalidInputError("setup: neither camera with landmarks nor calibrated sensors")
+        self._window = Window(
+            self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames
+        )
+        self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
+        self._pending: deque[FrameSample] = deque()
+        self._last_seen: FrameSample | None = None
+        self._placed: dict[int, float] = {}
+        self._origin: float | None = None
+        self._newest = -np.inf
+        self.dropped: dict[str, int] = {}
+        self._ends = self._provenance_of_sensors()
+        self._levels: dict[bytes, Array] = {}
+
+    def _streaming(self, lifter: Lifter | None, floor_height: float | None) -> StreamingLifter | None:
+        if self._camera is None:
+            return None
+        from lifting.predict import Lifter
+        from lifting.streaming import StreamingLifter
+
+        return StreamingLifter(
+            lifter or Lifter.load(), self._camera, self.skeleton.joint_offsets, floor_height,
+            names=self._landmarks, history_s=self.settings.frames / self.settings.rate_hz + 0.5,
+        )  # fmt: skip
+
+    # --- samples ---------------------------------------------------------------------------------
+
+    def push(self, sample: Sample) -> None:
+        """Take a sample, in any order; it counts from the next `advance` on.
+
+        Args:
+            sample: on the common clock; a frame has the landmarks of the estimator.
+
+        Raises:
+            UnknownNameError: the sensor has no calibration. ShapeError: other landmarks.
+        """
+        if isinstance(sample, ImuSample):
+            self._push_imu(sample)
+            return
+        L = len(self._landmarks)
+        if np.shape(sample.uv_px) != (L, 2) or np.shape(sample.confidence) != (L,):
+            raise ShapeError(f"frame at {sample.time:g} s: {np.shape(sample.uv_px)} points for {L} landmarks")
+        sample = replace(sample, time=sample.time - self.settings.video_delay_s)
+        if self._origin is not None and sample.time < self._time(self._window.first) - 0.5 / self._rate:
+            self._drop("video")
+            return
+        self._newest = max(self._newest, sample.time)
+        self._pending.append(sample)
+
+    def _push_imu(self, sample: ImuSample) -> None:
+        if self._sensors is None:
+            return
+        if self._origin is not None and sample.time < self._time(self._window.first):
+            self._drop(sample.sensor)
+            return
+        self._sensors.add(sample.sensor, sample.time, sample.R_inertial_sensor, sample.f_sensor)
+        self._newest = max(self._newest, sample.time)
+
+    def _drop(self, what: str) -> None:
+        self.dropped[what] = self.dropped.get(what, 0) + 1
+
+    # --- frames ----------------------------------------------------------------------------------
+
+    @property
+    def _rate(self) -> float:
+        return self.settings.rate_hz
+
+    def _time(self, frame: int | Array) -> Array:
+        """Time of frames by their numbers, s."""
+        assert self._origin is not None
+        return np.asarray(self._origin + np.asarray(frame) / self._rate)
+
+    @property
+    def _times(self) -> Array:
+        return self._time(self._window.first + np.arange(self._window.frames))
+
+    def advance(self, time: float | None = None) -> list[OnlineEstimate]:
+        """Estimate the frames up to a time and return those whose lag has passed, oldest first.
+
+        Args:
+            time: s; by default that of the newest sample.
+        """
+        now = self._newest if time is None else float(time)
+        if self._origin is None and not self._begin():
+            return []
+        found = []
+        last = int(np.floor((now - float(self._time(0))) * self._rate + _GRACE))
+        while self._window.head < last:
+            began = perf_counter()
+            self._step()
+            estimate = self._estimate(self._window.frames - 1 - self.settings.lag_frames, began)
+            found += [estimate] if estimate is not None else []
+        return found
+
+    def finish(self) -> list[OnlineEstimate]:
+        """Return the frames that remain in the lag."""
+        if self._origin is None:
+            return []
+        began = perf_counter()
+        self._iterate(5)
+        first = self._window.frames - self.settings.lag_frames
+        estimates = [self._estimate(i, began) for i in range(first, self._window.frames)]
+        return [estimate for estimate in estimates if estimate is not None]
+
+    def _step(self) -> None:
+        """Append the next frame and solve."""
+        window = self._window
+        window.append(window.smoother.predicted())
+        times = self._times
+        if self._sensors is not None:
+            changed = self._sensors.clean()
+            first = int(np.clip(np.ceil((changed - times[0]) * self._rate - 1), 0, window.frames - 1))
+            window.sense(first, times[first:])
+        self._see()
+        window.stand(times)
+        self._iterate(self.settings.iterations)
+
+    def _iterate(self, iterations: int) -> None:
+        try:
+            self._window.smoother.iterate(iterations)
+        except SolverError:
+            self._restart(self._window.smoother.x[-1])
+
+    def _restart(self, x: Array) -> None:
+        """Begin again at a state of the newest frame."""
+        smoother = self._window.smoother
+        smoother.restart(x)
+        smoother.inside[-1], smoother.rows["w_prior"][-1] = True, 1.0
+
+    def _see(self) -> None:
+        """Put the frames of the video that are due into the window, and lift them."""
+        waiting, window = deque[FrameSample](), self._window
+        assert self._origin is not None
+        while self._pending:
+            sample = self._pending.popleft()
+            frame = round((sample.time - self._origin) * self._rate)
+            i = frame - window.first
+            if i >= window.frames:
+                waiting.append(sample)
+            elif i < 0:
+                self._drop("video")
+            else:
+                self._place(i, frame, sample)
+        self._pending = waiting
+
+    def _place(self, i: int, frame: int, sample: FrameSample) -> None:
+        window, offset = self._window, float(self._time(frame)) - sample.time
+        before = self._last_seen
+        self._back(sample)
+        window.see(i, sample, offset, speeds(sample, before, 2.5 / self._rate))
+        age = (window.head - frame) / self._rate
+        window.latency_s += 0.1 * (age - window.latency_s)
+        if before is None or sample.time > before.time:
+            self._last_seen = sample
+        self._placed[frame] = sample.time
+        self._placed = {k: t for k, t in self._placed.items() if k >= window.first}
+        assert self._lifter is not None
+        self._lifter.put(sample.time, sample.uv_px, sample.confidence, self._R_world_bone(sample.time))
+        ages = [frame - round(age * self._rate) for age in _LOOKAHEADS_S]
+        due = [k for k in ages if k in self._placed]
+        for k, pose in zip(due, self._lifter.lift([self._placed[k] for k in due]), strict=True):
+            if pose is not None:
+                window.lift(k - window.first, pose)
+
+    def _R_world_bone(self, time: float) -> dict[str, Array]:
+        """Orientations of segments at a time, by joint."""
+        if self._sensors is None:
+            return {}
+        q, known, _, _ = self._sensors.at(np.array([time]))
+        R = so3.from_quat_wxyz(q[0])
+        return {joint: R[s] for s, joint in enumerate(self._sensors.joints) if known[0, s]}
+
+    def _back(self, sample: FrameSample) -> None:
+        """Move the root to its rays when the camera sees the person again elsewhere."""
+        window = self._window
+        if window.lost_s < _BACK_S or not (sample.confidence > 0).any():
+            return
+        poses = self._posed(window.smoother.x[-1:], sample.time)
+        moved = refit_root(poses, self._keypoints(sample), sigma_depth=1.0)
+        shift = moved.p_world_joint[0, 0] - poses.p_world_joint[0, 0]
+        if np.linalg.norm(shift) > _BACK_M:
+            x = window.smoother.x[-1].copy()
+            x[:3] += shift
+            self._restart(x)
+
+    # --- begin -----------------------------------------------------------------------------------
+
+    def _begin(self) -> bool:
+        """Begin with the first frame in which the person is seen or sensed; return whether there is one."""
+        x = self._first_by_camera() if self._camera is not None else self._first_by_sensors()
+        if x is None:
+            return False
+        self._window.first = -self._window.frames  # the first frame is number 0
+        self._window.smoother.restart(x)
+        return True
+
+    def _first_by_camera(self) -> Array | None:
+        assert self._lifter is not None
+        while self._pending:
+            sample = self._pending[0]
+            self._lifter.put(sample.time, sample.uv_px, sample.confidence, self._R_world_bone(sample.time))
+            (pose,) = self._lifter.lift([sample.time])
+            if pose is not None:
+                self._origin = sample.time
+                return self._state(pose, sample)
+            self._pending.popleft()
+        return None
+
+    def _state(self, pose: StreamedPose, sample: FrameSample) -> Array:
+        """State of a lifted pose with the orientations of the sensors, its root on its rays."""
+        offsets, parents = self.skeleton.joint_offsets, self.skeleton.parents
+        p = pose.p_world_joint[None]
+        R = kinematics.rotations_from_positions(parents, offsets, p)
+        R = np.where(np.isfinite(pose.R_world_bone), pose.R_world_bone, R)
+        for joint, sensed in self._R_world_bone(sample.time).items():
+            R[0, self.skeleton.names.index(joint)] = sensed
+        p = kinematics.positions(parents, offsets, p[:, 0], R)
+        poses = PoseSequence(np.array([sample.time]), p, R, self.skeleton.names)
+        poses = refit_root(poses, self._keypoints(sample))
+        return np.asarray(self._window.data.space.from_poses(poses.p_world_joint[:, 0], R)[0])
+
+    def _keypoints(self, sample: FrameSample) -> KeypointSequence:
+        assert self._camera is not None
+        return KeypointSequence(
+            self._camera, np.array([sample.time]), sample.uv_px[None], sample.confidence[None],
+            self._landmarks,
+        )  # fmt: skip
+
+    def _first_by_sensors(self) -> Array | None:
+        """State with the person at the origin, on the floor."""
+        sensors = self._sensors
+        if sensors is None or not np.isfinite(self._newest):
+            return None
+        at = float(sensors.newest[np.isfinite(sensors.newest)].min(initial=np.inf))
+        if not np.isfinite(at):
+            return None
+        q, known, a, _ = sensors.at(np.array([at]))
+        if not known.any():
+            return None
+        R = np.where(known[..., None, None], so3.from_quat_wxyz(q), np.nan)
+        measured = BoneImuSequence(np.array([at]), R, a, sensors.levers, sensors.joints)
+        poses = poses_from_sensors(self.skeleton, measured)
+        floor = self._solver.floor_height or 0.0
+        ankles = poses.p_world_joint[0, self.skeleton.index("LeftFoot", "RightFoot"), 2]
+        root = np.array([[0.0, 0.0, floor + self._solver.ankle_height - float(ankles.min())]])
+        self._origin = at
+        return np.asarray(self._window.data.space.from_poses(root, poses.R_world_bone)[0])
+
+    # --- results ---------------------------------------------------------------------------------
+
+    def _estimate(self, i: int, began: float) -> OnlineEstimate | None:
+        """Pose of frame i of the window; None before the first frame."""
+        window = self._window
+        if not window.smoother.inside[i]:
+            return None
+        time, x = float(self._time(window.first + i)), window.smoother.x[i : i + 1]
+        confidence = None
+        if self.settings.confidence:
+            C = window.smoother.covariance(i)[:1]
+            confidence = confidence_of(window.data.space, np.array([time]), x, C, window.data.fixed)
+        poses = self._posed(x, time, i)
+        return OnlineEstimate(poses, max(self._newest - time, 0.0), perf_counter() - began, confidence)
+
+    def _posed(self, x: Array, time: float, i: int | None = None) -> PoseSequence:
+        """Poses of a state (1, 3 + 4A); with the provenance of frame i of the window."""
+        p, R = self._window.data.space.poses(x)
+        poses = PoseSequence(np.array([time]), p, R, self.skeleton.names)
+        if i is None:
+            return poses
+        seen, sensed = self._window.seen[i], self._sensed(i)
+        provenance = np.where(seen, Provenance.CAMERA, Provenance.BRIDGED if self._camera else Provenance.PRIOR)
+        by_imu = np.zeros(len(seen), dtype=bool)
+        by_imu[1:] = sensed[self._ends]
+        provenance = np.where(by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), provenance)
+        valid = bool(seen.any() or sensed.any() or self._window.lost_s < _BRIDGED_S)
+        return replace(
+            poses, provenance=provenance[None].astype(np.uint8), valid=np.full((1, len(seen)), valid),
+            orientation_observed=(sensed | (self._whole(seen) & valid))[None],
+        )  # fmt: skip
+
+    def _sensed(self, i: int) -> Mask:
+        """(J,) segments whose sensor has data in frame i of the window."""
+        out = np.zeros(len(self.skeleton.names), dtype=bool)
+        has = self._window.smoother.rows["w_sensor"][i] > 0
+        out[list(self._window.data.problem.energy.shape.sensors)] = has
+        return out
+
+    def _provenance_of_sensors(self) -> list[int]:
+        """Parent of every joint but the root: the segment that ends in it."""
+        return list(self.skeleton.parents[1:])
+
+    def _whole(self, seen: Mask) -> Mask:
+        """(J,) segments whose orientation the joints seen determine."""
+        key = seen.tobytes()
+        if key not in self._levels:
+            if not seen.any() or self._camera is None:
+                self._levels[key] = np.zeros(len(seen), dtype=bool)
+            else:
+                uv = np.where(seen[None, :, None], 0.0, np.nan) * np.ones(2)
+                points = KeypointSequence(
+                    self._camera, np.zeros(1), uv, seen[None].astype(float), self.skeleton.names
+                )
+                self._levels[key] = levels_by_points(self.skeleton, points)[0] == WHOLE
+        return self._levels[key]
+

@@ -1,0 +1,231 @@
+"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``, ``ws``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.live.replay import RecordingReplay
+from rtof_kin.live.replay_clock import ReplayClock
+from rtof_kin.live.samples import Clock, Sink, Source
+from rtof_kin.live.video_source import VideoSource, is_webcam
+from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+
+CAMERAS: Final = "number of a webcam, VIDEO, lsl:NAME, udp:PORT, or the folder of a recording"
+"""Words of a camera, for messages."""
+SENSORS: Final = "lsl:NAME, udp:PORT, a file or folder of sensors, or the folder of a recording"
+"""Words of sensors, for messages."""
+OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
+"""Words of outputs, for messages."""
+_LSL, _UDP, _WS = "lsl", "udp", "ws"
+_OUTLET: Final = "rtof_kin"
+_SKELETON: Final = "total_capture"
+
+
+@dataclass(frozen=True)
+class Streams:
+    """Sources of a session."""
+
+    sources: tuple[Source, ...]
+    """The camera first; not started yet."""
+    replay: ReplayClock
+    """Clock of those that are replayed."""
+    replayed: bool
+    """Whether all of them are replayed, so that they end."""
+
+
+@dataclass
+class _Opening:
+    """What the words of one command line share."""
+
+    setup: Recording
+    replay: ReplayClock
+    live: bool
+    now: Callable[[], float]
+    detector: Callable[[], PersonDetector]
+    recordings: dict[Path, Recording] = field(default_factory=dict)
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of replays: none of its stamps are of now where something is live."""
+        return Clock.OWN if self.live else Clock.COMMON
+
+    def recording(self, folder: Path) -> Recording:
+        path = folder.resolve()
+        if path not in self.recordings:
+            self.recordings[path] = Recording.load(folder)
+        return self.recordings[path]
+
+
+def open_sources(
+    cameras: Sequence[str],
+    sensors: Sequence[str],
+    setup: Recording,
+    *,
+    speed: float = 1.0,
+    detector: Callable[[], PersonDetector] = choose_detector,
+) -> Streams:
+    """Return the sources that words name; nothing is started.
+
+    Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of
+    their own.
+
+    Args:
+        cameras, sensors: words of `CAMERAS` and `SENSORS`.
+        setup: recording whose camera is filmed with. speed: of replays, times real time; inf: without pace.
+        detector: gives the detector of a webcam's or a video's images.
+
+    Raises:
+        SourceError: nothing is named, or twice; more than one camera; no such file; a speed for what is live.
+        RtofError: a recording is damaged, or what a source needs is not installed.
+    """
+    words = [word.strip() for word in (*cameras, *sensors)]
+    if not words:
+        raise SourceError(f"no stream: give --camera ({CAMERAS}), --imus ({SENSORS}), or both")
+    if len(cameras) > 1:
+        raise SourceError(f"cameras {', '.join(cameras)}: give one of them")
+    for same in (cameras, sensors):
+        if twice := {word for word in same if list(same).count(word) > 1}:
+            raise SourceError(f"{', '.join(sorted(twice))}: given twice; give each stream once")
+    live = any(_is_live(word) for word in cameras[:1]) or any(_kind(word) for word in sensors)
+    if live and speed != 1.0:
+        raise SourceError(f"speed {speed:g}: is for replays; leave it out where a stream is live")
+    lsl = any(_kind(word) == _LSL for word in words)
+    opening = _Opening(setup, ReplayClock(speed), live, _lsl_clock() if lsl else time.monotonic, detector)
+    found: dict[str, Source] = {}
+    for word in cameras:
+        found[word if _kind(word) == _UDP else f"camera {word}"] = _camera(word, opening)
+    for word in sensors:
+        if word not in found:  # one port may give both
+            found[word] = _sensors(word, opening)
+    return Streams(tuple(found.values()), opening.replay, not live)
+
+
+def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
+    """Return the outputs that words name.
+
+    Args:
+        words: of `OUTPUTS`. setup: with the skeleton of the estimates.
+
+    Raises:
+        SourceError: another word, twice the same, or a port that is taken.
+        RtofError: what an output needs is not installed.
+    """
+    if twice := {word for word in words if list(words).count(word) > 1}:
+        raise SourceError(f"--out {', '.join(sorted(twice))}: given twice; give each output once")
+    return [_sink(word, setup) for word in words]
+
+
+def _kind(word: str) -> str:
+    """Return what a word names before its colon, if it is a stream of the network."""
+    kind = word.strip().partition(":")[0].lower()
+    return kind if ":" in word and kind in (_LSL, _UDP) else ""
+
+
+def _is_live(word: str) -> bool:
+    return bool(_kind(word)) or word.strip().isdecimal() or is_webcam(word.strip())
+
+
+def _camera(word: str, opening: _Opening) -> Source:
+    setup = opening.setup
+    if setup.keypoints is None:
+        raise SourceError(
+            f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin init VIDEO"
+        )
+    word = word.strip()
+    camera = setup.keypoints.camera
+    if _kind(word) == _LSL:
+        from rtof_kin.live.lsl_source import LslFrameSource
+
+        return LslFrameSource(_stream(word))
+    if _kind(word) == _UDP:
+        return _udp(word)
+    path = Path(word)
+    webcam = _is_live(word)
+    if not webcam and path.is_dir():
+        if not (path / INDEX).is_file():
+            raise SourceError(f"camera {word}: a folder without {INDEX}; give {CAMERAS}")
+        recording = opening.recording(path)
+        own = recording.keypoints.camera if recording.keypoints is not None else camera
+        if (own.width_px, own.height_px) != (camera.width_px, camera.height_px):
+            raise SourceError(
+                f"camera {word}: its images have {own.width_px} x {own.height_px} px, those of the setup "
+                f"{setup.name} {camera.width_px} x {camera.height_px} px; take a setup of this camera"
+            )
+        return RecordingReplay.of_recording(
+            recording, opening.replay, sensors=False, clock=opening.clock
+        )
+    if not webcam and not path.is_file():
+        raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
+    if setup.skeleton_table != _SKELETON:
+        raise SourceError(
+            f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} has "
+            f"{setup.skeleton_table}"
+        )
+    return VideoSource(
+        int(word) if word.isdecimal() else path if not webcam else word,
+        opening.detector(),
+        camera_px=(camera.width_px, camera.height_px),
+        replay=opening.replay,
+        clock=Clock.COMMON if webcam else opening.clock,
+        now=opening.now,
+    )
+
+
+def _sensors(word: str, opening: _Opening) -> Source:
+    word = word.strip()
+    if _kind(word) == _LSL:
+        from rtof_kin.live.lsl_source import LslImuSource
+
+        return LslImuSource(_stream(word))
+    if _kind(word) == _UDP:
+        return _udp(word)
+    path = Path(word)
+    if not path.exists():
+        raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
+    if (path / INDEX).is_file():
+        return RecordingReplay.of_recording(
+            opening.recording(path), opening.replay, video=False, clock=opening.clock
+        )
+    return RecordingReplay.of_sensor_file(path, opening.replay, clock=opening.clock)
+
+
+def _stream(word: str) -> str:
+    name = word.partition(":")[2].strip()
+    if not name:
+        raise SourceError(f"{word}: names no stream; give lsl:NAME")
+    return name
+
+
+def _udp(word: str) -> Source:
+    from rtof_kin.live.osc_source import OscSource
+
+    try:
+        return OscSource.of(word)
+    except InvalidInputError as error:
+        raise SourceError(f"{error}") from error
+
+
+def _lsl_clock() -> Callable[[], float]:
+    from rtof_kin.live.lsl_inlet import load_pylsl
+
+    clock: Callable[[], float] = load_pylsl().local_clock
+    return clock
+
+
+def _sink(word: str, setup: Recording) -> Sink:
+    kind, _, rest = word.strip().partition(":")
+    if kind.lower() == _LSL:
+        from rtof_kin.live.lsl_outlet import LslOutlet
+
+        return LslOutlet(rest.strip() or _OUTLET, setup.skeleton)
+    if kind.lower() == _WS and (not rest or rest.isdecimal()):
+        from rtof_kin.live.websocket_server import WebSocketServer
+
+        return WebSocketServer(setup.skeleton, **({"port": int(rest)} if rest else {}))
+    raise SourceError(f"--out {word}: there is no such output; give {OUTPUTS}")

@@ -1,0 +1,254 @@
+"""Recordings and sensor files as live streams: at their speed, faster, or as fast as they are read.
+
+Sources of one session share a `ReplayClock`, so that they stay together. Faults may be added on purpose: lost
+and late samples, dead sensors, a picture that freezes, a video that is late.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError, UnknownNameError
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
+from rtof_kin.live.replay_clock import ReplayClock
+from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
+from rtof_kin.recording.recording import Recording
+
+VIDEO: Final = "video"
+"""Name of the video among the streams that may die."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults that a replay adds; the same seed gives the same ones."""
+
+    loss: float = 0.0
+    """Fraction of the samples that never arrive."""
+    jitter_s: float = 0.0
+    """Largest delay of an arrival, s; stamps stay as they are, the order does not."""
+    dead: tuple[tuple[str, float, float], ...] = ()
+    """Sensor (or `VIDEO`), start and stop, s: none of its samples arrives."""
+    frozen: tuple[float, float] | None = None
+    """Start and stop, s: the picture repeats, with new stamps."""
+    video_delay_s: float = 0.0
+    """By how much frames arrive and are stamped late, s."""
+    seed: int = 0
+    """Of losses and delays."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dead", tuple((str(n), float(a), float(b)) for n, a, b in self.dead))
+        if not (0 <= self.loss <= 1 and 0 <= self.jitter_s < np.inf and np.isfinite(self.video_delay_s)):
+            raise InvalidInputError(
+                f"faults: loss {self.loss:g}, jitter {self.jitter_s:g} s and video delay "
+                f"{self.video_delay_s:g} s; give a fraction, a positive time and a time"
+            )
+
+
+_NO_FAULTS: Final = Faults()
+
+
+class RecordingReplay:
+    """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
+
+    Args:
+        name: for messages.
+        streams: sensors with orientation, at their own times on one clock. keypoints: frames.
+        replay: shared clock. clock: of the stamps. faults: to add.
+
+    Raises:
+        InvalidInputError: neither sensors nor frames. UnknownNameError: a fault of an unknown sensor.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        streams: Sequence[SensorStream] = (),
+        keypoints: KeypointSequence | None = None,
+        replay: ReplayClock | None = None,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ):
+        if not streams and keypoints is None:
+            raise InvalidInputError(f"replay of {name}: there is nothing to replay")
+        names = [stream.name for stream in streams] + ([VIDEO] if keypoints is not None else [])
+        if unknown := [who for who, _, _ in faults.dead if who not in names]:
+            raise UnknownNameError("sensor of the faults", unknown, names)
+        self._name, self._clock, self._replay = name, clock, replay or ReplayClock()
+        self._streams, self._frames = tuple(streams), keypoints
+        self._faults, self._notices = faults, list[str]()
+        self._arrival, self._stream, self._row = self._arrivals(names)
+        self._next = 0
+        self._closed = False
+
+    @classmethod
+    def of_recording(
+        cls,
+        recording: Recording,
+        replay: ReplayClock | None = None,
+        *,
+        video: bool = True,
+        sensors: bool = True,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay a recording.
+
+        Args:
+            recording: with frames, sensors or both. replay, clock, faults: as for the class.
+            video, sensors: which of its streams.
+
+        Raises:
+            SourceError: it has none of them.
+        """
+        keypoints = recording.keypoints if video else None
+        imus = recording.imus if sensors else None
+        if keypoints is None and imus is None:
+            lacking = "keypoints" if video else "samples of sensors"
+            raise SourceError(f"recording {recording.name}: has no {lacking} to replay")
+        parts = [VIDEO] * (keypoints is not None) + ["sensors"] * (imus is not None)
+        streams = () if imus is None else SensorLog.of_imus(imus, recording.name).streams
+        name = f"{recording.name} ({' and '.join(parts)})"
+        own = cls(name, streams, keypoints, replay, clock, faults)
+        if video and recording.views:
+            own._notices.append(f"{name}: only its first camera is replayed")
+        return own
+
+    @classmethod
+    def of_sensor_file(
+        cls,
+        path: str | Path,
+        replay: ReplayClock | None = None,
+        *,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay sensor files; orientations that they lack are estimated by the causal filter.
+
+        Args:
+            path: file or folder that `read_sensor_log` reads. replay, clock, faults: as for the class.
+
+        Raises:
+            SourceError: not read, or a sensor has neither an orientation nor what gives one.
+        """
+        try:
+            log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
+        except RtofError as error:
+            raise SourceError(f"{error}") from error
+        own = cls(Path(path).name, log.streams, None, replay, clock, faults)
+        remarks: dict[str, list[str]] = {note: [] for note in log.file_notes}
+        for stream in log.streams:
+            for note in stream.notes:
+                remarks.setdefault(note, []).append(stream.name)
+        for note, sensors in remarks.items():
+            own._notices.append(": ".join(filter(None, (own.name, ", ".join(sensors), note))))
+        return own
+
+    def _arrivals(self, names: Sequence[str]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return arrival (N,) s, index of the stream (N,) and row (N,) of all samples, in order."""
+        faults = self._faults
+        kept: list[tuple[Array, int, NDArray[np.int64]]] = []
+        for s, name in enumerate(names):
+            times, here = self._times(s)
+            for who, start, stop in faults.dead:
+                if who == name:
+                    here = here & ~((start <= times) & (times < stop))
+            rows = np.flatnonzero(here)
+            kept.append((times[rows] + (faults.video_delay_s if name == VIDEO else 0.0), s, rows))
+        arrival = np.concatenate([times for times, _, _ in kept])
+        stream = np.concatenate([np.full(len(rows), s) for _, s, rows in kept])
+        row = np.concatenate([rows for _, _, rows in kept])
+        rng = np.random.default_rng(faults.seed)
+        arrives = rng.random(len(arrival)) >= faults.loss
+        arrival = arrival + faults.jitter_s * rng.random(len(arrival))
+        order = np.argsort(np.where(arrives, arrival, np.inf), kind="stable")[: int(arrives.sum())]
+        return arrival[order], stream[order], row[order]
+
+    def _times(self, s: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the times (T,) of a stream, s, and which of its rows hold a sample."""
+        if s == len(self._streams):
+            assert self._frames is not None
+            return self._frames.times, np.ones(len(self._frames), dtype=np.bool_)
+        stream = self._streams[s]
+        assert stream.R_inertial_sensor is not None
+        here = np.isfinite(stream.R_inertial_sensor).all(axis=(1, 2))
+        if stream.f_sensor is not None:
+            here |= np.isfinite(stream.f_sensor).all(axis=1)
+        return stream.times, np.asarray(here)
+
+    @property
+    def name(self) -> str:
+        """Name of the recording or of the file."""
+        return self._name
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the stamps."""
+        return self._clock
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(stream.name for stream in self._streams)
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the points of a frame."""
+        return () if self._frames is None else self._frames.names
+
+    @property
+    def finished(self) -> bool:
+        """Whether every sample was polled."""
+        return self._closed or self._next == len(self._arrival)
+
+    def start(self) -> None:
+        """Join the shared clock.
+
+        Raises:
+            SourceError: the times are those of another clock than another replay's.
+        """
+        times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
+        self._replay.cover(self._name, min(t[0] for t in times), max(t[-1] for t in times))
+
+    def poll(self) -> list[Sample]:
+        """Return the samples that arrived up to the shared clock's time."""
+        if self.finished:
+            return []
+        begin = self._next
+        self._next += int(np.searchsorted(self._arrival[begin:], self._replay.now(self), side="right"))
+        return [self._sample(i) for i in range(begin, self._next)]
+
+    def _sample(self, i: int) -> Sample:
+        s, row = int(self._stream[i]), int(self._row[i])
+        if s == len(self._streams):
+            return self._frame(row)
+        stream = self._streams[s]
+        assert stream.R_inertial_sensor is not None
+        f = np.full(3, np.nan) if stream.f_sensor is None else stream.f_sensor[row]
+        return ImuSample(stream.name, float(stream.times[row]), stream.R_inertial_sensor[row], f)
+
+    def _frame(self, row: int) -> FrameSample:
+        frames, faults = self._frames, self._faults
+        assert frames is not None
+        time = float(frames.times[row])
+        if faults.frozen is not None and faults.frozen[0] <= time < faults.frozen[1]:
+            row = max(int(np.searchsorted(frames.times, faults.frozen[0])) - 1, 0)
+        return FrameSample(time + faults.video_delay_s, frames.uv_px[row], frames.confidence[row])
+
+    def notices(self) -> list[str]:
+        """Return remarks on the file, once."""
+        told, self._notices = self._notices, []
+        return told
+
+    def close(self) -> None:
+        """Stop."""
+        self._closed = True

@@ -1,0 +1,292 @@
+"""The frames of the online estimator's window: observations of streams, arranged for the smoother.
+
+The rows are those of `Observations` for a whole recording, made frame by frame as samples arrive. A sample of
+the video is put into the frame nearest in time, moved to its time at the speed of the points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from rtof_kin.body import kinematics
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
+from rtof_kin.live.samples import FrameSample
+from rtof_kin.live.sensor_buffer import SensorBuffer
+from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother
+from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.vision.image_points import measurements
+
+if TYPE_CHECKING:
+    from lifting.streaming import StreamedPose
+
+_AWAY_M: Final = 4.0  # [m] from the camera of the poses that the problem is built with
+_MOVES: Final = 0.02  # [frames] distance in time below which points are not moved
+_CONTACTS_EVERY: Final = 4  # frames
+_LOST_S: Final = 0.1  # [s] without an image after which feet hold the root
+
+
+class Window:
+    """Window of N frames and its smoother.
+
+    Attributes:
+        data: the problem. smoother: of N frames. first: number of the window's first frame.
+        seen: (N, J) joints whose landmark the camera saw. latency_s: usual age of an image that arrives, s.
+    """
+
+    def __init__(
+        self, skeleton: SkeletonModel, camera: Camera | None, landmarks: Sequence[str],
+        sensors: SensorBuffer | None, settings: JointSpaceSettings, rate_hz: float, frames: int,
+    ) -> None:  # fmt: skip
+        """Build the problem.
+
+        Args:
+            skeleton: the subject's. camera: None without one. landmarks: names of the video's points.
+            sensors: calibrated; None without any. settings: of the residuals. rate_hz: frames per second.
+            frames: N.
+        """
+        self.skeleton, self.camera, self.sensors, self.rate_hz = skeleton, camera, sensors, rate_hz
+        self._settings, self.frames, self.first = settings, frames, 1 - frames
+        self.data = _problem(skeleton, camera, landmarks, sensors, settings, rate_hz, frames)
+        self.smoother = FixedLagSmoother(self.data, frames)
+        names = skeleton.names
+        self.seen = np.zeros((frames, len(names)), dtype=bool)
+        shape = self.data.problem.energy.shape
+        self._torso, self._bones = list(shape.torso), shape.bones
+        self._torso_weights = np.zeros((frames, len(self._torso)))
+        self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
+        worn = () if sensors is None else sensors.joints
+        self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self._torso]
+        self._order = [worn.index(joint) for joint in self.data.sensors]
+        self._sizes = np.zeros(0) if camera is None else self.data.points.independent / self.data.points.sizes**2
+        if camera is not None:
+            self._measured = [list(landmarks).index(name) for name in self.data.names]
+            self._joints = [(list(landmarks).index(n), j) for j, n in enumerate(names) if n in landmarks]
+        self._standing = np.zeros((frames, len(FEET)), dtype=bool)
+        self._holds: list[Array | None] = [None] * len(FEET)
+        self._since_image, self.latency_s = 0, 0.0
+
+    @property
+    def lost_s(self) -> float:
+        """Time without an image beyond its usual age, s; infinite without a camera."""
+        if self.camera is None:
+            return np.inf
+        return max(self._since_image / self.rate_hz - self.latency_s, 0.0)
+
+    @property
+    def head(self) -> int:
+        """Number of the newest frame."""
+        return self.first + self.frames - 1
+
+    def append(self, x: Array) -> None:
+        """Append a frame without observations; the oldest one leaves.
+
+        Args:
+            x: (3 + 4A,) its initial state.
+        """
+        S = len(self.data.sensors)
+        self.smoother.append(x, {"w_prior": 1.0}, np.zeros((S, 3)), np.zeros(S))
+        for array in (self.seen, self._torso_weights, self._standing):
+            array[:-1] = array[1:]
+            array[-1] = 0
+        self.first += 1
+        self._since_image += 1
+
+    # --- sensors ---------------------------------------------------------------------------------
+
+    def sense(self, first: int, times: Array) -> None:
+        """Evaluate the sensors again.
+
+        Args:
+            first: index in the window of the first frame. times: (N - first,) of the frames, s.
+        """
+        if self.sensors is None or not len(times):
+            return
+        smoother, order = self.smoother, self._order
+        q, known, a, moved = self.sensors.at(times)
+        smoother.rows["quat_sensor"][first:] = q[:, order]
+        smoother.rows["w_sensor"][first:] = known[:, order]
+        smoother.a_world[first:] = a[:, order]
+        smoother.w_acceleration[first:] = moved[:, order] / self._settings.sigma_acceleration**2
+        self._weigh_torso()
+
+    def _weigh_torso(self) -> None:
+        """Anchor the torso to the lift where no sensor is on it."""
+        out = self.smoother.rows["w_torso"]
+        out[:] = self._torso_weights
+        has = self.smoother.rows["w_sensor"]
+        for i, s in enumerate(self._of_torso):
+            if s >= 0:
+                out[has[:, self._order.index(s)] > 0, i] = 0.0
+
+    # --- image -----------------------------------------------------------------------------------
+
+    def see(self, i: int, sample: FrameSample, offset: float, speed: Array | None) -> None:
+        """Put the points of a video frame into frame i of the window.
+
+        Args:
+            i: index in the window. sample: of the video. offset: time of the frame after the sample, s.
+            speed: (L, 2) of the points, px/s; None where unknown.
+        """
+        assert self.camera is not None
+        uv, camera, rows = sample.uv_px, self.camera, self.smoother.rows
+        seen = (sample.confidence > 0) & np.isfinite(uv).all(axis=1)
+        if speed is not None and abs(offset) * self.rate_hz > _MOVES:
+            uv = uv + offset * np.where(np.isfinite(speed), speed, 0.0)
+        own = self._measured
+        px = camera.normalise(uv[own]) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        points = self.data.points
+        if points.place_covariance.any():
+            p, R = self.data.space.poses(self.smoother.x[i : i + 1])
+            px = px - np.nan_to_num(points.displaced(camera, p, R)[0])
+        rows["uv_px"][i] = np.where(seen[own, None], px, 0.0)
+        rows["w_visual"][i] = np.where(seen[own], sample.confidence[own] * self._sizes, 0.0)
+        for k, j in self._joints:
+            self.seen[i, j] = seen[k]
+        if seen[own].any():
+            self._since_image = min(self._since_image, self.frames - 1 - i)
+            rows["w_contact"][i] = 0.0
+
+    def lift(self, i: int, pose: StreamedPose) -> None:
+        """Anchor frame i of the window to a lift, where nothing better observes the body.
+
+        Args:
+            i: index in the window. pose: of its time.
+        """
+        rows, s, offsets = self.smoother.rows, self._settings, self.skeleton.joint_offsets
+        p, R = pose.p_world_joint, pose.R_world_bone
+        if s.sigma_torso is not None:
+            for n, j in enumerate(self._torso):
+                if np.isfinite(R[j]).all():
+                    rows["quat_torso"][i, n] = so3.to_quat_wxyz(self._oriented(j, p, R))
+                    sigma = pose.sigma_rad[j] * s.torso_inflation
+                    self._torso_weights[i, n] = 1 / (sigma if np.isfinite(sigma) else s.sigma_torso) ** 2
+            self._weigh_torso()
+        if self._bone_weights.any():
+            joints, children = np.array(self._bones).T
+            lengths = np.linalg.norm(offsets[children], axis=1, keepdims=True)
+            rows["b_world"][i] = so3.unit(p[children] - p[joints]) * lengths
+            rows["w_bone"][i] = self._bone_weights
+        if self._root_weight:
+            rows["p_root"][i], rows["w_root"][i] = p[0], self._root_weight
+
+    def _oriented(self, j: int, p: Array, R: Array) -> Array:
+        """Orientation (3, 3) of a segment of the torso as SF2 has it; see `InertialGuidedIK`."""
+        parents = self.skeleton.parents
+        if parents[j] < 0 or len(kinematics.children_of(parents, j)) < 2:
+            return R[j]
+        by_positions = kinematics.segment_rotation(
+            parents, self.skeleton.joint_offsets, j, p[None], R[None, parents[j]]
+        )
+        return np.asarray(so3.nearest_rotation(R[j] + by_positions[0]))
+
+    # --- floor -----------------------------------------------------------------------------------
+
+    def stand(self, times: Array) -> None:
+        """Find standing feet: they are on the floor and, without an image, hold their place.
+
+        Args:
+            times: (N,) of the frames, s.
+        """
+        s, smoother = self._settings, self.smoother
+        lost = self.lost_s > _LOST_S
+        if s.floor_height is None and not lost:
+            return
+        if self.head % _CONTACTS_EVERY == 0:
+            self._find_contacts(times)
+        if s.floor_height is not None:
+            smoother.rows["w_floor"][:] = self._standing / s.sigma_floor**2
+        if lost:
+            self._hold()
+
+    def _find_contacts(self, times: Array) -> None:
+        inside = self.smoother.inside
+        p, R = self.data.space.poses(self.smoother.x[inside])
+        poses = PoseSequence(times[inside], p, R, self.skeleton.names)
+        sensors = None
+        if self.sensors is not None:
+            joints = [joint for joint in self.data.sensors if joint in _LEGS]
+            own = [self.data.sensors.index(joint) for joint in joints]
+            known = self.smoother.rows["w_sensor"][inside][:, own, None, None] > 0
+            R_bone = so3.from_quat_wxyz(self.smoother.rows["quat_sensor"][inside][:, own])
+            a_known = self.smoother.w_acceleration[inside][:, own, None] > 0
+            a = np.where(a_known, self.smoother.a_world[inside][:, own], np.nan)
+            levers = self.data.constant["levers"].T[own]
+            sensors = BoneImuSequence(
+                times[inside], np.where(known, R_bone, np.nan), a, levers, tuple(joints)
+            ) if joints else None  # fmt: skip
+        found = detect_contacts(poses, sensors, self.skeleton, from_poses=True)
+        self._standing[inside] |= found.standing
+
+    def _hold(self) -> None:
+        """Hold standing feet of the newest frame where they stood."""
+        rows, s = self.smoother.rows, self._settings
+        ankles = self.data.space.poses(self.smoother.x[-2:-1])[0][0]
+        standing = self._standing[-1 - (self.head % _CONTACTS_EVERY)]
+        for foot, name in enumerate(FEET):
+            if not standing[foot]:
+                self._holds[foot] = None
+                continue
+            if self._holds[foot] is None:
+                place = ankles[self.skeleton.names.index(name)].copy()
+                if s.floor_height is not None:
+                    place[2] = s.floor_height + s.ankle_height
+                self._holds[foot] = place
+            rows["p_contact"][-1, foot] = self._holds[foot]
+            rows["w_contact"][-1, foot] = 1 / s.sigma_contact**2
+
+
+_LEGS: Final = ("LeftLeg", "RightLeg", *FEET)
+
+
+def _problem(
+    skeleton: SkeletonModel, camera: Camera | None, landmarks: Sequence[str], sensors: SensorBuffer | None,
+    settings: JointSpaceSettings, rate_hz: float, frames: int,
+) -> Observations:  # fmt: skip
+    """Observations of a person who stands in front of the camera, without any: the problem's constants."""
+    times, at = np.arange(frames) / rate_hz, np.zeros(3)
+    if camera is not None:
+        at = camera.center_world + _AWAY_M * camera.R_camera_world[2]
+    p, R = skeleton.forward_kinematics(skeleton.t_pose()[None])
+    p = np.repeat(p - p[:, :1] + at, frames, axis=0)
+    guess = InitialGuess(
+        PoseSequence(times, p, np.repeat(R, frames, axis=0), skeleton.names), np.zeros(frames)
+    )
+    keypoints = None
+    if camera is not None:
+        empty = np.full((frames, len(landmarks), 2), np.nan)
+        keypoints = KeypointSequence(camera, times, empty, np.zeros(empty.shape[:2]), tuple(landmarks))
+        keypoints = keypoints.select(measurements(keypoints, skeleton).names)
+    bone_imus = None
+    if sensors is not None:
+        S = len(sensors.joints)
+        bone_imus = BoneImuSequence(
+            times, np.tile(np.eye(3), (frames, S, 1, 1)), np.zeros((frames, S, 3)), sensors.levers,
+            sensors.joints,
+        )  # fmt: skip
+    nowhere = Footholds(FEET, np.full((frames, len(FEET), 3), np.nan))
+    return Observations(skeleton, frames, settings, guess, keypoints, bone_imus, nowhere)
+
+
+def speeds(sample: FrameSample, before: FrameSample | None, longest: float) -> Array | None:
+    """Return the speed (L, 2) of the points, px/s; None without a sample shortly before.
+
+    Args:
+        sample, before: of the video. longest: time between them, s.
+    """
+    if before is None or not 0 < sample.time - before.time <= longest:
+        return None
+    return np.asarray((sample.uv_px - before.uv_px) / (sample.time - before.time))
+
+

@@ -1,0 +1,232 @@
+"""Fixed-lag smoother: the joint-space energy of the last N frames, with a prior of the frames before them.
+
+Frames are appended one by one. The frame that leaves the window is marginalised (`marginal_prior`); a few
+Levenberg-Marquardt iterations from the states of the last call follow. Observations of frames within the
+window may change until they leave it. The residuals are those of `FragmentSolver`, so with a window as long
+as the recording the result is that of one fragment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import SolverError
+from rtof_kin.core.numerics.banded import inverse_diagonal
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.solve.energy.jerk import LAGS
+from rtof_kin.solve.energy.problem import FragmentData
+from rtof_kin.solve.joint_space.annealing import Picture
+from rtof_kin.solve.joint_space.marginal_prior import MarginalPrior, WindowEnergy, marginalised
+from rtof_kin.solve.joint_space.observations import Observations
+
+_DAMPING: Final = 1e-6
+"""Added to the Hessian's diagonal for covariances: an unobserved root gets a sigma of 1 km."""
+_WEIGHTS: Final = ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact", "w_prior")
+_OF_CONSTANT_ERRORS: Final = ("w_sensor", "w_prior", "w_root")
+"""Weights of errors that are constant over a fragment; see `Annealing`."""
+_EVERY: Final = 3
+"""Frames between estimates of the landmarks' errors."""
+_MEMORY_S: Final = 1.0
+"""[s] over which those estimates are averaged."""
+
+
+class FixedLagSmoother:
+    """Smoother of N frames with the residuals of an `Observations`.
+
+    Attributes:
+        x: (N, 3 + 4A) states, oldest first. inside: (N,) which frames exist; before N frames were appended,
+            the first ones do not.
+        rows: name -> (N, ...) observations, a_world, w_acceleration: (N, S, 3) and (N, S); as those of
+            `Observations`, but `w_visual` relative to the landmarks' errors. They may be written.
+        sigma_px: standard deviation of a landmark, px.
+    """
+
+    def __init__(self, data: Observations, frames: int) -> None:
+        """Begin without frames.
+
+        Args:
+            data: its problem, constants, limits and settings are used, and its first row as a template.
+            frames: N, at least 5.
+        """
+        self.space, self.limits, self.constant = data.space, data.limits, dict(data.constant)
+        self.frames, self.rate_hz, self._settings = frames, data.rate_hz, data.settings
+        self._window, self._leaving = data.energy(frames), data.energy(LAGS)
+        self.rows = {name: np.repeat(values[:1], frames, axis=0) for name, values in data.rows.items()}
+        for name in self.rows.keys() & {*_WEIGHTS}:
+            self.rows[name][:] = 0.0
+        S = len(data.sensors)
+        self.a_world, self.w_acceleration = np.zeros((frames, S, 3)), np.zeros((frames, S))
+        self.inside = np.zeros(frames, dtype=bool)
+        self.x = np.repeat(data.start[:1], frames, axis=0)
+        self._multipliers = np.zeros((frames, len(self.limits.names) if self.limits else 0))
+        self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
+        self._errors = _RunningErrors(data)
+        self._appended = 0
+
+    @property
+    def sigma_px(self) -> float:
+        """Standard deviation of a landmark with the factor for autocorrelation, px."""
+        return self._errors.sigma
+
+    def append(self, x: Array, rows: Mapping[str, Array], a_world: Array, w_acceleration: Array) -> None:
+        """Append a frame; the oldest one leaves the window.
+
+        Args:
+            x: (3 + 4A,) initial state. rows: name -> (...) observations; those left out have no weight.
+            a_world: (S, 3) m/s^2. w_acceleration: (S,).
+        """
+        if not self.inside[-1]:
+            self.x[:] = x
+        prior = MarginalPrior.none(self.space, self.x[1:LAGS])
+        if self.inside[0]:
+            self._leaving.bind(self._first_terms())
+            prior = marginalised(
+                self.prior, self._leaving, self.limits, self.x[:LAGS], self._multipliers[:LAGS]
+            )
+        self.prior = prior
+        for array in (*self.rows.values(), self.a_world, self.w_acceleration, self.inside, self._multipliers):
+            array[:-1] = array[1:]
+        for name, values in self.rows.items():
+            if name in rows:
+                values[-1] = rows[name]
+            elif name in _WEIGHTS:
+                values[-1] = 0.0
+        self.a_world[-1], self.w_acceleration[-1], self.inside[-1] = a_world, w_acceleration, True
+        self.x = np.concatenate([self.x[1:], x[None]])
+        self._appended += 1
+
+    def restart(self, x: Array) -> None:
+        """Forget all frames and begin at a state (3 + 4A,); estimates of the landmarks' errors are kept."""
+        self.x = np.repeat(x[None], self.frames, axis=0)
+        self.inside[:] = False
+        self._multipliers = np.zeros_like(self._multipliers)
+        for name in self.rows.keys() & {*_WEIGHTS}:
+            self.rows[name][:] = 0.0
+        self.w_acceleration[:] = 0.0
+        self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
+
+    def predicted(self, damping: float = 1.0) -> Array:
+        """Return the state (3 + 4A,) of the next frame at the speed of the last two.
+
+        Args:
+            damping: factor on the speed.
+        """
+        if not self.inside[-2:].all():
+            return np.array(self.x[-1])
+        step = self.space.difference(self.x[-2:-1], self.x[-1:])
+        return np.asarray(self.space.retract(self.x[-1:], damping * step)[0])
+
+    def iterate(self, iterations: int, tolerance: float | None = None) -> bool:
+        """Improve the states; return whether they have converged.
+
+        Args:
+            iterations: most Levenberg-Marquardt iterations. tolerance: by default that of the settings.
+
+        Raises:
+            SolverError: the energy is not finite; the states are unchanged.
+        """
+        self._window.bind(self._data())
+        if self._appended % _EVERY == 0 or self._appended < self.frames:
+            if self._errors.estimate(self._window.value(self.x)[1], self.rows["w_visual"] > 0, self._share()):
+                self._window.bind(self._data())
+        solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
+        tolerance = self._settings.tolerance if tolerance is None else tolerance
+        solved = solver.solve(self.x, iterations, tolerance, self._multipliers)
+        if not np.isfinite(solved.x).all():
+            raise SolverError("the window's states are not finite")
+        self.x, self._multipliers = solved.x, solved.multipliers
+        return solved.converged
+
+    def covariance(self, first: int) -> Array:
+        """Return the marginal covariances (N - first, D, D) of the frames from `first` on; NaN where the
+        Hessian is singular.
+        """
+        solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
+        solver.linearise(self.x, self._multipliers)
+        D = self.space.size
+        try:
+            factor = self._window.factorise(_DAMPING)
+        except SolverError:
+            return np.full((self.frames - first, D, D), np.nan)
+        return inverse_diagonal(factor.blocks(D, LAGS)[first:])
+
+    def residuals(self) -> Array:
+        """Return the reprojection residuals (N, L, 2) at the present states, px."""
+        return self._window.value(self.x)[1]
+
+    def _share(self) -> float:
+        """Weight of a new estimate of the landmarks' errors."""
+        return max(_EVERY / (_MEMORY_S * self.rate_hz), 1 / max(self._appended, 1))
+
+    def _data(self) -> FragmentData:
+        """Observations of the window with the present weights."""
+        rows, inside = self._errors.weighted(self.rows), self.inside
+        whole = inside[2:] & inside[1:-1] & inside[:-2]
+        jerk = (np.convolve(inside, np.ones(LAGS), mode="valid") == LAGS).astype(float)
+        return FragmentData(
+            rows, self.constant, self.a_world[1:-1], self.w_acceleration[1:-1] * whole[:, None], jerk,
+            self.rate_hz,
+        )  # fmt: skip
+
+    def _first_terms(self) -> FragmentData:
+        """Observations of the first four frames, with the weights of terms that contain the first one."""
+        rows = self._errors.weighted({name: values[:LAGS].copy() for name, values in self.rows.items()})
+        for name in rows.keys() & {*_WEIGHTS}:
+            rows[name][1:] = 0.0
+        w = self.w_acceleration[1:3].copy()
+        w[1:] = 0.0
+        inside = self.inside[:LAGS]
+        return FragmentData(
+            rows, self.constant, self.a_world[1:3], w * inside[:3].all(), np.array([float(inside.all())]),
+            self.rate_hz,
+        )  # fmt: skip
+
+
+class _RunningErrors:
+    """Size of the landmarks' errors and their autocorrelation, averaged over time; as in `Annealing`."""
+
+    def __init__(self, data: Observations) -> None:
+        s = data.settings
+        self._given, self._bounds = s.sigma_reprojection, s.sigma_reprojection_range
+        self._sizes, self._robust, self._largest = (
+            data.points.sizes, s.robust_reprojection, s.largest_correlation_factor,
+        )  # fmt: skip
+        self._size, self._factor = 0.0, 1.0
+        self._estimated = False
+
+    @property
+    def sigma(self) -> float:
+        """px per axis, with the factor for autocorrelation."""
+        if self._given is not None:
+            return self._given
+        if not self._estimated:
+            return self._bounds[1]
+        return float(np.clip(self._size * self._factor, *self._bounds))
+
+    def estimate(self, residuals: Array, seen: Array, share: float) -> bool:
+        """Average with residuals (N, L, 2), px, where seen (N, L); return whether there was an estimate."""
+        if self._given is not None:
+            return False
+        picture = Picture(seen, self._sizes, self._bounds[1], self._largest)
+        if not picture.enough:
+            return False
+        size, factor = picture.estimated(residuals)
+        share = share if self._estimated else 1.0
+        self._size += share * (size - self._size)
+        self._factor += share * (factor - self._factor)
+        self._estimated = True
+        return True
+
+    def weighted(self, rows: Mapping[str, Array]) -> dict[str, Array]:
+        """Return rows with the weights of landmarks, and of what is constant beside them."""
+        out = dict(rows)
+        out["w_visual"] = rows["w_visual"] / self.sigma**2
+        out["knee_visual"] = np.full_like(rows["knee_visual"], self._robust / self._factor)
+        share = self._factor / self._largest if self._estimated else 1.0
+        for name in _OF_CONSTANT_ERRORS:
+            out[name] = share * rows[name]
+        return out
