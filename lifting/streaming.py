@@ -1,10 +1,9 @@
-"""`StreamingLifter`: a lifter frame by frame, with the same answers as `Lifter.predict` of all frames."""
+"""`StreamingLifter`: lifts of the newest frames of a live video, again as later frames come."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +12,12 @@ from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.source import Source
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import checked_names, indices_of
+from rtof_kin.core.checks import checked_names, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence
+
+_SAME_S = 1e-6
+"""Largest difference between times of the same frame, s."""
 
 
 @dataclass(frozen=True)
@@ -24,21 +25,24 @@ class StreamedPose:
     """Pose of one person at one instant; arrays are read-only."""
 
     time: float
-    """Time of the frame, s."""
+    """Time of the pose, s."""
     p_world_joint: Array
     """(J, 3) m."""
-    seen: bool
-    """Whether the camera saw enough around the frame; if not, positions are the last ones seen."""
     sigma_m: Array
-    """(J, 2) see `LiftedPoses.sigma_m`; NaN where not seen."""
+    """(J, 2) see `LiftedPoses.sigma_m`."""
     R_world_bone: Array
-    """(J, 3, 3) see `LiftedPoses.R_world_bone`; NaN where not seen."""
+    """(J, 3, 3) see `LiftedPoses.R_world_bone`."""
     sigma_rad: Array
-    """(J,) see `LiftedPoses.sigma_rad`; NaN where not seen."""
+    """(J,) see `LiftedPoses.sigma_rad`."""
 
 
 class StreamingLifter:
-    """Lifter of one person in front of one camera: frames in, poses out."""
+    """Lifter of one person in front of one camera: frames in, poses out.
+
+    A pose depends on the frames up to `delay_s` before and after it. Once these are there it is that of
+    `Lifter.predict`. Until then, what the newest frame shows is taken to move on more and more slowly: the
+    newest pose is 4 % worse (benchmarks/results/lifter_lookahead.md).
+    """
 
     def __init__(
         self,
@@ -48,47 +52,60 @@ class StreamingLifter:
         floor_height: float | None = None,
         *,
         names: Sequence[str] | None = None,
+        lookaheads: Sequence[int] = (0,),
+        history_s: float = 1.0,
         flip: bool = True,
     ):
         """Prepare for a camera and a person.
 
         Args:
-            lifter: a causal one answers at once, a centred one after `delay_s`.
-            camera: its orientation gives the vertical.
+            lifter: see `Lifter.load`. camera: its orientation gives the vertical.
             joint_offsets: (J, 3) m, as in `Lifter.predict`; None where unknown.
             floor_height: z of a flat floor in world, m; None where unknown.
             names: L landmark names, by default the lifter's joints; unknown ones are ignored.
-            flip: average with the mirrored scene: a third slower, and more accurate.
+            lookaheads: of the poses that `push` returns: frames that are newer than theirs.
+            history_s: age of the oldest frame that may still come and of the oldest pose that may be
+                estimated, relative to the newest frame, s.
+            flip: average with the mirrored scene: a tenth slower, and more accurate.
 
         Raises:
             InvalidInputError: the lifter's model does not stream; too few landmarks are joints of the
-                lifter; `joint_offsets` or `floor_height` are wrong.
+                lifter; `joint_offsets`, `floor_height`, `lookaheads` or `history_s` are wrong.
         """
         description = lifter.description
         if description.network.model != RAYS:
             raise InvalidInputError(
                 f"a lifter of kind {description.network.model} does not stream; use predict"
             )
-        self._names = checked_names("landmark names", lifter.names if names is None else names)
-        common = set(self._names) & set(lifter.names)
-        if len(common) < MIN_JOINTS:
+        if not history_s >= 0 or not all(0 <= k == int(k) for k in lookaheads):
             raise InvalidInputError(
-                f"names: {len(common)} of the landmarks are joints of the lifter, and it needs "
-                f"{MIN_JOINTS}; its joints are {', '.join(lifter.names)}"
+                f"history_s {history_s:g}, lookaheads {tuple(lookaheads)}: give seconds and frames, "
+                "not negative"
             )
         self._lifter, self._camera, self._body = lifter, camera, description.body
+        self._names = checked_names("landmark names", lifter.names if names is None else names)
+        joints = [j for j, name in enumerate(lifter.names) if name in self._names]
+        if len(joints) < MIN_JOINTS:
+            raise InvalidInputError(
+                f"names: {len(joints)} of the landmarks are joints of the lifter, and it needs "
+                f"{MIN_JOINTS}; its joints are {', '.join(lifter.names)}"
+            )
+        self._joints, self._landmarks = joints, [self._names.index(lifter.names[j]) for j in joints]
         self._bones, self._flip = lifter.bones_of(joint_offsets), flip
         self._R_bone_shared = lifter.shared_frames(joint_offsets)
         self._height = camera_height(camera, floor_height)
-        self._frames: deque[Source] = deque()
-        self._last: StreamedPose | None = None
-        self._newest = self._answered = -np.inf
+        self._lookaheads, self._history = tuple(map(int, lookaheads)), history_s
+        self._frames = _Frames(len(lifter.names), len(self._body.sensors), camera)
 
     @property
     def delay_s(self) -> float:
-        """Age of the newest pose when its frame's window is complete, s; 0 for a causal lifter."""
-        after = self._lifter.receptive_field() - 1 - self._lifter.estimated()
-        return after / self._lifter.description.rate_hz
+        """Age relative to the newest frame at which a pose is complete, s; 0 for a causal lifter."""
+        return self._after() / self._lifter.description.rate_hz
+
+    @property
+    def times(self) -> Array:
+        """(T,) times of the frames that are kept, s: of `history_s`, and what their windows begin with."""
+        return self._frames.times.copy()
 
     def push(
         self,
@@ -96,63 +113,107 @@ class StreamingLifter:
         uv_px: ArrayLike,
         confidence: ArrayLike,
         R_world_bone: Mapping[str, ArrayLike] | None = None,
-    ) -> StreamedPose | None:
-        """Take one frame, and return the newest complete pose.
+    ) -> tuple[StreamedPose | None, ...]:
+        """Take one frame, as `put` does, and return a pose for each of the lookaheads k.
+
+        Returns:
+            Pose of the frame that is k frames before the newest; None where there is none within
+            `history_s`, or too little is seen around it.
+        """
+        self.put(time, uv_px, confidence, R_world_bone)
+        times = self._frames.times
+        oldest = times[-1] - self._history - _SAME_S
+        frames = [len(times) - 1 - k for k in self._lookaheads]
+        there = [i for i, frame in enumerate(frames) if frame >= 0 and times[frame] >= oldest]
+        poses: list[StreamedPose | None] = [None] * len(frames)
+        for i, pose in zip(there, self.lift([times[frames[i]] for i in there]), strict=True):
+            poses[i] = pose
+        return tuple(poses)
+
+    def put(
+        self,
+        time: float,
+        uv_px: ArrayLike,
+        confidence: ArrayLike,
+        R_world_bone: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Take one frame; it may come late, and replaces one of the same time.
 
         Args:
-            time: s, later than the frame before; any rate, gaps allowed.
+            time: s, at most `history_s` before the newest frame; any rate, gaps allowed.
             uv_px: (L, 2) landmarks, px; NaN where unseen.
             confidence: (L,) in [0, 1]; 0 where unseen.
             R_world_bone: orientations (3, 3) of segments by joint name; NaN or left out where missing.
                 Segments without a sensor in the lifter's training are ignored.
 
-        Returns:
-            The pose; None while `delay_s` has not passed, no new frame is complete, or too little was
-            ever seen.
-
         Raises:
-            ShapeError, InvalidInputError: time goes back, or an array is wrong; the frame is not taken.
+            ShapeError, InvalidInputError: the frame is too late, or an array is wrong; it is not taken.
             UnknownNameError: an orientation is not of a joint of the lifter.
         """
-        time = float(time)
-        if not time > self._newest or not np.isfinite(time):
+        time, newest = float(time), self._frames.newest
+        if not newest - self._history - _SAME_S <= time < np.inf:
             raise InvalidInputError(
-                f"time: {time:g} s after a frame at {self._newest:g} s; give frames in order, "
-                "each once, and make a new StreamingLifter for a new recording"
+                f"time: {time:g} s, with frames up to {newest:g} s; a frame may be "
+                f"{self._history:g} s late, and a new recording needs a new StreamingLifter"
             )
-        times, uv, sure = (np.asarray([value], float) for value in (time, uv_px, confidence))
-        keypoints = KeypointSequence(self._camera, times, uv, sure, self._names)
-        axes, sensed = self._axes(R_world_bone or {})
-        frame = replace(Source.of(self._body, keypoints), axes=axes[None], sensed=sensed[None])
-        self._frames.append(frame)
-        self._newest = time
-        limit = time - self.delay_s + 0.1 / self._lifter.description.rate_hz
-        complete = next((t for t in reversed(self._times()) if t <= limit), -np.inf)
-        if complete <= self._answered:
-            return None
-        pose = self._lifted(complete)
-        self._answer_until(complete)
-        return pose
+        rays, seen = self._rays(uv_px, confidence)
+        self._frames.put(time, rays, seen, *self._axes(R_world_bone or {}))
+        before = self._lifter.estimated() / self._lifter.description.rate_hz
+        self._frames.forget(self._frames.newest - self._history - before)
 
-    def flush(self) -> list[StreamedPose]:
-        """Return the remaining poses at the end of a stream, one per frame; none of a causal lifter.
+    def lift(self, times: ArrayLike) -> tuple[StreamedPose | None, ...]:
+        """Return the poses at any times within `history_s` before the newest frame, from all frames so far.
 
-        The last frame is repeated, as in `Lifter.predict`. Further frames may follow; those answered
-        here are not answered again.
+        Args:
+            times: (n,) s; not necessarily those of frames.
+
+        Returns:
+            n poses; None where too little is seen around one.
+
+        Raises:
+            InvalidInputError: a time is earlier, or later than the newest frame.
         """
-        remaining = [self._lifted(time) for time in self._times() if time > self._answered]
-        self._answer_until(self._newest)
-        return [pose for pose in remaining if pose is not None]
+        at, newest = readonly("times", times, ("n",)), self._frames.newest
+        if not len(at):
+            return ()
+        if not np.all((at >= newest - self._history - _SAME_S) & (at <= newest + _SAME_S)):
+            raise InvalidInputError(
+                f"times from {at.min():g} to {at.max():g} s: give such within "
+                f"{self._history:g} s before the newest frame at {newest:g} s"
+            )
+        source, rate_hz = self._frames.source(), self._lifter.description.rate_hz
+        if self._after() and at.max() + self.delay_s > newest + 0.1 / rate_hz:
+            source = source.extended(self._after(), rate_hz)
+        arrays = self._lifter.lift_windows(source, at, self._bones, self._height, self._flip)
+        p, sigma_m, R, sigma_rad, enough = arrays
+        p = self._camera.center_world + p
+        R = R @ self._R_bone_shared.swapaxes(-1, -2)
+        known = enough & np.isfinite(p).all(axis=(1, 2))
+        for array in (p, sigma_m, R, sigma_rad):
+            array.setflags(write=False)
+        return tuple(
+            StreamedPose(float(at[i]), p[i], sigma_m[i], R[i], sigma_rad[i]) if known[i] else None
+            for i in range(len(at))
+        )
 
-    def _times(self) -> list[float]:
-        return [float(frame.times[0]) for frame in self._frames]
+    def _after(self) -> int:
+        """Number of frames after the estimated one in a window."""
+        return self._lifter.receptive_field() - 1 - self._lifter.estimated()
 
-    def _answer_until(self, time: float) -> None:
-        """Drop the frames before every window to come; two earlier ones remain to interpolate from."""
-        self._answered = time
-        first = time - self._lifter.receptive_field() / self._lifter.description.rate_hz
-        while len(self._frames) > 2 and self._frames[2].times[0] < first:
-            self._frames.popleft()
+    def _rays(self, uv_px: ArrayLike, confidence: ArrayLike) -> tuple[Array, Mask]:
+        """Directions in world (J, 3), zero where unseen, and whether seen (J,)."""
+        L, J = len(self._names), len(self._body.names)
+        uv, sure = readonly("uv_px", uv_px, (L, 2)), readonly("confidence", confidence, (L,))
+        if np.any((sure < 0) | (sure > 1)):
+            raise InvalidInputError("confidence: outside [0, 1]; divide by the detector's maximum")
+        if np.any(np.isinf(uv)):
+            raise InvalidInputError("uv_px: infinite; write NaN where a landmark was not seen")
+        rays, seen = np.zeros((J, 3)), np.zeros(J, bool)
+        found = self._camera.rays_world(uv[self._landmarks])
+        known = (sure[self._landmarks] > 0) & np.isfinite(found).all(axis=1)
+        rays[self._joints] = np.where(known[:, None], found, 0.0)
+        seen[self._joints] = known
+        return rays, seen
 
     def _axes(self, given: Mapping[str, ArrayLike]) -> tuple[NDArray[np.float32], Mask]:
         """X and z axes (2, S, 3), zero where not sensed, and whether sensed (S,)."""
@@ -177,22 +238,55 @@ class StreamingLifter:
         sensed[index] = known
         return axes, sensed
 
-    def _lifted(self, time: float) -> StreamedPose | None:
-        """Return the pose of the frame at this time, with the last positions seen if it is not."""
-        source, J = Source.joined(self._frames), len(self._body.names)
-        p, sigma_m, R, sigma_rad, enough = self._lifter.lift_windows(
-            source, np.array([time]), self._bones, self._height, self._flip
-        )
-        R = R @ self._R_bone_shared.swapaxes(-1, -2)
-        seen = bool(enough[0] and np.isfinite(p).all())
-        if seen:
-            arrays = [self._camera.center_world + p[0], sigma_m[0], R[0], sigma_rad[0]]
-        elif self._last is not None:
-            unknown = [np.full(shape, np.nan) for shape in ((J, 2), (J, 3, 3), (J,))]
-            arrays = [self._last.p_world_joint, *unknown]
-        else:
-            return None
-        for array in arrays:
-            array.setflags(write=False)
-        self._last = StreamedPose(time, arrays[0], seen, *arrays[1:])
-        return self._last
+
+class _Frames:
+    """Frames in the order of their times, in arrays with room at their end."""
+
+    def __init__(self, joints: int, sensors: int, camera: Camera) -> None:
+        shapes = ((), (joints, 3), (joints,), (2, sensors, 3), (sensors,))
+        types = (float, np.float32, bool, np.float32, bool)
+        self._arrays = [np.zeros((128, *shape), dtype) for shape, dtype in zip(shapes, types, strict=True)]
+        self._first = self._end = 0
+        self._R_camera_world = camera.R_camera_world.astype(np.float32)
+
+    @property
+    def times(self) -> Array:
+        """(T,) a view."""
+        return self._arrays[0][self._first : self._end]
+
+    @property
+    def newest(self) -> float:
+        """Time of the last frame; -inf where there is none."""
+        return float(self._arrays[0][self._end - 1]) if self._end > self._first else -np.inf
+
+    def put(self, *frame: ArrayLike) -> None:
+        """Insert time, rays, seen, axes and sensed at their place, or in place of the same frame."""
+        if self._end == len(self._arrays[0]):
+            self._make_room()
+        time = float(np.asarray(frame[0]))
+        row = self._first + int(np.searchsorted(self.times, time - _SAME_S))
+        same = row < self._end and self._arrays[0][row] <= time + _SAME_S
+        for array, value in zip(self._arrays, frame, strict=True):
+            if not same:
+                array[row + 1 : self._end + 1] = array[row : self._end]
+            array[row] = value
+        self._end += not same
+
+    def forget(self, before: float) -> None:
+        """Drop the frames before a time; two earlier ones remain to interpolate from."""
+        self._first = max(self._first, self._first + int(np.searchsorted(self.times, before)) - 2)
+
+    def source(self) -> Source:
+        """The frames, as views."""
+        times, rays, seen, axes, sensed = (array[self._first : self._end] for array in self._arrays)
+        picture = np.zeros((len(times), seen.shape[1], 2), np.float32)
+        return Source(times, rays, seen, axes, sensed, picture, self._R_camera_world)
+
+    def _make_room(self) -> None:
+        """Move the frames to the beginning of arrays at least twice as long as they are."""
+        count = self._end - self._first
+        for i, old in enumerate(self._arrays):
+            new = np.zeros((max(len(old), 2 * count), *old.shape[1:]), old.dtype)
+            new[:count] = old[self._first : self._end]
+            self._arrays[i] = new
+        self._first, self._end = 0, count

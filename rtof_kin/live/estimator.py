@@ -281,9 +281,10 @@ class OnlineEstimator:
         self._lifter.put(sample.time, sample.uv_px, sample.confidence, self._R_world_bone(sample.time))
         ages = [frame - round(age * self._rate) for age in _LOOKAHEADS_S]
         due = [k for k in ages if k in self._placed]
-        for k, pose in zip(due, self._lifter.lift([self._placed[k] for k in due]), strict=True):
-            if pose is not None:
-                window.lift(k - window.first, pose)
+        lifts = self._lifter.lift([self._placed[k] for k in due])
+        known = {k - window.first: pose for k, pose in zip(due, lifts, strict=True) if pose is not None}
+        if known:
+            window.lift(list(known), list(known.values()))
 
     def _R_world_bone(self, time: float) -> dict[str, Array]:
         """Orientations of segments at a time, by joint."""
@@ -387,18 +388,17 @@ class OnlineEstimator:
     def _posed(self, x: Array, time: float, i: int | None = None) -> PoseSequence:
         """Poses of a state (1, 3 + 4A); with the provenance of frame i of the window."""
         p, R = self._window.data.space.poses(x)
-        poses = PoseSequence(np.array([time]), p, R, self.skeleton.names)
         if i is None:
-            return poses
+            return PoseSequence(np.array([time]), p, R, self.skeleton.names)
         seen, sensed = self._window.seen[i], self._sensed(i)
         provenance = np.where(seen, Provenance.CAMERA, Provenance.BRIDGED if self._camera else Provenance.PRIOR)
         by_imu = np.zeros(len(seen), dtype=bool)
         by_imu[1:] = sensed[self._ends]
         provenance = np.where(by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), provenance)
         valid = bool(seen.any() or sensed.any() or self._window.lost_s < _BRIDGED_S)
-        return replace(
-            poses, provenance=provenance[None].astype(np.uint8), valid=np.full((1, len(seen)), valid),
-            orientation_observed=(sensed | (self._whole(seen) & valid))[None],
+        return PoseSequence(
+            np.array([time]), p, R, self.skeleton.names, provenance[None].astype(np.uint8),
+            np.full((1, len(seen)), valid), (sensed | (self._whole(seen) & valid))[None],
         )  # fmt: skip
 
     def _sensed(self, i: int) -> Mask:

@@ -54,7 +54,7 @@ class SensorBuffer:
         S = len(joints)
         self._count = np.zeros(S, dtype=int)
         self._times = np.full((S, _CAPACITY), np.inf)
-        self._quat, self._a = np.zeros((S, _CAPACITY, 4)), np.zeros((S, _CAPACITY, 3))
+        self._R, self._a = np.zeros((S, _CAPACITY, 3, 3)), np.zeros((S, _CAPACITY, 3))
         self._frame = 1 / rate_hz
         self._response = _response(rate_hz, cutoff_hz)
         self.newest = np.full(S, -np.inf)
@@ -86,10 +86,10 @@ class SensorBuffer:
             i = int(np.searchsorted(self._times[s, :n], time))
             if self._times[s, i] == time:
                 return
-            for array in (self._times, self._quat, self._a):
+            for array in (self._times, self._R, self._a):
                 array[s, i + 1 : n + 1] = array[s, i:n]
         self._times[s, i] = time
-        self._quat[s, i] = so3.to_quat_wxyz(R @ self._R_sensor_bone[s])
+        self._R[s, i] = R @ self._R_sensor_bone[s]
         self._a[s, i] = R @ f_sensor + GRAVITY_WORLD
         self._count[s] = n + 1
         self.newest[s] = max(self.newest[s], time)
@@ -126,11 +126,10 @@ class SensorBuffer:
             beyond = np.where(after > last, times - end, 0.0)
             before = np.where(after == 0, begin - times, 0.0)
             known = enough & (end - begin <= _LONGEST_GAP) & (beyond <= 1.2 * self._frame) & (before <= 1e-9)
-        q0, q1 = self._quat[own, left], self._quat[own, right]
+        around = np.where(known[..., None, None], self._R[own, np.stack([left, right])], np.eye(3))
+        q0, q1 = so3.to_quat_wxyz(around)
         turn = quat.log(quat.multiply(quat.conjugate(q0), q1))
-        q = quat.multiply(q0, quat.exp(np.where(known, share, 0.0)[..., None] * turn))
-        q[~known] = [1.0, 0.0, 0.0, 0.0]
-        return q, known
+        return quat.multiply(q0, quat.exp(np.where(known, share, 0.0)[..., None] * turn)), known
 
     def _accelerations(self, after: Index, times: Array) -> tuple[Array, Array]:
         own = np.arange(len(after))[:, None, None]
@@ -165,7 +164,7 @@ class SensorBuffer:
 
     def _halve(self, s: int) -> int:
         half = _CAPACITY // 2
-        for array in (self._times, self._quat, self._a):
+        for array in (self._times, self._R, self._a):
             array[s, :half] = array[s, half:]
         self._times[s, half:] = np.inf
         self._count[s] = half

@@ -68,6 +68,7 @@ class Window:
         self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
         worn = () if sensors is None else sensors.joints
         self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self._torso]
+        self._lifted = list(range(len(self._torso)))
         self._order = [worn.index(joint) for joint in self.data.sensors]
         self._sizes = np.zeros(0) if camera is None else self.data.points.independent / self.data.points.sizes**2
         if camera is not None:
@@ -158,38 +159,43 @@ class Window:
             self._since_image = min(self._since_image, self.frames - 1 - i)
             rows["w_contact"][i] = 0.0
 
-    def lift(self, i: int, pose: StreamedPose) -> None:
-        """Anchor frame i of the window to a lift, where nothing better observes the body.
+    def lift(self, frames: Sequence[int], poses: Sequence[StreamedPose]) -> None:
+        """Anchor frames of the window to lifts, where nothing better observes the body.
 
         Args:
-            i: index in the window. pose: of its time.
+            frames: n indices in the window. poses: n of their times.
         """
-        rows, s, offsets = self.smoother.rows, self._settings, self.skeleton.joint_offsets
-        p, R = pose.p_world_joint, pose.R_world_bone
-        if s.sigma_torso is not None:
-            for n, j in enumerate(self._torso):
-                if np.isfinite(R[j]).all():
-                    rows["quat_torso"][i, n] = so3.to_quat_wxyz(self._oriented(j, p, R))
-                    sigma = pose.sigma_rad[j] * s.torso_inflation
-                    self._torso_weights[i, n] = 1 / (sigma if np.isfinite(sigma) else s.sigma_torso) ** 2
+        own, rows, s = list(frames), self.smoother.rows, self._settings
+        p, R = np.stack([pose.p_world_joint for pose in poses]), np.stack([pose.R_world_bone for pose in poses])
+        if s.sigma_torso is not None and self._lifted:
+            j = [self._torso[n] for n in self._lifted]
+            known = np.isfinite(R[:, j, 0, 0])
+            sigma = np.stack([pose.sigma_rad[j] for pose in poses]) * s.torso_inflation
+            weights = known / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
+            oriented = np.stack([self._oriented(k, p, R) for k in j], axis=1)
+            oriented = np.where(known[..., None, None], oriented, np.eye(3))
+            at = np.ix_(own, self._lifted)
+            rows["quat_torso"][at], self._torso_weights[at] = so3.to_quat_wxyz(oriented), weights
             self._weigh_torso()
         if self._bone_weights.any():
             joints, children = np.array(self._bones).T
-            lengths = np.linalg.norm(offsets[children], axis=1, keepdims=True)
-            rows["b_world"][i] = so3.unit(p[children] - p[joints]) * lengths
-            rows["w_bone"][i] = self._bone_weights
+            lengths = np.linalg.norm(self.skeleton.joint_offsets[children], axis=1, keepdims=True)
+            rows["b_world"][own] = so3.unit(p[:, children] - p[:, joints]) * lengths
+            rows["w_bone"][own] = self._bone_weights
         if self._root_weight:
-            rows["p_root"][i], rows["w_root"][i] = p[0], self._root_weight
+            rows["p_root"][own], rows["w_root"][own] = p[:, 0], self._root_weight
 
     def _oriented(self, j: int, p: Array, R: Array) -> Array:
-        """Orientation (3, 3) of a segment of the torso as SF2 has it; see `InertialGuidedIK`."""
+        """Orientations (n, 3, 3) of a segment of the torso as SF2 has them; see `InertialGuidedIK`."""
         parents = self.skeleton.parents
         if parents[j] < 0 or len(kinematics.children_of(parents, j)) < 2:
-            return R[j]
-        by_positions = kinematics.segment_rotation(
-            parents, self.skeleton.joint_offsets, j, p[None], R[None, parents[j]]
-        )
-        return np.asarray(so3.nearest_rotation(R[j] + by_positions[0]))
+            return R[:, j]
+        offsets = self.skeleton.joint_offsets
+        by_positions = kinematics.segment_rotation(parents, offsets, j, p, R[:, parents[j]])
+        known = np.isfinite(R[:, j]).all(axis=(1, 2))
+        out = R[:, j].copy()
+        out[known] = so3.nearest_rotation(R[known, j] + by_positions[known])
+        return out
 
     # --- floor -----------------------------------------------------------------------------------
 

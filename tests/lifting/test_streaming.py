@@ -1,7 +1,8 @@
-"""`StreamingLifter` gives frame by frame what `predict` gives of the whole."""
+"""`StreamingLifter` gives frame by frame what `predict` gives of the whole, once later frames are there."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import lifting_support as support
@@ -10,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lifting.predict import LiftedPoses, Lifter
+from lifting.source import Source
 from lifting.streaming import StreamedPose, StreamingLifter
 from rtof_kin.core.errors import InvalidInputError, RtofError, ShapeError, UnknownNameError
 from rtof_kin.data.camera import Camera
@@ -23,12 +25,7 @@ WORN = ("LeftForeArm", "RightForeArm", "Hips", "Spine3")
 
 
 @pytest.fixture(scope="module")
-def causal() -> Lifter:
-    return support.untrained_lifter(causal=True)
-
-
-@pytest.fixture(scope="module")
-def centred() -> Lifter:
+def lifter() -> Lifter:
     return support.untrained_lifter()
 
 
@@ -47,102 +44,131 @@ def imus() -> BoneImuSequence:
     return support.worn_by(0, T, WORN)
 
 
+def frame(
+    keypoints: KeypointSequence, t: int, imus: BoneImuSequence | None = None
+) -> tuple[float, Array, Array, dict[str, Array]]:
+    """What `push` takes of one frame."""
+    R = {} if imus is None else dict(zip(imus.joints, imus.R_world_bone[t], strict=True))
+    return float(keypoints.times[t]), keypoints.uv_px[t], keypoints.confidence[t], R
+
+
 def streamed(
     streaming: StreamingLifter, keypoints: KeypointSequence, imus: BoneImuSequence | None = None
-) -> list[StreamedPose | None]:
+) -> list[tuple[StreamedPose | None, ...]]:
     """Every frame pushed, one after the other."""
-    return [
-        streaming.push(
-            float(keypoints.times[t]),
-            keypoints.uv_px[t],
-            keypoints.confidence[t],
-            None if imus is None else dict(zip(imus.joints, imus.R_world_bone[t], strict=True)),
-        )
-        for t in range(len(keypoints))
-    ]
+    return [streaming.push(*frame(keypoints, t, imus)) for t in range(len(keypoints))]
 
 
-def assert_same(poses: list[StreamedPose | None], whole: LiftedPoses) -> None:
-    """Each pose is that of the whole at its time."""
-    found = 0
-    for pose in poses:
-        if pose is None:
-            continue
+def assert_same(poses: Sequence[StreamedPose | None], whole: LiftedPoses, least: int | None = None) -> None:
+    """Each pose is that of the whole at its time, and there are enough of them."""
+    found = [pose for pose in poses if pose is not None]
+    for pose in found:
         t = int(np.argmin(np.abs(whole.times - pose.time)))
         assert pose.time == whole.times[t]
-        assert pose.seen == whole.seen[t]
-        found += 1
-        if not pose.seen:
-            continue
+        assert whole.seen[t]
         np.testing.assert_allclose(pose.p_world_joint, whole.p_world_joint[t], atol=1e-5)
         np.testing.assert_allclose(pose.sigma_m, whole.sigma_m[t], atol=1e-5)
         np.testing.assert_allclose(pose.R_world_bone, whole.R_world_bone[t], atol=1e-4)
         np.testing.assert_allclose(pose.sigma_rad, whole.sigma_rad[t], atol=1e-4)
-    assert found >= len(whole) // 2
+    assert len(found) >= (len(whole) // 2 if least is None else least)
 
 
 @pytest.mark.parametrize("flip", [True, False])
-def test_a_causal_lifter_answers_every_frame_at_once_as_predict_does(
-    causal: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence, flip: bool
+def test_poses_with_a_complete_window_are_those_of_predict(
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence, flip: bool
 ) -> None:
-    streaming = StreamingLifter(causal, camera, OFFSETS, 0.0, flip=flip)
-    assert streaming.delay_s == 0.0
-    poses = streamed(streaming, keypoints, imus)
-    whole = causal.predict(keypoints, OFFSETS, bone_imus=imus, floor_height=0.0, flip=flip)
-    assert [pose.time for pose in poses if pose is not None] == keypoints.times.tolist()
-    assert_same(poses, whole)
-
-
-def test_a_centred_lifter_answers_after_its_delay(
-    centred: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
-) -> None:
-    streaming = StreamingLifter(centred, camera, OFFSETS)
+    streaming = StreamingLifter(lifter, camera, OFFSETS, 0.0, lookaheads=(0, 13, 20), flip=flip)
     assert streaming.delay_s == pytest.approx(13 / 60)
-    poses = streamed(streaming, keypoints, imus)
-    assert [pose is None for pose in poses] == [t < 13 for t in range(T)]
-    for t, pose in enumerate(poses[13:]):
-        assert pose is not None
-        assert pose.time == keypoints.times[t]
-    assert_same(poses, centred.predict(keypoints, OFFSETS, bone_imus=imus))
+    newest, complete, older = zip(*streamed(streaming, keypoints, imus), strict=True)
+    assert [pose.time for pose in newest] == keypoints.times.tolist()
+    assert [pose is None for pose in complete] == [t < 13 for t in range(T)]
+    whole = lifter.predict(keypoints, OFFSETS, bone_imus=imus, floor_height=0.0, flip=flip)
+    assert_same(complete, whole, T - 13)
+    assert_same(older, whole, T - 20)
 
 
-@pytest.mark.parametrize("frames", [1, 9, 40])
-def test_flushing_gives_the_remaining_poses(
-    centred: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence, frames: int
+def test_the_newest_frames_move_on_as_they_did(
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
-    streaming = StreamingLifter(centred, camera, OFFSETS)
-    short, worn = support.seen_by(camera, support.positions(0, frames)), support.worn_by(0, frames, WORN)
-    pushed = [pose for pose in streamed(streaming, short, worn) if pose is not None]
-    owed = streaming.flush()
-    assert len(owed) == min(13, frames)
-    assert [pose.time for pose in pushed + owed] == short.times.tolist()
-    assert_same([*pushed, *owed], centred.predict(short, OFFSETS, bone_imus=worn))
-    assert streaming.flush() == []
+    """A wrong guess of later frames would change the pose; of a person at rest there is none."""
+    still = replace(keypoints, uv_px=np.broadcast_to(keypoints.uv_px[:1], keypoints.uv_px.shape))
+    poses = [pose for (pose,) in streamed(StreamingLifter(lifter, camera, OFFSETS), still)]
+    assert_same(poses, lifter.predict(still, OFFSETS), T)
+    ((moving,),) = streamed(StreamingLifter(lifter, camera, OFFSETS), keypoints, imus)[-1:]
+    repeated = lifter.predict(keypoints, OFFSETS, bone_imus=imus)
+    assert moving is not None
+    gap = np.abs(moving.p_world_joint - repeated.p_world_joint[-1]).max()
+    assert 1e-4 < gap < 0.2
+
+
+def test_the_guess_of_later_frames_is_damped_and_of_unit_length(
+    lifter: Lifter, keypoints: KeypointSequence
+) -> None:
+    source = Source.of(lifter.description.body, keypoints[:30], None)
+    longer = source.extended(13, 60.0)
+    np.testing.assert_allclose(np.diff(longer.times), 1 / 60)
+    np.testing.assert_array_equal(longer.rays[:30], source.rays)
+    np.testing.assert_allclose(np.linalg.norm(longer.rays[30:], axis=-1), 1.0, atol=1e-6)
+    steps = np.linalg.norm(np.diff(longer.rays[29:], axis=0), axis=-1)
+    assert (np.diff(steps, axis=0) < 0).all()
+    velocity = (source.rays[29] - source.rays[25]) / 4
+    np.testing.assert_allclose(longer.rays[30] - source.rays[29], 0.8 * velocity, atol=3e-4)
+    alone = Source.of(lifter.description.body, keypoints[:1], None).extended(2, 60.0)
+    np.testing.assert_allclose(alone.rays[1:], alone.rays[[0, 0]], atol=1e-6)
+
+
+def test_late_and_replaced_frames_count_as_if_they_had_come_in_time(
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
+) -> None:
+    in_order, mixed = (StreamingLifter(lifter, camera, OFFSETS, lookaheads=(0, 5)) for _ in range(2))
+    expected = streamed(in_order, keypoints[:60], imus)[-1]
+    time, uv, confidence, R = frame(keypoints, 50, imus)
+    for t in [*range(30), *range(33, 60)]:
+        wrong = (time, uv + 40, confidence, R)
+        mixed.put(*(wrong if t == 50 else frame(keypoints, t, imus)))
+    for t in (32, 30, 31, 50):
+        found = mixed.push(*frame(keypoints, t, imus))
+    np.testing.assert_array_equal(mixed.times, in_order.times)
+    for one, other in zip(found, expected, strict=True):
+        assert one is not None
+        assert other is not None
+        assert one.time == other.time
+        np.testing.assert_array_equal(one.p_world_joint, other.p_world_joint)
+
+
+def test_poses_at_any_recent_times(
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
+) -> None:
+    streaming = StreamingLifter(lifter, camera, OFFSETS, history_s=0.6)
+    streamed(streaming, keypoints, imus)
+    newest = keypoints.times[-1]
+    assert_same(
+        streaming.lift(keypoints.times[-36:-13]), lifter.predict(keypoints, OFFSETS, bone_imus=imus), 23
+    )
+    between = streaming.lift([newest - 0.305, newest - 0.3])
+    assert [pose.time for pose in between if pose] == [newest - 0.305, newest - 0.3]
+    assert streaming.lift([]) == ()
+    for wrong in (newest - 0.65, newest + 0.01, np.nan):
+        with pytest.raises(InvalidInputError, match="times from"):
+            streaming.lift([newest, wrong])
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 50.0, 144.0, 240.0])
-@pytest.mark.parametrize("causal_one", [True, False])
 def test_any_frame_rate_and_jitter_give_the_same_as_predict(
-    causal: Lifter, centred: Lifter, camera: Camera, rate_hz: float, causal_one: bool
+    lifter: Lifter, camera: Camera, rate_hz: float
 ) -> None:
-    lifter = causal if causal_one else centred
-    moving = support.positions(0, T)
     jitter = np.random.default_rng(0).uniform(-0.2, 0.2, T)
-    keypoints = support.seen_by(camera, moving)
+    keypoints = support.seen_by(camera, support.positions(0, T))
     keypoints = replace(keypoints, times=(np.arange(T) + jitter) / rate_hz)
-    poses = streamed(StreamingLifter(lifter, camera), keypoints)
-    assert (None in poses) != causal_one
-    answered = [pose.time for pose in poses if pose is not None]
-    assert answered == sorted(set(answered))
-    whole = lifter.predict(keypoints)
-    for pose in poses:
-        if pose is not None:
-            t = keypoints.times.tolist().index(pose.time)
-            np.testing.assert_allclose(pose.p_world_joint, whole.p_world_joint[t], atol=1e-5)
+    later = int(np.ceil(0.22 * rate_hz)) + 1
+    streaming = StreamingLifter(lifter, camera, lookaheads=(0, later))
+    newest, complete = zip(*streamed(streaming, keypoints), strict=True)
+    assert None not in newest
+    assert_same(complete, lifter.predict(keypoints), T - later)
 
 
 def test_unseen_landmarks_lost_sensors_and_pauses_are_as_in_predict(
-    causal: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence, imus: BoneImuSequence
 ) -> None:
     rng = np.random.default_rng(1)
     confidence = (rng.uniform(size=(T, 21)) > 0.3).astype(float)
@@ -151,47 +177,45 @@ def test_unseen_landmarks_lost_sensors_and_pauses_are_as_in_predict(
     R = np.array(imus.R_world_bone)
     R[rng.uniform(size=R.shape[:2]) < 0.3] = np.nan
     lost = replace(imus, R_world_bone=R, times=times)
-    poses = streamed(StreamingLifter(causal, camera, OFFSETS), holes, lost)
-    assert_same(poses, causal.predict(holes, OFFSETS, bone_imus=lost))
+    streaming = StreamingLifter(lifter, camera, OFFSETS, lookaheads=(0, 13))
+    newest, complete = zip(*streamed(streaming, holes, lost), strict=True)
+    assert None not in newest
+    # For 13 frames after the pause the pose is older than the history.
+    assert [pose is None for pose in complete] == [t < 13 or 40 <= t < 53 for t in range(T)]
+    assert_same(complete, lifter.predict(holes, OFFSETS, bone_imus=lost))
 
 
-def test_where_too_little_is_seen_the_last_pose_is_repeated_and_marked(
-    causal: Lifter, camera: Camera, keypoints: KeypointSequence
+def test_where_too_little_is_seen_there_is_no_pose(
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence
 ) -> None:
     confidence = np.ones((T, 21))
     confidence[:3] = confidence[20:60] = 0.0
-    poses = streamed(StreamingLifter(causal, camera), replace(keypoints, confidence=confidence))
-    assert poses[:3] == [None] * 3
-    rest = [pose for pose in poses if pose is not None]
-    assert len(rest) == T - 3
-    assert [pose.seen for pose in rest] == [not 46 <= t < 60 for t in range(3, T)]
-    held = rest[50]
-    np.testing.assert_array_equal(held.p_world_joint, rest[42].p_world_joint)
-    assert np.isnan(held.sigma_m).all()
-    assert np.isnan(held.R_world_bone).all()
-    assert np.isnan(held.sigma_rad).all()
+    poses = streamed(StreamingLifter(lifter, camera), replace(keypoints, confidence=confidence))
+    assert [pose is None for (pose,) in poses] == [t < 3 or 33 <= t < 60 for t in range(T)]
 
 
-def test_memory_is_bounded(causal: Lifter, camera: Camera, keypoints: KeypointSequence) -> None:
-    small = StreamingLifter(causal, camera)
+def test_memory_is_bounded(lifter: Lifter, camera: Camera, keypoints: KeypointSequence) -> None:
+    streaming = StreamingLifter(lifter, camera, lookaheads=(13,))
     frames = 600
     turns = np.resize(np.arange(T), frames)
     long = KeypointSequence(
         camera, np.arange(frames) / 60, keypoints.uv_px[turns], keypoints.confidence[turns],
         keypoints.names,
     )  # fmt: skip
-    assert_same(streamed(small, long), causal.predict(long))
-    assert len(small._frames) < 35
-    fast = StreamingLifter(causal, camera)
-    streamed(fast, replace(long, times=np.arange(frames) / 1000))
-    assert len(fast._frames) < 460
+    assert_same([pose for (pose,) in streamed(streaming, long)], lifter.predict(long), frames - 13)
+    assert len(streaming.times) < 80
+    fast = StreamingLifter(lifter, camera, history_s=0.1)
+    for time in np.arange(2000) / 1000:
+        fast.put(time, keypoints.uv_px[0], keypoints.confidence[0])
+    assert len(fast.times) < 330
+    assert len(fast._frames._arrays[0]) < 700
 
 
 @pytest.mark.parametrize(
     ("push", "error", "message"),
     [
-        ({"time": 1.0}, InvalidInputError, "time: 1 s after a frame at 1 s"),
-        ({"time": np.nan}, InvalidInputError, "time: nan s after"),
+        ({"time": -0.1}, InvalidInputError, "time: -0.1 s, with frames up to 1 s"),
+        ({"time": np.nan}, InvalidInputError, "time: nan s"),
         ({"uv_px": np.zeros((20, 2))}, ShapeError, "uv_px: expected shape"),
         ({"confidence": np.ones(20)}, ShapeError, "confidence: expected shape"),
         ({"confidence": np.full(21, 2.0)}, InvalidInputError, "confidence: outside"),
@@ -202,25 +226,31 @@ def test_memory_is_bounded(causal: Lifter, camera: Camera, keypoints: KeypointSe
     ],
 )
 def test_wrong_frames_are_refused_and_not_taken(
-    causal: Lifter, camera: Camera, keypoints: KeypointSequence,
+    lifter: Lifter, camera: Camera, keypoints: KeypointSequence,
     push: dict[str, object], error: type[RtofError], message: str,
 ) -> None:  # fmt: skip
     frame = {"uv_px": keypoints.uv_px[0], "confidence": keypoints.confidence[0]}
-    streaming, untouched = StreamingLifter(causal, camera), StreamingLifter(causal, camera)
+    streaming, untouched = StreamingLifter(lifter, camera), StreamingLifter(lifter, camera)
     for each in (streaming, untouched):
         each.push(1.0, **frame)
     with pytest.raises(error, match=message):
         streaming.push(**({"time": 1.1} | frame | push))
-    after = [each.push(1.2, keypoints.uv_px[5], frame["confidence"]) for each in (streaming, untouched)]
-    assert after[0] is not None
-    assert after[1] is not None
-    np.testing.assert_array_equal(after[0].p_world_joint, after[1].p_world_joint)
+    (one,), (other,) = (
+        each.push(1.2, keypoints.uv_px[5], frame["confidence"]) for each in (streaming, untouched)
+    )
+    assert one is not None
+    assert other is not None
+    np.testing.assert_array_equal(one.p_world_joint, other.p_world_joint)
 
 
-def test_wrong_settings_are_refused(causal: Lifter, camera: Camera) -> None:
+def test_wrong_settings_are_refused(lifter: Lifter, camera: Camera) -> None:
     with pytest.raises(InvalidInputError, match="5 of the landmarks are joints of the lifter"):
-        StreamingLifter(causal, camera, names=(*causal.names[:5], "Nose"))
+        StreamingLifter(lifter, camera, names=(*lifter.names[:5], "Nose"))
     with pytest.raises(InvalidInputError, match="below the floor"):
-        StreamingLifter(causal, camera, floor_height=2.0)
+        StreamingLifter(lifter, camera, floor_height=2.0)
     with pytest.raises(InvalidInputError, match="not a human's"):
-        StreamingLifter(causal, camera, OFFSETS * 1000)
+        StreamingLifter(lifter, camera, OFFSETS * 1000)
+    with pytest.raises(InvalidInputError, match="not negative"):
+        StreamingLifter(lifter, camera, lookaheads=(0, -1))
+    with pytest.raises(InvalidInputError, match="not negative"):
+        StreamingLifter(lifter, camera, history_s=-0.1)

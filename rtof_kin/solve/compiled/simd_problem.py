@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -226,10 +227,9 @@ class SimdProblem:
 
     def hessian(self) -> Array:
         """Return the whole Hessian (N D, N D), for a few frames."""
-        rows, columns = np.ogrid[: self._matrix.size, : self._matrix.size]
-        stored = (rows >= columns) & (rows - columns <= self._matrix.band)
-        lower = np.where(stored, self._as_square(self._matrix.size), 0.0)
-        return np.asarray(lower + np.tril(lower, -1).T)
+        stored, strictly = _band_masks(self._matrix.size, self._matrix.band)
+        lower = self._as_square(self._matrix.size) * stored
+        return np.asarray(lower + (lower * strictly).T)
 
     def _as_square(self, size: int) -> Array:
         """Writable view of the first columns in which only entries of the band are those of the matrix."""
@@ -240,3 +240,10 @@ class SimdProblem:
     def factorise(self, damping: float) -> StoredFactor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""
         return self._matrix.factorise(damping)
+
+
+@cache
+def _band_masks(size: int, band: int) -> tuple[Array, Array]:
+    """1 for entries of a band on and below, and below the diagonal, else 0."""
+    below = np.subtract.outer(np.arange(size), np.arange(size))
+    return ((below >= 0) & (below <= band)).astype(float), ((below > 0) & (below <= band)).astype(float)
