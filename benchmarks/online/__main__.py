@@ -71,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--hours", type=float, default=1.0, help="of the stream of soak")
     parser.add_argument("--person", default="02", help="of speed and soak")
     parser.add_argument("--confidence", action="store_true", help="covariances too")
+    parser.add_argument("--goals", action="store_true", help="of accuracy, only the lags with a goal")
     parser.add_argument("--keep", type=Path, help="folder for the poses of accuracy")
     parser.add_argument("--work", type=Path, default=Path(gettempdir()) / "rtof_kin_online",
                         help="folder of batch reconstructions, which are made once")  # fmt: skip

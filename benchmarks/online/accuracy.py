@@ -2,7 +2,8 @@
 
 Every frame is scored, as in the harness. The last frames of a recording are estimated with what is left of
 it, whatever the lag. *batch* is mode rtof of the whole recording as given, with default settings;
-*causal SF2* the shipped causal lifter, corrected by the sensors frame by frame.
+*causal SF2* the shipped causal lifter, corrected by the sensors frame by frame. *online* has the default
+window of its lag. *window of 1 s* is one estimator with a longer window, of which every lag is looked at.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from benchmarks import harness, scoring
 from benchmarks.harness import bootstrap, pooled
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import Job, batch, causal_sf2, jobs, truth_of
-from benchmarks.online.running import tracks
+from benchmarks.online.running import tracks, tracks_of_one_window
 from rtof_kin.body.metrics import at_times, evaluate
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.files.arrays import write_npz
@@ -32,7 +33,7 @@ from rtof_kin.protocols.tables import Cell, Table
 
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)
 """[s]"""
-ONLINE, BATCH, CAUSAL = "online", "batch", "causal SF2"
+ONLINE, WINDOW, BATCH, CAUSAL = "online", "window of 1 s", "batch", "causal SF2"
 COLUMNS = {name: harness.COLUMNS[name] for name in (
     "mpjpe_rr_mm", "mpjpe_mm", "flexion_deg", "hips_deg", "trunk_deg", "angle_deg", "mpjae"
 )} | {
@@ -73,9 +74,12 @@ def measured(job: Job, lags: Sequence[float], confidence: bool, keep: Path | Non
     recording = job.recorded()
     truth, skeleton = truth_of(recording), recording.skeleton
     whole = batch(job, recording)
-    own = tracks(recording, estimator, settings(confidence=confidence), lags)
-    poses = {(ONLINE, lag): one.poses for lag, one in own.items()}
-    stated = {(ONLINE, lag): one.confidence for lag, one in own.items()}
+    own = tracks(recording, estimator, settings(confidence=confidence), tuple(GOALS))
+    together = tracks_of_one_window(recording, estimator, settings(), lags) if lags else {}
+    every = {(ONLINE, lag): one for lag, one in own.items()}
+    every |= {(WINDOW, lag): one for lag, one in together.items()}
+    poses = {key: one.poses for key, one in every.items()}
+    stated = {key: one.confidence for key, one in every.items()}
     poses[BATCH, 0.0], stated[BATCH, 0.0] = whole.poses, whole.confidence
     poses[CAUSAL, 0.0] = causal_sf2(recording)
     if keep is not None:
@@ -92,7 +96,7 @@ def _keep(path: Path, poses: dict[tuple[str, float], PoseSequence], truth: PoseS
     """Write poses of a recording, to look at them."""
     arrays = {"true_times": truth.times, "true_p": truth.p_world_joint, "true_R": truth.R_world_bone}
     for (name, lag), one in poses.items():
-        if name != ONLINE or lag in GOALS:
+        if name != WINDOW:
             label = f"{name}_{lag:g}".replace(" ", "_")
             arrays |= {f"{label}_times": one.times, f"{label}_p": one.p_world_joint}
             arrays[f"{label}_R"] = one.R_world_bone
@@ -102,7 +106,8 @@ def _keep(path: Path, poses: dict[tuple[str, float], PoseSequence], truth: PoseS
 def rows_of(options: Namespace) -> list[dict[str, Any]]:
     """Rows of all recordings, in parallel."""
     work = jobs(options)
-    one = partial(measured, lags=LAGS, confidence=options.confidence, keep=options.keep)
+    lags = () if options.goals else LAGS
+    one = partial(measured, lags=lags, confidence=options.confidence, keep=options.keep)
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
@@ -135,7 +140,7 @@ def _against_lag(rows: Sequence[dict[str, Any]]) -> Table:
 
 def _estimates(rows: Iterable[dict[str, Any]]) -> list[tuple[str, float]]:
     """Estimates and lags, the baseline first and batch last."""
-    order = (CAUSAL, ONLINE, BATCH)
+    order = (CAUSAL, ONLINE, WINDOW, BATCH)
     return sorted({(r["estimate"], r["lag"]) for r in rows}, key=lambda k: (order.index(k[0]), k[1]))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.harness import pooled
-from benchmarks.online.accuracy import BATCH, CAUSAL, GOALS, ONLINE
+from benchmarks.online.accuracy import BATCH, CAUSAL, GOALS, ONLINE, WINDOW
 from benchmarks.online.speed import MOST, STEP
 
 COLORS = {"8": "#0072b2", "10": "#c0392b", "4": "#009e73"}
@@ -39,17 +39,20 @@ def error_against_lag(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 def _curve(ax: Any, rows: Sequence[dict[str, Any]], name: str, sensors: str) -> None:
     color = COLORS.get(sensors, "0.3")
-    lags = sorted({row["lag"] for row in rows if row["estimate"] == ONLINE})
-    mean = [_mean(rows, ONLINE, lag, name) for lag in lags]
-    ax.plot(lags, mean, "o-", ms=4, color=color, label=f"online, {sensors} sensors")
+    lags = sorted({row["lag"] for row in rows if row["estimate"] == WINDOW})
+    mean = [_mean(rows, WINDOW, lag, name) for lag in lags]
+    ax.plot(lags, mean, ".-", color=color, lw=1, label=f"window of 1 s, {sensors} sensors")
+    own = [_mean(rows, ONLINE, lag, name) for lag in GOALS]
+    label = f"window of the lag, {sensors} sensors"
+    ax.plot(list(GOALS), own, "s", ms=5, mfc="none", color=color, label=label)
     batch, causal = _mean(rows, BATCH, 0.0, name), _mean(rows, CAUSAL, 0.0, name)
     ax.axhline(batch, color=color, ls="--", lw=1, label=f"batch, {sensors} sensors")
     ax.plot([0], [causal], "x", color=color, label=f"causal SF2, {sensors} sensors")
     if name != "mpjpe_rr_mm":
         return
-    for row in [_interval(rows, lag) for lag in lags]:
-        ax.plot([row[0]] * 2, row[1:], color=color, lw=0.8, alpha=0.5)
     for lag, most in GOALS.items():
+        low, high = _interval(rows, lag)
+        ax.plot([lag, lag], [low, high], color=color, lw=0.8, alpha=0.5)
         goal = batch * (1 + most / 100)
         ax.plot([lag], [goal], "_", ms=16, mew=2, color=color)
         ax.annotate(f"+{most:g} %", (lag, goal), xytext=(9, -3), textcoords="offset points", color=color,
@@ -61,10 +64,10 @@ def _mean(rows: Sequence[dict[str, Any]], estimate: str, lag: float, name: str) 
     return float(pooled(own, (name,))[name])
 
 
-def _interval(rows: Sequence[dict[str, Any]], lag: float) -> tuple[float, float, float]:
+def _interval(rows: Sequence[dict[str, Any]], lag: float) -> tuple[float, float]:
     own = [row for row in rows if (row["estimate"], row["lag"]) == (ONLINE, lag)]
     low, high = pooled(own, ())["rr_interval"]
-    return lag, low, high
+    return low, high
 
 
 def histogram(rows: Sequence[dict[str, Any]], path: Path) -> None:

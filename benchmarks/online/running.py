@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ _FIELDS = (
     "direction_observed",
 )  # fmt: skip
 """Arrays of `PoseSequence` over time."""
+WIDER = 5 / 60
+"""[s] by which a window is longer than its lag."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +69,34 @@ def tracks(
     recording: Recording, make: MakeEstimator, settings: Any, lags: Sequence[float],
     faults: Faults = NO_FAULTS,
 ) -> dict[float, Track]:  # fmt: skip
-    """The poses of a recording at every lag, s; the last ones are as old as the end makes them."""
+    """The poses of a recording at every lag, s, each from an estimator of its own.
+
+    The last poses are as old as the recording's end makes them.
+    """
     found: dict[float, Track] = {}
     for lag in lags:
         estimator = make(setup_of(recording), recording.video.names, replace(settings, lag_s=lag))
         found[lag] = joined([*run(estimator, recording, faults), *estimator.finish()])
     return found
+
+
+def tracks_of_one_window(
+    recording: Recording, make: MakeEstimator, settings: Any, lags: Sequence[float]
+) -> dict[float, Track]:
+    """The same from one estimator whose window is longer than every lag, shown anew at each tick."""
+    settings = replace(settings, window_s=max(lags) + WIDER)
+    estimator = make(setup_of(recording), recording.video.names, settings)
+    newest, rate_hz = estimator.settings.frames - 1, estimator.settings.rate_hz
+    back = {lag: round(lag * rate_hz) for lag in lags}
+    found: dict[float, list[OnlineEstimate]] = {lag: [] for lag in lags}
+    for estimate in run(estimator, recording):
+        for lag, frames in back.items():
+            one = estimate if frames == 0 else estimator._estimate(newest - frames, perf_counter())
+            found[lag] += [one] if one is not None else []
+    for lag, frames in back.items():
+        rest = (estimator._estimate(newest - i, perf_counter()) for i in reversed(range(frames)))
+        found[lag] += [one for one in rest if one is not None]
+    return {lag: joined(own) for lag, own in found.items()}
 
 
 def joined(estimates: Iterable[OnlineEstimate]) -> Track:

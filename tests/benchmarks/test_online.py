@@ -133,7 +133,7 @@ def test_each_lag_covers_the_whole_recording(recording: Recording) -> None:
 
 @pytest.mark.usefixtures("stand_in")
 def test_errors_against_lag_are_those_of_the_stand_in(job: recordings.Job, tmp_path: Path) -> None:
-    rows = accuracy.measured(job, (0.0, 0.25, 1.0), False, tmp_path)
+    rows = accuracy.measured(job, (), False, tmp_path)
     online = {row["lag"]: row for row in rows if row["estimate"] == accuracy.ONLINE}
     assert online[0.0]["mpjpe_mm"] == pytest.approx(10.0)
     assert online[0.25]["mpjpe_mm"] == pytest.approx(7.5)
@@ -143,7 +143,7 @@ def test_errors_against_lag_are_those_of_the_stand_in(job: recordings.Job, tmp_p
     assert 5.0 < batch["mpjpe_rr_mm"] < 80.0
     assert 0.5 < batch["inside_relative"] <= 1.0
     assert {row["estimate"] for row in rows} == {accuracy.ONLINE, accuracy.BATCH, accuracy.CAUSAL}
-    kept = accuracy.measured(job, (0.0,), False, None)
+    kept = accuracy.measured(job, (), False, None)
     again = next(row for row in kept if row["estimate"] == accuracy.BATCH)
     assert again["mpjpe_rr_mm"] == pytest.approx(batch["mpjpe_rr_mm"], abs=1e-9)
     with np.load(tmp_path / f"{job.key}.npz") as data:
@@ -160,9 +160,10 @@ def test_ratios_are_pooled_by_error_and_by_motion(tmp_path: Path) -> None:
     rows = []
     for motion, whole, online in (("a", 20.0, 22.0), ("b", 40.0, 48.0)):
         rows += [row(motion, accuracy.BATCH, 0.0, whole), row(motion, accuracy.CAUSAL, 0.0, 50.0)]
-        rows += [row(motion, accuracy.ONLINE, lag, online) for lag in accuracy.LAGS]
+        rows += [row(motion, accuracy.ONLINE, lag, online) for lag in accuracy.GOALS]
+        rows += [row(motion, accuracy.WINDOW, lag, online) for lag in accuracy.LAGS]
     lag, ratios, motions = accuracy.tables(rows)
-    assert len(lag.rows) == len(accuracy.LAGS) + 2
+    assert len(lag.rows) == len(accuracy.LAGS) + len(accuracy.GOALS) + 2
     cells = dict(zip(ratios.columns, ratios.rows[0], strict=True))
     assert cells["above batch %, pooled"] == pytest.approx(100 * 10 / 60)
     assert cells["mean of motions %"] == pytest.approx(15.0)
