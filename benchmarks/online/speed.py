@@ -13,8 +13,9 @@ import multiprocessing
 import os
 import time
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,9 +27,9 @@ from numpy.typing import NDArray
 from benchmarks import harness
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording
-from benchmarks.online.streams import NO_FAULTS, portions, setup_of
+from benchmarks.online.streams import portions, setup_of
 from rtof_kin.core.array_types import Array
-from rtof_kin.live.replay import Faults
+from rtof_kin.live.samples import OnlineEstimate, Sample
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
 
@@ -43,6 +44,9 @@ STEP, MOST = 0.1, 30.0
 """[ms] steps of the counts, and where they end."""
 BINS = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, MOST)
 """[ms] of the histogram in the report."""
+Work = Callable[[], list[OnlineEstimate]]
+"""What is done at a tick."""
+Measure = Callable[..., dict[str, Any]]
 SPARE = 1000
 """Poses beyond one a frame that there is room for."""
 
@@ -63,8 +67,6 @@ class Spent:
     """(N,) s of the poses that were returned."""
     p_world_joint: NDArray[np.float32]
     """(N, J, 3) m."""
-    R_world_bone: NDArray[np.float32]
-    """(N, J, 3, 3)"""
 
 
 def resident_mb() -> float:
@@ -73,29 +75,42 @@ def resident_mb() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def timed(recording: Recording, own: Any, faults: Faults = NO_FAULTS) -> Spent:
-    """Stream a recording through the estimator. All that is kept of it is allocated before."""
+def timed(recording: Recording, work: Iterable[tuple[float, Work]]) -> Spent:
+    """Time the work of every tick. All that is kept of it is allocated before.
+
+    Args:
+        recording: that it is of. work: ticks, s, and what is done then.
+    """
     ticks, joints = recording.video.times, len(recording.skeleton.names)
     looks = np.arange(ticks[0] + EVERY, ticks[-1], EVERY)
     spent, memory, found, look = np.zeros((2, len(ticks))), np.zeros(len(looks)), 0, 0
     times = np.ones(len(ticks) + SPARE)  # ones, so that their memory is resident
-    p, R = np.ones((len(times), joints, 3), np.float32), np.ones((len(times), joints, 3, 3), np.float32)
-    live = estimator(setup_of(recording), recording.video.names, own)
-    for t, (now, samples) in enumerate(portions(recording, ticks, faults)):
+    p = np.ones((len(times), joints, 3), np.float32)
+    for t, (now, step) in enumerate(work):
         clock, processor = time.perf_counter(), time.process_time()
-        for sample in samples:
-            live.push(sample)
-        estimates = live.advance(now)
+        estimates = step()
         spent[:, t] = time.perf_counter() - clock, time.process_time() - processor
         for one in estimates:
             times[found], p[found] = one.poses.times[0], one.poses.p_world_joint[0]
-            R[found] = one.poses.R_world_bone[0]
             found += 1
         if look < len(looks) and now >= looks[look]:
             memory[look] = resident_mb()
             look += 1
     clocks, processors = 1e3 * spent
-    return Spent(clocks, processors, looks[:look], memory[:look], times[:found], p[:found], R[:found])
+    return Spent(clocks, processors, looks[:look], memory[:look], times[:found], p[:found])
+
+
+def steps(recording: Recording, own: Any) -> Iterator[tuple[float, Work]]:
+    """What the estimator does at each frame of the video: takes the samples, and estimates."""
+    live = estimator(setup_of(recording), recording.video.names, own)
+
+    def step(now: float, samples: Sequence[Sample]) -> list[OnlineEstimate]:
+        for sample in samples:
+            live.push(sample)
+        return list(live.advance(now))
+
+    for now, samples in portions(recording, recording.video.times):
+        yield now, partial(step, now, samples)
 
 
 def drift_mb_per_hour(times: Array, memory: Array) -> float:
@@ -104,16 +119,23 @@ def drift_mb_per_hour(times: Array, memory: Array) -> float:
     return float(3600 * np.polyfit(times[late], memory[late], 1)[0]) if late.sum() >= 3 else float("nan")
 
 
-def on_one_core(folder: Path, path: Path, faults: Faults, own: dict[str, Any]) -> None:
-    """Time the recording of a folder on one core; for a process of its own."""
+def stream(recording: Recording, own: dict[str, Any]) -> dict[str, Any]:
+    """Stream a recording through the estimator."""
+    return dict(vars(timed(recording, steps(recording, settings(**own)))))
+
+
+def on_one_core(folder: Path, path: Path, measure: Measure, arguments: tuple[Any, ...]) -> None:
+    """Measure the recording of a folder on one core; for a process of its own."""
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     logging.disable(logging.WARNING)
-    found = timed(Recording.load(folder), settings(**own), faults)
-    np.savez(path, **vars(found))
+    np.savez(path, **measure(Recording.load(folder), *arguments))
 
 
-def in_own_process(recording: Recording, faults: Faults = NO_FAULTS, **own: Any) -> Spent:
-    """Time a recording in a fresh process with one thread, so that memory is the estimator's.
+def in_own_process(recording: Recording, measure: Measure, *arguments: Any) -> dict[str, Any]:
+    """Measure a recording in a fresh process with one thread, so that its memory is the estimator's.
+
+    Args:
+        recording: loaded there. measure: gives arrays by name. arguments: its further ones.
 
     Raises:
         RuntimeError: the process failed.
@@ -123,14 +145,14 @@ def in_own_process(recording: Recording, faults: Faults = NO_FAULTS, **own: Any)
     with TemporaryDirectory() as name:
         folder, path = Path(name) / "recording", Path(name) / "spent.npz"
         recording.save(folder)
-        work = (folder, path, faults, own)
+        work = (folder, path, measure, arguments)
         process = multiprocessing.get_context("spawn").Process(target=on_one_core, args=work)
         process.start()
         process.join()
         if process.exitcode:
             raise RuntimeError(f"the timed process ended with {process.exitcode}")
         with np.load(path) as data:
-            return Spent(**{name: data[name] for name in data.files})
+            return dict(data)
 
 
 def row_of(spent: Spent) -> dict[str, Any]:
@@ -160,7 +182,7 @@ def rows_of(options: Namespace) -> list[dict[str, Any]]:
     for sensors in options.sensors:
         for rate in RATES:
             recording = long_recording(clip, harness.SENSOR_SETS[sensors], rate, options.seed)
-            spent = in_own_process(recording, confidence=options.confidence)
+            spent = Spent(**in_own_process(recording, stream, {"confidence": options.confidence}))
             rows.append({"case": f"{sensors} sensors at {rate:g} Hz"} | row_of(spent))
     return rows
 

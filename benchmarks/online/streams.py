@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +34,26 @@ def setup_of(recording: Recording) -> Recording:
     return replace(recording, keypoints=first, imus=imus, truth=None)
 
 
+def replayed(
+    recording: Recording, faults: Faults = NO_FAULTS
+) -> tuple[RecordingReplay, Callable[[float], None]]:
+    """A replay whose time passes by hand, and what sets it, s of the recording."""
+    streams = [stream for stream in (recording.keypoints, recording.imus) if stream is not None]
+    first, passed = min(float(stream.times[0]) for stream in streams), 0.0
+
+    def now() -> float:
+        return passed
+
+    def reach(time: float) -> None:
+        nonlocal passed
+        passed = max(time - first + _TOGETHER, 0.0)
+
+    clock = ReplayClock(now=now)
+    replay = RecordingReplay.of_recording(recording, clock, faults=faults)
+    clock.now(replay)
+    return replay, reach
+
+
 def portions(
     recording: Recording, ticks: Sequence[float] | Array, faults: Faults = NO_FAULTS
 ) -> Iterator[tuple[float, list[Sample]]]:
@@ -42,17 +62,10 @@ def portions(
     Args:
         recording: with a video, sensors or both. ticks: rising. faults: on the way.
     """
-    reached = 0.0
-
-    def now() -> float:
-        return reached
-
-    clock = ReplayClock(now=now)
-    replay = RecordingReplay.of_recording(recording, clock, faults=faults)
+    replay, reach = replayed(recording, faults)
     replay.start()
-    clock.now(replay)
     for tick in ticks:
-        reached = float(tick) - clock.first + _TOGETHER
+        reach(float(tick))
         yield float(tick), replay.poll()
 
 

@@ -40,6 +40,7 @@ class StandIn:
     given: int = 0
     newest: float = -np.inf
     frames: list[float] = field(default_factory=list)
+    dropped: dict[str, int] = field(default_factory=dict)
 
     def push(self, sample: Sample) -> None:
         self.newest = max(self.newest, sample.time)
@@ -82,7 +83,7 @@ def recording(job: recordings.Job) -> Recording:
 @pytest.fixture
 def stand_in(monkeypatch: pytest.MonkeyPatch, recording: Recording) -> None:
     truth = recordings.truth_of(recording)
-    for module in (accuracy, dropped, speed):
+    for module in (accuracy, dropped, soak, speed):
         monkeypatch.setattr(module, "estimator", lambda setup, names, own: StandIn(truth, own))
         monkeypatch.setattr(module, "settings", Settings)
 
@@ -178,7 +179,7 @@ def test_ratios_are_pooled_by_error_and_by_motion(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("stand_in")
 def test_times_and_memory_of_every_frame(recording: Recording, tmp_path: Path) -> None:
-    spent = speed.timed(recording, Settings())
+    spent = speed.timed(recording, speed.steps(recording, Settings()))
     assert len(spent.clock) == len(spent.times) == len(recording.video)
     assert (spent.clock > 0).all()
     assert spent.p_world_joint.shape[1:] == (21, 3)
@@ -199,7 +200,7 @@ def test_drift_is_that_after_the_first_minute() -> None:
 def test_a_slow_frame_is_counted() -> None:
     clock = np.array([1.0] * 99 + [200.0])
     none = np.empty(0)
-    found = speed.row_of(Spent(clock, clock, none, none, none, none, none))  # type: ignore[arg-type]
+    found = speed.row_of(Spent(clock, clock, none, none, none, none))  # type: ignore[arg-type]
     assert found["ms"]["processor"]["max"] == 200.0
     assert found["above_10_ms"]["clock"] == pytest.approx(0.01)
     assert found["counts"][-1] == 1
@@ -218,6 +219,18 @@ def test_poses_sink_while_the_camera_is_off_and_recover(
     assert early["rr_mm"] == pytest.approx(0.0, abs=1e-6)
     assert 0.0 <= dropped.recovery(usual, without, loss + 0.8) < 0.3
     assert np.isnan(dropped.recovery(usual, without.with_poses(slice(None), without.p_world_joint + 1), loss))
+
+
+@pytest.mark.usefixtures("stand_in")
+def test_a_session_tells_of_a_sensor_that_dies(recording: Recording) -> None:
+    start = float(recording.video.times[0]) + 0.5
+    faults = Faults(dead=(("L_LowArm", start, start + 0.7),))
+    found = soak.session(recording, faults, {})
+    told = list(zip(found["told_at"].tolist(), found["told"].tolist(), strict=True))
+    dies, over = soak.reports(recording, faults, told)
+    assert (dies["planted"], dies["told"]) == (1, 1)
+    assert 0.4 < dies["longest_s"] < 1.0
+    assert over["fault"] == "sensor dies: over"
 
 
 def test_errors_of_an_hour_are_by_segment_and_fault(recording: Recording) -> None:
