@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import harness
+from benchmarks.lifter_speed import host
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording, truth_of
 from benchmarks.online.speed import Spent, Work, in_own_process, memory_table, row_of, timed, times_table
@@ -123,13 +124,14 @@ def rows_of(options: Namespace) -> list[dict[str, Any]]:
     recording = long_recording(clip, harness.SENSOR_SETS[sensors], RATE, options.seed)
     recording = frozen(recording, intervals(recording, CAMERA_FROZEN))
     faults = faults_of(recording, options.seed)
-    began = perf_counter()
+    machine, began = host(), perf_counter()
     found = in_own_process(recording, session, faults, {"confidence": options.confidence})
     took = perf_counter() - began
     told = list(zip(found.pop("told_at").tolist(), found.pop("told").tolist(), strict=True))
     spent = Spent(**found)
     case = f"{sensors} sensors at {RATE:g} Hz"
-    first = {"kind": "times", "case": case, "hours": options.hours, "took_s": took} | row_of(spent)
+    about = {"kind": "times", "case": case, "host": machine, "hours": options.hours, "took_s": took}
+    first = about | row_of(spent)
     errors = segments(recording, spent.times, spent.p_world_joint.astype(float))
     return [first, *reports(recording, faults, told), *errors]
 

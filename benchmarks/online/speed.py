@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import harness
+from benchmarks.lifter_speed import host
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import long_motion, long_recording
 from benchmarks.online.streams import portions, setup_of
@@ -178,12 +179,12 @@ def row_of(spent: Spent) -> dict[str, Any]:
 def rows_of(options: Namespace) -> list[dict[str, Any]]:
     """A row of each case."""
     clip = long_motion(options.corpus, options.person, options.seconds or 600.0)
-    rows = []
+    rows, machine = [], host()
     for sensors in options.sensors:
         for rate in RATES:
             recording = long_recording(clip, harness.SENSOR_SETS[sensors], rate, options.seed)
             spent = Spent(**in_own_process(recording, stream, {"confidence": options.confidence}))
-            rows.append({"case": f"{sensors} sensors at {rate:g} Hz"} | row_of(spent))
+            rows.append({"case": f"{sensors} sensors at {rate:g} Hz", "host": machine} | row_of(spent))
     return rows
 
 
@@ -199,7 +200,11 @@ def times_table(rows: Sequence[dict[str, Any]]) -> Table:
         for row in rows for kind in ("processor", "clock")
     ]  # fmt: skip
     columns = ("case", "time", *(f"{name} ms" for name in NAMES), "above 10 ms %")
-    notes = ("60 frames a second, 16.7 ms each. Goals: p50 5 ms, p99 10 ms.",)
+    machine = rows[0].get("host", {})
+    notes = (
+        "60 frames a second, 16.7 ms each. Goals: p50 5 ms, p99 10 ms.",
+        *(f"{name.replace('_', ' ')}: {value}" for name, value in machine.items()),
+    )
     return Table("times", "Time of a frame", columns, (0, 0, 2, 2, 2, 2, 1, 2), tuple(lines), notes)
 
 
