@@ -15,7 +15,7 @@ from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork, torch_threads
 from lifting.models import RAYS, model_of
 from lifting.source import Source
-from lifting.windows import SIGMA_TURN, Estimate, Windows, orthonormal, rotations
+from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.core.array_types import Array, Mask
@@ -174,18 +174,13 @@ class Lifter:
             (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad; whether enough joints were
             seen (B,).
         """
-        network = self.network
-        windows = source.windows(
-            times, network.receptive_field(), network.estimated(), self.description.rate_hz, bones,
-            height, picture=network.config.model != RAYS,
-        )  # fmt: skip
-        return self.lifted(windows, flip)
-
-    def lifted(self, windows: Windows, flip: bool = True) -> tuple[Array, Array, Array, Array, Mask]:
-        """Estimate the poses of B windows, as `lift_windows` does."""
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
         with torch_threads(1), torch.inference_mode():
+            windows = source.windows(
+                times, network.receptive_field(), network.estimated(), self.description.rate_hz, bones,
+                height, picture=network.config.model != RAYS,
+            )  # fmt: skip
             encoded = model.encode(body, windows)
             if network.config.model == RAYS:
                 if flip not in self._folded:

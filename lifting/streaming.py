@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lifting.few_windows import FewWindows
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter, camera_height
 from lifting.source import Source
@@ -83,6 +84,7 @@ class StreamingLifter:
                 "not negative"
             )
         self._lifter, self._camera, self._body = lifter, camera, description.body
+        self._centre = camera.center_world
         self._names = checked_names("landmark names", lifter.names if names is None else names)
         joints = [j for j, name in enumerate(lifter.names) if name in self._names]
         if len(joints) < MIN_JOINTS:
@@ -91,9 +93,9 @@ class StreamingLifter:
                 f"{MIN_JOINTS}; its joints are {', '.join(lifter.names)}"
             )
         self._joints, self._landmarks = joints, [self._names.index(lifter.names[j]) for j in joints]
-        self._bones, self._flip = lifter.bones_of(joint_offsets), flip
+        self._bones, self._height = lifter.bones_of(joint_offsets), camera_height(camera, floor_height)
         self._R_bone_shared = lifter.shared_frames(joint_offsets)
-        self._height = camera_height(camera, floor_height)
+        self._lifted = FewWindows(self._body, lifter.network, self._bones, self._height, flip)
         self._lookaheads, self._history = tuple(map(int, lookaheads)), history_s
         self._frames = _Frames(len(lifter.names), len(self._body.sensors), camera)
 
@@ -176,17 +178,22 @@ class StreamingLifter:
         at, newest = readonly("times", times, ("n",)), self._frames.newest
         if not len(at):
             return ()
-        if not np.all((at >= newest - self._history - _SAME_S) & (at <= newest + _SAME_S)):
+        latest = float(at.max())
+        if not (at.min() >= newest - self._history - _SAME_S and latest <= newest + _SAME_S):
             raise InvalidInputError(
-                f"times from {at.min():g} to {at.max():g} s: give such within "
+                f"times from {at.min():g} to {latest:g} s: give such within "
                 f"{self._history:g} s before the newest frame at {newest:g} s"
             )
         source, rate_hz = self._frames.source(), self._lifter.description.rate_hz
-        if self._after() and at.max() + self.delay_s > newest + 0.1 / rate_hz:
+        if self._after() and latest + self.delay_s > newest + 0.1 / rate_hz:
             source = source.extended(self._after(), rate_hz)
-        arrays = self._lifter.lift_windows(source, at, self._bones, self._height, self._flip)
-        p, sigma_m, R, sigma_rad, enough = arrays
-        p = self._camera.center_world + p
+        windows = source.windows(
+            at, self._lifter.receptive_field(), self._lifter.estimated(), rate_hz, self._bones,
+            self._height, picture=False,
+        )  # fmt: skip
+        p, sigma_m, R, sigma_rad = self._lifted(windows)
+        enough = windows.seen.numpy().any(axis=1).sum(axis=1) >= MIN_JOINTS
+        p += self._centre
         R = R @ self._R_bone_shared.swapaxes(-1, -2)
         known = enough & np.isfinite(p).all(axis=(1, 2))
         for array in (p, sigma_m, R, sigma_rad):
@@ -204,9 +211,9 @@ class StreamingLifter:
         """Directions in world (J, 3), zero where unseen, and whether seen (J,)."""
         L, J = len(self._names), len(self._body.names)
         uv, sure = readonly("uv_px", uv_px, (L, 2)), readonly("confidence", confidence, (L,))
-        if np.any((sure < 0) | (sure > 1)):
+        if ((sure < 0) | (sure > 1)).any():
             raise InvalidInputError("confidence: outside [0, 1]; divide by the detector's maximum")
-        if np.any(np.isinf(uv)):
+        if np.isinf(uv).any():
             raise InvalidInputError("uv_px: infinite; write NaN where a landmark was not seen")
         rays, seen = np.zeros((J, 3)), np.zeros(J, bool)
         found = self._camera.rays_world(uv[self._landmarks])

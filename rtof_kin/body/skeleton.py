@@ -338,10 +338,14 @@ class SkeletonModel:
         q[known] = rows
         return q
 
-    def check(self, q: ArrayLike) -> ConfigurationReport:
-        """Check configurations for singular postures and limit violations.
+    def angles(self, q: Array) -> Array:
+        """Return the angles (T, D) of configurations (T, nq), rad, nearest to the middle of the limits."""
+        angles, index = np.empty((len(q), len(self.dof_names))), self._q_index - 7
+        angles[:, index] = so3.euler_near(q[:, self._q_index], self.limits.mean(axis=1)[index])
+        return angles
 
-        Limits are checked on the representative of the angles nearest to the middle of the limits.
+    def check(self, q: ArrayLike) -> ConfigurationReport:
+        """Check configurations for singular postures and limit violations of `angles`.
 
         Args:
             q: (T, nq).
@@ -350,10 +354,7 @@ class SkeletonModel:
         singular: Mask = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]
         singular[:, 1:] = np.abs(np.cos(middle)) < np.sin(SINGULAR_MARGIN)
-        index = self._q_index - 7
-        angles = np.empty((len(rows), len(self.dof_names)))
-        middle_of_limits = self.limits.mean(axis=1)
-        angles[:, index] = so3.euler_near(rows[:, self._q_index], middle_of_limits[index])
+        angles = self.angles(rows)
         excess = np.maximum(np.maximum(self.limits[:, 0] - angles, angles - self.limits[:, 1]), 0.0)
         return ConfigurationReport(singular, excess, self.dof_names)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +28,8 @@ from rtof_kin.core.signals import runs
 BASE_COLUMNS: Final = ("base_x", "base_y", "base_z", "base_qx", "base_qy", "base_qz", "base_qw")
 BASE_TURN: Final = "base_q"
 """Name of the base's orientation as a whole."""
-_HEADER: Final = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "world"}
+WORLD_FRAME: Final = "world"
+"""``frame_id`` of poses in ROS messages."""
 
 
 def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
@@ -143,10 +145,10 @@ def _joint_message(
     angles = q[:, 7:][:, kept]
     velocities = joint_velocities(skeleton, q, times)[:, 6:][:, kept]
     return {
-        "header": _HEADER,
+        "header": ros_header(0.0),
         "joint_names": [skeleton.dof_names[i] for i in kept],
         "points": [
-            {"positions": row, "velocities": rates, "time_from_start": _duration(time)}
+            {"positions": row, "velocities": rates, "time_from_start": ros_time(time)}
             for row, rates, time in zip(angles.tolist(), velocities.tolist(), times, strict=True)
         ],
     }
@@ -155,13 +157,34 @@ def _joint_message(
 def _base_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
     points = []
     for row, time in zip(q.tolist(), times, strict=True):
-        translation = dict(zip("xyz", row[:3], strict=True))
-        rotation = dict(zip("xyzw", row[3:7], strict=True))
-        transforms = [{"translation": translation, "rotation": rotation}]
-        points.append({"transforms": transforms, "time_from_start": _duration(time)})
-    return {"header": _HEADER, "joint_names": [skeleton.root], "points": points}
+        points.append({"transforms": [ros_transform(row)], "time_from_start": ros_time(time)})
+    return {"header": ros_header(0.0), "joint_names": [skeleton.root], "points": points}
 
 
-def _duration(seconds: float) -> dict[str, int]:
+def ros_time(seconds: float) -> dict[str, int]:
+    """Return a builtin_interfaces/Time or Duration.
+
+    Args:
+        seconds: s.
+    """
     nanoseconds = round(float(seconds) * 1e9)
     return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def ros_header(seconds: float) -> dict[str, Any]:
+    """Return a std_msgs/Header of something in world.
+
+    Args:
+        seconds: its time, s.
+    """
+    return {"stamp": ros_time(seconds), "frame_id": WORLD_FRAME}
+
+
+def ros_transform(q: Sequence[float]) -> dict[str, dict[str, float]]:
+    """Return the geometry_msgs/Transform of the root link in world.
+
+    Args:
+        q: configuration; its first seven numbers.
+    """
+    translation = dict(zip("xyz", q[:3], strict=True))
+    return {"translation": translation, "rotation": dict(zip("xyzw", q[3:7], strict=True))}

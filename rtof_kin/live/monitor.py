@@ -84,7 +84,7 @@ class _Stream:
 
     def __init__(self, name: str):
         self.name = name
-        self.recent, self.quality = Recent(), Quality(0.0, 0.0, 0, 0.0, 0.0, 0.0)
+        self.recent, self.quality = Recent(), Quality()
         self.heard = math.nan  # [s] on the session's clock, when the last sample came
         self.newest = self.same_since = self.seen = self.counted = math.nan
         self.numbers = b""
@@ -106,9 +106,11 @@ class _Stream:
         self.received += 1
         self.late += age > _LATE
         self.heard = heard
-        if time - self.newest > self.silence:
-            self.lost += (time - self.newest) * self.quality.rate_hz
+        if self.received == 1:
             self.counted = time
+        elif time - self.newest > self.silence:
+            gap = (time - self.newest) / self.quality.period - 1 if self.quality.period else 0.0
+            self.lost, self.counted = self.lost_so_far + gap, time
             self.recent.clear()
         self.recent.add(time, age)
         if time <= self.newest:
@@ -162,9 +164,12 @@ class _Stream:
         if quality is None:
             return
         self.quality = quality
-        if not self.newest - self.counted < 1.0:
-            self.lost += quality.missing
-            self.counted = self.newest
+        self.lost, self.counted = self.lost_so_far, self.newest
+
+    @property
+    def lost_so_far(self) -> float:
+        """Number of samples that did not come."""
+        return self.lost + self.quality.missing_hz * max(0.0, self.newest - self.counted)
 
     def turned(self, state: State, holds: bool | None, now: float) -> float | None:
         """Note a state; return how long it lasted if it ends, 0 if it begins, None if neither."""
@@ -300,7 +305,7 @@ class Monitor:
     def counts(self) -> dict[str, StreamCounts]:
         """Return the samples of each stream so far."""
         return {
-            s.name: StreamCounts(s.received, round(s.lost), s.late, s.repeated)
+            s.name: StreamCounts(s.received, round(s.lost_so_far), s.late, s.repeated)
             for s in self._streams.values()
         }
 

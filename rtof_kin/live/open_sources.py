@@ -1,4 +1,4 @@
-"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``, ``ws``."""
+"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
 """Words of outputs, for messages."""
 _LSL, _UDP, _WS = "lsl", "udp", "ws"
 _OUTLET: Final = "rtof_kin"
+_PORT: Final = 8765
+"""Of the WebSocket, unless another is given."""
 _SKELETON: Final = "total_capture"
 
 
@@ -37,6 +39,11 @@ class Streams:
     """Clock of those that are replayed."""
     replayed: bool
     """Whether all of them are replayed, so that they end."""
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether time passes by itself; else by polls of the sources."""
+        return self.replay.paced or not self.replayed
 
 
 @dataclass
@@ -164,12 +171,12 @@ def _camera(word: str, opening: _Opening) -> Source:
         raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
     if setup.skeleton_table != _SKELETON:
         raise SourceError(
-            f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} has "
-            f"{setup.skeleton_table}"
+            f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} "
+            f"has {setup.skeleton_table}"
         )
     return VideoSource(
         int(word) if word.isdecimal() else path if not webcam else word,
-        opening.detector(),
+        opening.detector,
         camera_px=(camera.width_px, camera.height_px),
         replay=opening.replay,
         clock=Clock.COMMON if webcam else opening.clock,
@@ -227,5 +234,6 @@ def _sink(word: str, setup: Recording) -> Sink:
     if kind.lower() == _WS and (not rest or rest.isdecimal()):
         from rtof_kin.live.websocket_server import WebSocketServer
 
-        return WebSocketServer(setup.skeleton, **({"port": int(rest)} if rest else {}))
+        port = int(rest) if rest else _PORT
+        return WebSocketServer(setup.skeleton, port, floor_height=setup.floor_height)
     raise SourceError(f"--out {word}: there is no such output; give {OUTPUTS}")

@@ -20,12 +20,10 @@ from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
+from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import Recording
-
-VIDEO: Final = "video"
-"""Name of the video among the streams that may die."""
 
 
 @dataclass(frozen=True)
@@ -217,6 +215,7 @@ class RecordingReplay:
             SourceError: the times are those of another clock than another replay's.
         """
         times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
+        self._closed = False
         self._replay.cover(self._name, min(t[0] for t in times), max(t[-1] for t in times))
 
     def poll(self) -> list[Sample]:

@@ -36,7 +36,7 @@ class ReplayClock:
         if not 0 < step < np.inf:
             raise InvalidInputError(f"step of a replay: {step:g} s is not positive")
         self._speed, self._step, self._system = speed, step, now
-        self._spans: list[tuple[str, float, float]] = []
+        self._spans: dict[str, tuple[float, float]] = {}
         self._begun: float | None = None
         self._round, self._read = 0, set[int]()
         self._lock = threading.Lock()
@@ -54,7 +54,15 @@ class ReplayClock:
     @property
     def first(self) -> float:
         """Earliest time of any source, s."""
-        return min((start for _, start, _ in self._spans), default=0.0)
+        return min((start for start, _ in self._spans.values()), default=0.0)
+
+    @property
+    def time(self) -> float:
+        """Time that was reached, s; asking does not move it on."""
+        with self._lock:
+            if self.paced:
+                return self.first if self._begun is None else self._paced(self._begun)
+            return self.first + self._round * self._step
 
     def cover(self, name: str, first: float, last: float) -> None:
         """Take part: the replay begins at the earliest time of all sources.
@@ -65,14 +73,14 @@ class ReplayClock:
         Raises:
             SourceError: no time is common with another source, so their clocks differ.
         """
-        for other, start, stop in self._spans:
+        for other, (start, stop) in self._spans.items():
             if last < start or stop < first:
                 raise SourceError(
                     f"{name}: its times run from {first:.3f} to {last:.3f} s, those of {other} from "
                     f"{start:.3f} to {stop:.3f} s, so their clocks differ; make a recording of them first "
                     "(rtof-kin init) and replay that"
                 )
-        self._spans.append((name, first, last))
+        self._spans[name] = first, last
 
     def now(self, reader: object) -> float:
         """Return the time that was reached, s; it begins with the first call.

@@ -21,7 +21,7 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
-from rtof_kin.inertial.physics import check_log
+from rtof_kin.inertial.physics import LAWS, check_log
 from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.samples import FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import Recording
@@ -182,7 +182,7 @@ class _First:
     start: float = math.inf
     stop: float = -math.inf
     until: float = FIRST_SECONDS
-    told: set[str] = field(default_factory=set)  # names of checks
+    told: set[str] = field(default_factory=set)  # names of checks, or "law"
 
     def add(self, time: float, R: Array, f: Array) -> None:
         self.times.append(time)
@@ -274,8 +274,9 @@ def _physics(source: str, streams: Sequence[tuple[SensorStream, set[str]]]) -> l
     told = {stream.name: names for stream, names in streams}
     failed: dict[str, list[Check]] = {}
     for check in check_log(log):
-        if check.failed and not check.name.startswith(_FOLLOWED) and check.name not in told[check.subject]:
-            told[check.subject].add(check.name)
+        kind = "law" if check.name in LAWS else check.name  # of several broken laws the first one is told
+        if check.failed and not check.name.startswith(_FOLLOWED) and kind not in told[check.subject]:
+            told[check.subject].add(kind)
             failed.setdefault(check.name, []).append(check)
     return [_law_sentence(source, checks) for checks in failed.values()]
 

@@ -10,27 +10,33 @@ from typing import Final
 _SPAN: Final = 1.0  # [s] that is judged
 _OUT_OF_ORDER: Final = 0.1  # [s] for which a missing sample may still come
 _FEWEST, _SHORTEST = 8, 0.4  # samples, [s]
-_EVEN, _MOSTLY_EVEN = 0.25, 0.8  # [-] deviation of a step from whole periods; share of such steps
+_EVEN, _MOSTLY_EVEN = 0.25, 0.8  # [periods] deviation of a step from whole ones; share of such steps
 _HALVES = 0.1  # [-] share of steps of a part of the median that make this part the period
+_CLEARLY, _ADAPTING = 0.75, 0.05  # [-] of the usual rate of a stream without a period; followed each time
 _MOST: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Figures of a stream over its last second."""
+    """Figures of a stream over its last second; 0 before there are any."""
 
-    rate_hz: float
+    rate_hz: float = 0.0
     """Samples per second that came."""
-    period: float
+    period: float = 0.0
     """[s] between samples where none is lost."""
-    missing: int
-    """Samples that did not come."""
-    loss: float
-    """Share of the samples that did not come, [-]."""
-    jitter: float
+    missing: int = 0
+    """Samples that did not come in that second."""
+    missing_hz: float = 0.0
+    """Samples per second that did not come."""
+    jitter: float = 0.0
     """[s] between the 5th and the 95th percentile of lateness."""
-    age: float
+    age: float = 0.0
     """[s] median lateness: by how much a sample is older than the newest of any stream before it."""
+
+    @property
+    def loss(self) -> float:
+        """Share of the samples that did not come, [-]."""
+        return self.missing_hz / max(self.missing_hz + self.rate_hz, 1e-9)
 
 
 class Recent:
@@ -65,18 +71,17 @@ class Recent:
             return None
         span = times[-1] - times[0]
         period, even = _period([b - a for a, b in pairwise(times)])
-        usual_hz = self._usual_hz or (len(times) - 1) / span
-        expected = round(span / period) + 1 if even else round(span * usual_hz) + 1
-        missing = max(0, expected - len(times))
-        if not even:
-            self._usual_hz = usual_hz
-            period = 1 / usual_hz
-        else:
-            self._usual_hz = 1 / period
+        rate_hz = (len(times) - 1) / span
+        if even:
+            missing, self._usual_hz = max(0, round(span / period) + 1 - len(times)), 1 / period
+        else:  # stamps of arrival, in bursts: only against what was usual
+            usual_hz = self._usual_hz or rate_hz
+            few = rate_hz < _CLEARLY * usual_hz
+            missing, period = round(span * (usual_hz - rate_hz)) if few else 0, 1 / usual_hz
+            self._usual_hz = usual_hz + _ADAPTING * (rate_hz - usual_hz)
         ages = sorted(age for _, age in self._samples)
         low, middle, high = (ages[int(share * (len(ages) - 1))] for share in (0.05, 0.5, 0.95))
-        rate_hz = (len(times) - 1) / span
-        return Quality(rate_hz, period, missing, missing / expected, high - low, middle)
+        return Quality(rate_hz, period, missing, missing / span, high - low, middle)
 
 
 def _period(steps: list[float]) -> tuple[float, bool]:
@@ -87,7 +92,7 @@ def _period(steps: list[float]) -> tuple[float, bool]:
         shares = [step / period for step in steps]
         if period < median and sum(abs(s - 1) < _EVEN for s in shares) < _HALVES * len(steps):
             continue
-        even = sum(abs(s / max(round(s), 1) - 1) < _EVEN for s in shares)
+        even = sum(abs(s - max(round(s), 1)) < _EVEN for s in shares)
         if even >= _MOSTLY_EVEN * len(steps):
             return period, True
     return median, False

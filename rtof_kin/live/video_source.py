@@ -1,96 +1,44 @@
 """Points of a person in a webcam's or a video's images, as they come.
 
-One thread reads the images and another detects. Of a webcam the newest image is examined and those that came
-meanwhile are dropped and counted; of a video every image is. Stamps are the times at which images were taken,
-so that the time that detection takes shows as lag.
+Of a webcam the newest image is examined and those that came meanwhile are dropped and counted; of a video
+every image is. Stamps are the times at which images were taken, so that the time that detection takes shows
+as lag.
 """
 
 from __future__ import annotations
 
-import threading
+import math
 import time as system
-from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.core.errors import RtofError, SourceError
 from rtof_kin.live.person_points import PersonPoints
 from rtof_kin.live.replay_clock import ReplayClock
-from rtof_kin.live.samples import Clock, FrameSample, Sample
+from rtof_kin.live.samples import Clock, Sample
+from rtof_kin.live.video_threads import Examination, Image, Images
 from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
 from rtof_kin.vision.video_file import upright_image
 from rtof_kin.vision.video_metadata import read_video_metadata
 
-_RECENT: Final = 30
-"""Frames of which the latency is the median."""
 _SLOW: Final = 0.5
-"""[s] Latency from which on a video that detection cannot follow is told of."""
+"""[s] Latency of a video from which on it is told of; then twice as much, and so on."""
 _FIRST_TOLD: Final = 30
 """Dropped images of a webcam that are told of first; then twice as many, and so on."""
-_PATIENCE: Final = 2.0
-"""[s] to wait for a thread that ends."""
-
-
-@dataclass(frozen=True)
-class _Image:
-    """An image that waits for the detector."""
-
-    time: float  # [s] stamp
-    pixels: NDArray[np.uint8]
-    taken: float  # [s] on the system's clock
-
-
-class _Slot:
-    """Place of one image between two threads; `every`: a full one waits, else it is replaced."""
-
-    def __init__(self, every: bool):
-        self._every, self._ended = every, False
-        self._image: _Image | None = None
-        self._changed = threading.Condition()
-        self.dropped = 0
-
-    def put(self, image: _Image) -> bool:
-        """Return False where nobody takes images any more."""
-        with self._changed:
-            while self._every and self._image is not None and not self._ended:
-                self._changed.wait()
-            if self._ended:
-                return False
-            self.dropped += self._image is not None
-            self._image = image
-            self._changed.notify_all()
-            return True
-
-    def take(self) -> _Image | None:
-        """Wait for an image; None where there will be no more."""
-        with self._changed:
-            while self._image is None and not self._ended:
-                self._changed.wait()
-            image, self._image = self._image, None
-            self._changed.notify_all()
-            return image
-
-    def end(self) -> None:
-        """Let the last image be taken, and no more come."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
 
 
 class VideoSource:
-    """Source of the points of one person in a webcam's or a video's images.
+    """Source of the points of one person in a webcam's or a video's images; it may be started again.
 
     Args:
         source: number or device of a webcam, or a video file.
-        detector: used for nothing else, or the models for `choose_detector`; None: the one at hand.
+        detector: gives the detector; by default the one at hand.
         camera_px: width and height of the calibrated image; None: those of the video.
         layout: of the detector's points; None: by their number.
         replay: clock of a file, shared with other replays. clock: of the stamps.
@@ -100,7 +48,7 @@ class VideoSource:
     def __init__(
         self,
         source: str | Path | int,
-        detector: PersonDetector | str | Path | None = None,
+        detector: Callable[[], PersonDetector] = choose_detector,
         *,
         camera_px: tuple[int, int] | None = None,
         layout: str | None = None,
@@ -108,20 +56,12 @@ class VideoSource:
         clock: Clock = Clock.COMMON,
         now: Callable[[], float] = system.monotonic,
     ):
-        self._source, self._given, self._camera_px, self._layout = source, detector, camera_px, layout
+        self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
         self._live = is_webcam(source)
         self._replay, self._clock, self._now = replay or ReplayClock(), clock, now
-        self._slot = _Slot(every=not self._live)
-        self._stop, self._ended = threading.Event(), False
-        self._ready = threading.Condition()
-        self._samples: deque[FrameSample] = deque()
-        self._latency: deque[float] = deque(maxlen=_RECENT)
-        self._detection: deque[float] = deque(maxlen=_RECENT)
-        self._notices: deque[str] = deque()
+        self._run: Examination | None = None
+        self._closed = False
         self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
-        self._points: PersonPoints | None = None
-        self._threads: list[threading.Thread] = []
-        self._examined = 0
 
     # --- what it says of itself --------------------------------------------------------------------
 
@@ -132,7 +72,7 @@ class VideoSource:
 
     @property
     def clock(self) -> Clock:
-        """Clock of the stamps."""
+        """Clock of the time stamps."""
         return self._clock
 
     @property
@@ -143,119 +83,112 @@ class VideoSource:
     @property
     def landmarks(self) -> tuple[str, ...]:
         """Names of the points: the skeleton's landmarks, then the detector's own; known from `start` on."""
-        return () if self._points is None else self._points.names
+        return () if self._run is None else self._run.points.names
 
     @property
     def finished(self) -> bool:
-        """Whether the video ended, or the webcam stopped, and all was polled."""
-        with self._ready:
-            return self._ended and not self._samples
+        """Whether the video ended and all was polled."""
+        return self._closed or (self._run is not None and not self._live and self._run.ended)
 
     @property
     def latency_s(self) -> float:
         """Median time from the taking of an image to its points, s; NaN before the first."""
-        return float(np.median(list(self._latency) or [np.nan]))
+        return math.nan if self._run is None else self._run.latency_s
 
     @property
     def detection_s(self) -> float:
         """Median time that detection takes for an image, s; NaN before the first."""
-        return float(np.median(list(self._detection) or [np.nan]))
+        return math.nan if self._run is None else self._run.detection_s
 
     @property
     def dropped(self) -> int:
         """Images of a webcam that were not examined."""
-        return self._slot.dropped
+        return 0 if self._run is None else self._run.dropped
 
     # --- source ------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Open camera and detector, and begin to read.
+        """Open camera and detector, and begin to read, unless that is done.
 
         Raises:
             SourceError: there is no such camera, it is in use or not allowed, the file is no video, there is
                 no detector, or the images are not those of the calibrated camera.
         """
+        if self._run is not None and not self._closed:
+            return
         with ExitStack() as opened:
             try:
                 images = opened.enter_context(closing(self._webcam() if self._live else self._file()))
                 first = next(images, None)
                 if first is None:
                     raise SourceError(f"{self.name}: gives no image; see whether another program shows one")
-                given = self._given
-                chosen = choose_detector(given) if isinstance(given, str | Path | None) else given
-                opened.enter_context(closing(chosen))
+                detector = opened.enter_context(closing(self._detector()))
                 size = (first.pixels.shape[1], first.pixels.shape[0])
-                self._points = PersonPoints(chosen, size, self._camera_px, self._layout)
+                points = PersonPoints(detector, size, self._camera_px, self._layout)
             except SourceError:
                 raise
             except RtofError as error:
                 raise SourceError(f"{error}") from error
-            opened.pop_all()  # the threads release them
-        self._run(self._read, images, first)
-        self._run(self._detect, chosen, self._points)
-
-    def _run(self, target: Callable[..., None], *args: Any) -> None:
-        thread = threading.Thread(target=target, args=args, name=self.name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
+            opened.pop_all()  # from here on the threads release them
+        self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
+        self._run = Examination(
+            images, first, detector, points, None if self._live else self._replay, self._now
+        )
 
     def poll(self) -> list[Sample]:
-        """Return the frames that were examined; without pace it waits for those of the clock's time."""
-        if self._live:
-            with self._ready:
-                due, self._samples = list(self._samples), deque()
-                return list(due)
-        now = self._replay.now(self)
-        found: list[Sample] = []
-        with self._ready:
-            if not self._replay.paced:
-                self._ready.wait_for(lambda: self._ended or (self._samples and self._samples[-1].time > now))
-            while self._samples and self._samples[0].time <= now:
-                found.append(self._samples.popleft())
-        return found
+        """Return the frames that were examined; without pace it waits for those of the clock's time.
+
+        Raises:
+            SourceError: the webcam stopped; it may be started again.
+        """
+        run = self._run
+        if run is None or self._closed:
+            return []
+        if not self._live:
+            return list(run.take(self._replay.now(self), wait=not self._replay.paced))
+        found = run.take()
+        if run.ended and not found:
+            why = run.problems.popleft() if run.problems else "it gives no further images"
+            raise SourceError(f"{self.name}: stopped: {why}; see whether it is connected")
+        return list(found)
 
     def notices(self) -> list[str]:
         """Return what was dropped or doubtful since the last call."""
-        told = []
-        while self._notices:
-            told.append(self._notices.popleft())
-        while self._points is not None and self._points.notices:
-            told.append(f"{self.name}: {self._points.notices.popleft()}")
-        if self.dropped >= self._tell_dropped:
-            self._tell_dropped = 2 * self.dropped
+        run, told = self._run, list[str]()
+        if run is None:
+            return []
+        for said in (run.points.notices, *([] if self._live else [run.problems])):
+            while said:
+                told.append(said.popleft())
+        took = f"detection takes {1000 * run.detection_s:.0f} ms an image"
+        if self._live and run.dropped >= self._tell_dropped:
+            self._tell_dropped = 2 * run.dropped
+            count = run.dropped + run.examined
+            told.append(f"{run.dropped} of {count} images were not examined, as {took}")
+        if not self._live and self._replay.paced and run.latency_s >= self._tell_late:
+            self._tell_late = 2 * run.latency_s
             told.append(
-                f"{self.name}: {self.dropped} of {self.dropped + self._examined} images were not examined, "
-                f"as detection takes {1000 * self.detection_s:.0f} ms"
+                f"its points are {run.latency_s:.1f} s late and will be later, as {took}; lower the speed, "
+                "or take a faster detector"
             )
-        if not self._live and self._replay.paced and self.latency_s >= self._tell_late:
-            self._tell_late = 2 * self.latency_s
-            told.append(
-                f"{self.name}: its points are {self.latency_s:.1f} s late and will be later, as detection "
-                f"takes {1000 * self.detection_s:.0f} ms an image; lower the speed, or take a faster detector"
-            )
-        return told
+        return [f"{self.name}: {sentence}" for sentence in told]
 
     def close(self) -> None:
         """Stop the threads and release camera and detector."""
-        self._stop.set()
-        self._slot.end()
-        with self._ready:
-            self._ended = True
-            self._ready.notify_all()
-        for thread in self._threads:
-            thread.join(_PATIENCE)
-        self._samples.clear()
+        self._closed = True
+        if self._run is not None:
+            self._run.close()
 
-    # --- threads -----------------------------------------------------------------------------------
+    # --- images ------------------------------------------------------------------------------------
 
-    def _file(self) -> Generator[_Image, None, None]:
+    def _file(self) -> Images:
         """Generate the images of the file."""
         seconds = read_video_metadata(str(self._source)).seconds
         self._replay.cover(self.name, 0.0, np.inf if seconds is None else seconds)
         for frame in read_video(str(self._source)):
-            yield _Image(frame.time, frame.image, self._now())
+            yield Image(frame.time, frame.image, self._now())
 
-    def _webcam(self) -> Generator[_Image, None, None]:
+    def _webcam(self) -> Images:
         """Generate the images of the webcam with the times at which they were taken."""
         assert not isinstance(self._source, Path)
         container, stream = open_webcam(self._source, self._camera_px)
@@ -263,48 +196,7 @@ class VideoSource:
             times = CaptureTimes()
             for frame in images_of(container, stream):
                 taken = times(frame.time, self._now())
-                yield _Image(taken, upright_image(frame, stream), taken)
-
-    def _read(self, images: Generator[_Image, None, None], first: _Image) -> None:
-        """Hand the images to the detector when they are due."""
-        try:
-            image: _Image | None = first
-            while image is not None and not self._stop.is_set():
-                if not self._live:
-                    if not self._replay.wait(image.time, self._stop):
-                        break
-                    image = replace(image, taken=self._now() - self._replay.age(image.time))
-                if not self._slot.put(image):
-                    break
-                image = next(images, None)
-            if self._live and not self._stop.is_set():
-                self._notices.append(f"{self.name}: stopped; connect it again and start anew")
-        except Exception as error:
-            self._notices.append(f"{self.name}: {error}; there are no further images")
-        finally:
-            images.close()
-            self._slot.end()
-
-    def _detect(self, detector: PersonDetector, points: PersonPoints) -> None:
-        """Examine the images that are handed over."""
-        with closing(detector):
-            try:
-                while (image := self._slot.take()) is not None and not self._stop.is_set():
-                    begun = system.perf_counter()
-                    uv, confidence = points.of(image.pixels, image.time)
-                    self._detection.append(system.perf_counter() - begun)
-                    self._latency.append(self._now() - image.taken)
-                    self._examined += 1
-                    with self._ready:
-                        self._samples.append(FrameSample(image.time, uv, confidence))
-                        self._ready.notify_all()
-            except Exception as error:
-                self._notices.append(f"{self.name}: detection failed ({error}); there are no further points")
-            finally:
-                self._slot.end()
-                with self._ready:
-                    self._ended = True
-                    self._ready.notify_all()
+                yield Image(taken, upright_image(frame, stream), taken)
 
 
 def is_webcam(source: str | Path | int) -> bool:

@@ -17,7 +17,7 @@ from typing import Any, Final
 from rtof_kin.report.audit_results import Grade
 
 _ASSETS: Final = Path(__file__).parent / "assets"
-_SCRIPTS: Final = ("unpack.js", "charts.js", "player.js", "start.js")
+_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
 
 
 def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any]) -> str:
@@ -26,25 +26,42 @@ def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any]) -> str:
     Args:
         parts: name in the template -> HTML. plots: data for the script.
     """
-    style, script = _asset("page.css"), "".join(_asset(name) for name in _SCRIPTS)
+    style, script = asset("page.css"), "".join(asset(name) for name in _SCRIPTS)
     data = json.dumps(plots, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
         data = data.replace(character, f"\\u{ord(character):04x}")
-    own = {"style": style, "style_hash": _hash(style), "script": script, "script_hash": _hash(script)}
-    filled = {**parts, **own, "data": data}
+    own = {"style": style, "style_hash": source_hash(style), "script": script}
+    return fill(asset("page.html"), {**parts, **own, "script_hash": source_hash(script), "data": data})
+
+
+def fill(template: str, parts: Mapping[str, str]) -> str:
+    """Return a template with its ``{{name}}`` replaced.
+
+    Args:
+        template: HTML. parts: name -> HTML, of all names in the template.
+    """
     out = []
-    for piece in _asset("page.html").split("{{"):
+    for piece in template.split("{{"):
         name, closed, rest = piece.partition("}}")
-        out.append(filled[name] + rest if closed else piece)
+        out.append(parts[name] + rest if closed else piece)
     return "".join(out)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """Return a style sheet, script or template of the report.
+
+    Args:
+        name: of the file.
+    """
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
-def _hash(text: str) -> str:
-    """Hash of an inline script or style for the content security policy."""
+def source_hash(text: str) -> str:
+    """Return the hash of an inline script or style for the content security policy.
+
+    Args:
+        text: of the script or style.
+    """
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 

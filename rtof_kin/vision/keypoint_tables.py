@@ -18,6 +18,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.formats.channels import POINT_ENDINGS, point_part
 from rtof_kin.formats.trc import read_trc
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.layouts import detector_table
@@ -42,11 +43,6 @@ _HANDS, _LAST_OF_HOLISTIC = 100, 32
 """First number of hands, and last of the body, of Caliscope's holistic tracker."""
 _LARGEST_METRES: Final = 50.0
 """Coordinates of markers beyond this are no metres, whatever their file says."""
-_ENDINGS = {
-    "_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": "",
-    "_confidence": "c", "_visibility": "c", "_score": "c", "_likelihood": "c", "_c": "c", "_v": "c",
-}  # fmt: skip
-_NUMBERED = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
 TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
 """Names of a column of times, and their unit, s."""
 _NO_POINTS = {"frame", "frame_id", "index", ""}
@@ -124,15 +120,11 @@ def is_keypoint_header(line: str) -> bool:
 
 def _meaning(path: Path, header: str) -> tuple[str, str]:
     """Return the point of a column and its part: x, y, c, or '' if unused."""
-    numbered = _NUMBERED.fullmatch(header.strip().lower())
-    if numbered:
-        part = numbered[1]
-        return str(int(numbered[2])), part if part in "xy" else "" if part in ("z", "presence") else "c"
-    for ending, part in _ENDINGS.items():
-        if header.strip().lower().endswith(ending):
-            return header.strip()[: -len(ending)], part
-    known = f"time, or a point's name and one of {', '.join(_ENDINGS)}"
-    raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
+    found = point_part(header)
+    if found is None:
+        known = f"time, or a point's name and one of {', '.join(POINT_ENDINGS)}"
+        raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
+    return found
 
 
 def _found(names: Iterable[str]) -> dict[str, str]:

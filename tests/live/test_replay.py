@@ -11,7 +11,8 @@ import pytest
 
 from rtof_kin.core.errors import InvalidInputError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
-from rtof_kin.live.replay import VIDEO, Faults, RecordingReplay
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.replay import Faults, RecordingReplay
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample, Source
 from rtof_kin.recording.recording import Recording

@@ -15,7 +15,7 @@ from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.live import video_source, webcam
+from rtof_kin.live import webcam
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample
 from rtof_kin.live.video_source import VideoSource
@@ -98,7 +98,7 @@ def polled(source: VideoSource, count: float = INF) -> list[FrameSample]:
 def test_every_image_of_a_file_gives_the_points_that_the_offline_reader_gives(film: Path) -> None:
     walker = Walker()
     size = (CAMERA.width_px, CAMERA.height_px)
-    with running(VideoSource(film, walker, camera_px=size, replay=ReplayClock(INF))) as source:
+    with running(VideoSource(film, lambda: walker, camera_px=size, replay=ReplayClock(INF))) as source:
         samples = polled(source)
         assert source.clock is Clock.COMMON
         assert source.sensors == ()
@@ -115,7 +115,7 @@ def test_every_image_of_a_file_gives_the_points_that_the_offline_reader_gives(fi
 
 def test_a_file_without_pace_waits_for_the_frames_that_are_due(film: Path) -> None:
     clock = ReplayClock(INF, step=0.1)
-    with running(VideoSource(film, Walker(0.002), replay=clock)) as source:
+    with running(VideoSource(film, lambda: Walker(0.002), replay=clock)) as source:
         for reached in (0.0, 0.1, 0.2, 0.3):
             newest = source.poll()[-1].time
             assert reached - 1 / RATE < newest <= reached + 1e-9
@@ -123,7 +123,7 @@ def test_a_file_without_pace_waits_for_the_frames_that_are_due(film: Path) -> No
 
 def test_a_file_at_its_speed_comes_when_it_is_due_and_shows_its_latency(film: Path) -> None:
     clock = ReplayClock(4.0)
-    with running(VideoSource(film, Walker(0.004), replay=clock)) as source:
+    with running(VideoSource(film, lambda: Walker(0.004), replay=clock)) as source:
         begun = time.monotonic()
         assert np.isnan(source.latency_s)
         samples = polled(source)
@@ -135,7 +135,7 @@ def test_a_file_at_its_speed_comes_when_it_is_due_and_shows_its_latency(film: Pa
 
 
 def test_a_detector_that_is_too_slow_for_a_file_is_told_of(film: Path) -> None:
-    with running(VideoSource(film, Walker(0.05), replay=ReplayClock(100.0))) as source:
+    with running(VideoSource(film, lambda: Walker(0.05), replay=ReplayClock(100.0))) as source:
         told: list[str] = []
         deadline = time.monotonic() + DEADLINE
         while not told and time.monotonic() < deadline:
@@ -149,7 +149,7 @@ def test_of_a_webcam_the_newest_image_is_examined_and_the_others_are_counted(
 ) -> None:
     stage(f"testsrc=size={WIDE}x{HIGH}:rate=200")
     walker = Walker(0.03)
-    with running(VideoSource(0, walker)) as source:
+    with running(VideoSource(0, lambda: walker)) as source:
         began = time.monotonic()
         samples = polled(source, 15)
         now = time.monotonic()
@@ -169,18 +169,18 @@ def test_images_of_the_calibrated_camera_in_another_size_are_scaled_and_others_r
     stage: Callable[[str], None],
 ) -> None:
     stage("testsrc=size=96x64:rate=100")
-    with running(VideoSource(0, Walker(scale=0.05), camera_px=(192, 128))) as source:
+    with running(VideoSource(0, lambda: Walker(scale=0.05), camera_px=(192, 128))) as source:
         (first, *_) = polled(source, 1)
         expected = Walker(scale=0.1).people[0, :, :2]
         np.testing.assert_allclose(first.uv_px[-33:], expected, atol=1e-9)
     walker = Walker()
     with pytest.raises(SourceError, match=r"96 x 64.*128 x 192"):
-        VideoSource(0, walker, camera_px=(128, 192)).start()
+        VideoSource(0, lambda: walker, camera_px=(128, 192)).start()
     assert walker.closed == 1
 
 
 def test_a_detector_that_fails_ends_the_stream_with_a_sentence(film: Path) -> None:
-    with running(VideoSource(film, Walker(fails_at=5), replay=ReplayClock(INF))) as source:
+    with running(VideoSource(film, lambda: Walker(fails_at=5), replay=ReplayClock(INF))) as source:
         assert len(polled(source)) == 5
         (sentence,) = source.notices()
         assert "out of memory" in sentence
@@ -189,7 +189,7 @@ def test_a_detector_that_fails_ends_the_stream_with_a_sentence(film: Path) -> No
 def test_points_that_are_no_person_are_told_of(film: Path) -> None:
     walker = Walker()
     walker.people[:, :, :2] = np.random.default_rng(0).uniform(0, HIGH, (33, 2))
-    with running(VideoSource(film, walker, replay=ReplayClock(INF))) as source:
+    with running(VideoSource(film, lambda: walker, replay=ReplayClock(INF))) as source:
         polled(source)
         assert any("doubtful" in sentence for sentence in source.notices())
 
@@ -197,7 +197,7 @@ def test_points_that_are_no_person_are_told_of(film: Path) -> None:
 def test_a_source_without_anybody_gives_frames_without_points(film: Path) -> None:
     walker = Walker()
     walker.people[:, :, 2] = 0.0
-    with running(VideoSource(film, walker, replay=ReplayClock(INF))) as source:
+    with running(VideoSource(film, lambda: walker, replay=ReplayClock(INF))) as source:
         samples = polled(source)
     assert len(samples) == FRAMES
     assert np.isnan([s.uv_px for s in samples]).all()
@@ -220,7 +220,7 @@ def test_a_camera_that_cannot_be_opened_is_named_with_the_remedy(
     monkeypatch.setattr(webcam, "device_of", lambda _: ("/dev/video3", "v4l2"))
     monkeypatch.setattr(av, "open", refuse)
     with pytest.raises(SourceError, match=f"camera 3.*{says}"):
-        VideoSource(3, Walker()).start()
+        VideoSource(3, lambda: Walker()).start()
 
 
 def test_devices_are_named_as_each_system_names_them(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,24 +236,23 @@ def test_devices_are_named_as_each_system_names_them(monkeypatch: pytest.MonkeyP
 
 
 def test_what_is_no_video_and_a_missing_detector_are_source_errors(
-    film: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    film: Path, tmp_path: Path
 ) -> None:
     text = tmp_path / "notes.mp4"
     text.write_text("no video")
     for path in (text, tmp_path / "absent.mp4"):
         with pytest.raises(SourceError, match=path.name):
-            VideoSource(path, Walker()).start()
+            VideoSource(path, lambda: Walker()).start()
 
-    def none(_: Any) -> None:
+    def none() -> Walker:
         raise RtofError("no detector of people is at hand: --fetch-models")
 
-    monkeypatch.setattr(video_source, "choose_detector", none)
     with pytest.raises(SourceError, match="--fetch-models"):
-        VideoSource(film).start()
+        VideoSource(film, none).start()
     strange = Walker()
     strange.points = 42
     with pytest.raises(SourceError, match=r"42.*33"):
-        VideoSource(film, strange).start()
+        VideoSource(film, lambda: strange).start()
 
 
 def test_times_of_capture_are_the_drivers_where_they_are_of_the_systems_clock() -> None:
@@ -273,3 +272,31 @@ def test_times_of_capture_on_another_clock_follow_the_earliest_arrivals() -> Non
     assert np.all(taken <= now)
     late = taken - (5000.0 + stamps * (1 + 2e-5))
     assert np.abs(late[50:]).max() < 0.005
+
+
+def test_a_webcam_that_stops_says_so_and_may_be_started_again(
+    stage: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage("testsrc=size=96x64:rate=100:duration=0.05")
+    source = VideoSource(0, Walker)
+    for _ in range(2):
+        with running(source):
+            assert len(polled(source, 2)) >= 2
+            deadline = time.monotonic() + DEADLINE
+            with pytest.raises(SourceError, match="camera 0: stopped"):
+                while time.monotonic() < deadline:
+                    source.poll()
+            assert not source.finished
+        assert source.finished
+
+
+def test_a_missing_camera_is_found_once_it_is_there(
+    stage: Callable[[str], None], tmp_path: Path
+) -> None:
+    source = VideoSource("/dev/video97", Walker)
+    with pytest.raises(SourceError, match="no such camera"):
+        source.start()
+    source.close()
+    stage("testsrc=size=96x64:rate=100")
+    with running(source):
+        assert polled(source, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -62,7 +63,7 @@ class FakeSource:
         landmarks: Sequence[str] = (),
     ):
         self.name, self.clock, self.landmarks = name, clock, tuple(landmarks)
-        self._waiting = sorted(arrivals, key=lambda pair: pair[0])
+        self._waiting = deque(sorted(arrivals, key=lambda pair: pair[0]))
         self.sensors = tuple(dict.fromkeys(name_of(s) for _, s in self._waiting if isinstance(s, ImuSample)))
         self.now = 0.0
         self.starts, self.closes = 0, 0
@@ -82,9 +83,10 @@ class FakeSource:
     def poll(self) -> list[Sample]:
         if self.failures:
             raise self.failures.pop(0)
-        count = sum(arrival <= self.now for arrival, _ in self._waiting)
-        arrived, self._waiting = self._waiting[:count], self._waiting[count:]
-        return [sample for _, sample in arrived]
+        arrived = []
+        while self._waiting and self._waiting[0][0] <= self.now:
+            arrived.append(self._waiting.popleft()[1])
+        return arrived
 
     def notices(self) -> list[str]:
         return []

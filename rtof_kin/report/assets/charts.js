@@ -51,10 +51,10 @@ function extent(series) {
   return [low - room, high + room];
 }
 
-// Maps from values to SVG coordinates.
+// Maps from values to SVG coordinates; chart.range is [low, high] where it is not the extent of the values.
 function scales(chart, axis) {
   const {width, height, left, right, top, bottom} = SIZE;
-  const [low, high] = extent(chart.series);
+  const [low, high] = chart.range || extent(chart.series);
   const first = axis.x[0], span = axis.x[axis.x.length - 1] - first || 1;
   return {
     low, high, first, last: first + span,

@@ -1,0 +1,233 @@
+"""The command live: poses while a person moves, from cameras, sensors, or recordings replayed."""
+
+from __future__ import annotations
+
+import argparse
+import time
+import webbrowser
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from rich.text import Text
+
+from rtof_kin.cli.detection import add_detector, detector_of
+from rtof_kin.cli.recordings import lifter_of
+from rtof_kin.cli.terminal import add_model, command, err, out, warnings_in_summary
+
+if TYPE_CHECKING:
+    from rtof_kin.cli.live_display import LiveDisplay
+    from rtof_kin.live.open_sources import Streams
+    from rtof_kin.live.samples import Sink, Source
+    from rtof_kin.live.session import LiveSession
+    from rtof_kin.live.session_summary import SessionSummary
+    from rtof_kin.live.websocket_server import WebSocketServer
+    from rtof_kin.recording.recording import Recording
+
+_LONGEST_WAIT: Final = 10.0
+"""[s] for the names of the points of a camera's stream."""
+_EXAMPLES: Final = """
+cameras (--camera):
+  0, /dev/video2           a webcam: the person is detected on this machine
+  walk.mp4                 a video, at its speed
+  lsl:NAME                 points that another program detects, over LSL
+  udp:9000                 points in UDP datagrams (OSC, JSON)
+  FOLDER                   the keypoints of a recording, replayed
+
+sensors (--imus, may be given several times):
+  lsl:NAME                 sensors in an LSL stream
+  udp:9000, udp:HOST:9000  sensors in UDP datagrams (OSC, JSON, CSV); this machine's own unless HOST is given
+  FILE                     sensor files, replayed
+  FOLDER                   the sensors of a recording, replayed
+
+examples:
+  rtof-kin live out/setup --camera 0 --imus lsl:DOTs -o out/take1
+  rtof-kin live out/setup --imus udp:9000 --out ws --view
+  rtof-kin live out/take1 --camera out/take1 --imus out/take1 --speed 4
+"""
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
+    parser = command(
+        commands, "live", _live, "poses while a person moves, from cameras and sensors, recorded on request",
+        "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
+        "the sensors; its streams are not used. Ctrl-C ends and finishes the recording. Nothing leaves this "
+        "machine unless an output says so. Needs the extra: pip install 'rtof_kin[live]'.",
+    )  # fmt: skip
+    parser.formatter_class = _Help
+    parser.epilog = _EXAMPLES
+    parser.add_argument("setup", metavar="SETUP", help="folder of the recording that was set up")
+    parser.add_argument(
+        "--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below"
+    )
+    parser.add_argument(
+        "--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below"
+    )
+    parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
+    parser.add_argument(
+        "--lag", type=float, default=0.25, metavar="S",
+        help="age of the shown poses, 0 to 1 s: the older, the more accurate",
+    )  # fmt: skip
+    parser.add_argument("--rate", type=float, default=60.0, metavar="HZ", help="poses per second")
+    parser.add_argument(
+        "--video-delay", type=float, default=0.0, metavar="S", help="by how much stamps of the video are late"
+    )
+    parser.add_argument(
+        "--out", action="append", default=[], metavar="OUTPUT",
+        help="lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of "
+        "this machine; may be given several times",
+    )  # fmt: skip
+    parser.add_argument("--view", action="store_true", help="show the skeleton in the browser")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after so many")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X",
+        help="of replayed recordings and videos, times real time; inf: as fast as they are estimated",
+    )  # fmt: skip
+    add_model(parser)
+    add_detector(parser)
+
+
+class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
+    """Help with defaults, and with the examples as they are written."""
+
+
+# --- what it does --------------------------------------------------------------------------------
+
+
+def _live(options: argparse.Namespace) -> None:
+    from rtof_kin.core.threads import limit_threads
+
+    limit_threads(None)
+    from rtof_kin.cli.live_display import LiveDisplay
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.live.estimator import OnlineEstimator, OnlineSettings
+    from rtof_kin.live.open_sources import open_sinks, open_sources
+    from rtof_kin.live.recorder import Recorder
+    from rtof_kin.live.session import LiveSession
+    from rtof_kin.recording.recording import INDEX, Recording
+
+    settings = OnlineSettings(options.rate, options.lag, video_delay_s=options.video_delay)
+    if options.output is not None:
+        check_replaceable(options.output, INDEX)
+    with warnings_in_summary("rtof_kin.recording.files"):
+        setup = Recording.load(options.setup)
+        streams = open_sources(
+            options.camera, options.imus, setup, speed=options.speed, detector=lambda: detector_of(options)
+        )
+    sinks: list[Sink] = []
+    try:
+        sinks += open_sinks(options.out, setup)
+        servers = _served(sinks, setup, options.view)
+        landmarks = _started(streams.sources, bool(options.camera))
+        err.print("preparing the estimator", soft_wrap=True)
+        estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
+        recorder = None
+        if options.output is not None:
+            recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
+        display = LiveDisplay(out, setup.skeleton)
+        session = LiveSession(
+            setup, streams.sources, estimator, sinks=(*sinks, display), recorder=recorder,
+            video_delay_s=options.video_delay, in_background=streams.in_real_time,
+        )  # fmt: skip
+        _print_summary(_run(session, display, servers, streams, options.seconds), options)
+    finally:
+        for source in streams.sources:
+            source.close()
+        for sink in sinks:
+            sink.close()
+
+
+def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
+    """Start the sources and return the names of the points; those of a port come with its first frames.
+
+    Sensors of the network that are not there yet are tried again by the session.
+    """
+    from rtof_kin.core.errors import SourceError
+
+    missing: list[SourceError] = []
+    for i, source in enumerate(sources):
+        try:
+            source.start()
+        except SourceError as error:
+            missing.append(error)
+            if (filmed and i == 0) or not source.name.startswith("lsl:") or len(missing) == len(sources):
+                raise
+    if not filmed:
+        return ()
+    deadline = time.monotonic() + _LONGEST_WAIT
+    if not sources[0].landmarks:
+        err.print(f"waiting for the points of {sources[0].name}", soft_wrap=True)
+    while not sources[0].landmarks:
+        if time.monotonic() > deadline:
+            raise SourceError(
+                f"{sources[0].name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
+            )
+        time.sleep(0.02)
+    return sources[0].landmarks
+
+
+def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
+    """Return the servers among the outputs and print their addresses; with `view` there is one."""
+    from rtof_kin.live.websocket_server import WebSocketServer
+
+    servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
+    if view and not servers:
+        servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
+        sinks += servers
+    for server in servers:
+        err.print(f"{server.url} shows the skeleton in a browser", soft_wrap=True)
+    if view:
+        webbrowser.open(servers[0].url)
+    return servers
+
+
+def _run(
+    session: LiveSession, display: LiveDisplay, servers: Sequence[WebSocketServer], streams: Streams,
+    seconds: float | None,
+) -> SessionSummary:  # fmt: skip
+    """Run until the end, Ctrl-C, or the time given, and show what happens."""
+    replay = streams.replay
+    clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
+    if not streams.replayed:
+        for source in streams.sources:  # when it came during the preparation is not known
+            source.poll()
+    begun = clock()
+
+    def stop() -> bool:
+        if display.due():
+            status = session.status()
+            display.show(status)
+            for server in servers:
+                server.send_status(status)
+        return seconds is not None and clock() - begun >= seconds
+
+    with display:
+        waits = {} if streams.in_real_time else {"period_s": 0.0}
+        return session.run(stop, clock=clock, **waits)
+
+
+def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None:
+    """Print what happened, by stream, and what comes next."""
+    frames = f"{summary.frames} poses in {summary.seconds:.1f} s"
+    if summary.frames:
+        frames += f", {summary.frame_ms_p50:.1f} ms each (99 % below {summary.frame_ms_p99:.1f} ms)"
+    _line("session", frames)
+    for name, one in summary.streams.items():
+        counts = {
+            "did not come": one.lost, "late": one.late, "too late": one.too_late, "not used": one.left_out,
+        }  # fmt: skip
+        said = "".join(f", {count} {what}" for what, count in counts.items() if count)
+        _line("stream", f"{name}: {one.received} samples{said}")
+    if summary.folder is not None:
+        _line("recorded", f"{summary.folder}")
+        _line("next", f"rtof-kin reconstruct {summary.folder} -o OUT")
+    elif options.output is not None:
+        _line("recorded", f"nothing that is a recording; what came is in {options.output}")
+
+
+def _line(name: str, text: str) -> None:
+    out.print(Text(f"{name:9} ", "bold"), Text(text), soft_wrap=True, sep="")

@@ -1,0 +1,296 @@
+"""`WebSocketServer`: estimates, states and messages as JSON for programs, and the live page for a browser.
+
+Each WebSocket message is one JSON text, told apart by its keys:
+
+============ ========================================================================================
+``skeleton`` first, once: `JointStates.description`, and ``floor_m``, height of the floor or null
+``header``   an estimate, see `joint_state`
+``status``   states of the streams, see `Monitor.status`
+``message``  a sentence
+============ ========================================================================================
+
+A client that connects gets the last state and the last messages. One that reads too slowly misses estimates,
+never delays them. Browsers name the page that asks: only this server's own page may read, under an address of
+numbers or ``localhost``, so that no other page in the same browser can.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import json
+import logging
+import re
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any, Final
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.live.datagrams import INSTALL
+from rtof_kin.live.joint_state import JointStates
+from rtof_kin.live.page import live_page, page_headers
+from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.vision.video_file import library
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+LOOPBACK: Final = "127.0.0.1"
+_MESSAGES: Final = 100
+"""Messages kept for a client that connects or is slow."""
+_SEND_BUFFER_BYTES: Final = 1 << 16
+"""Asked of the system for each client: more would make a slow client see old poses."""
+_LONGEST_REQUEST: Final = 4096
+"""[bytes] of what a client says."""
+_PATIENCE_S: Final = 1.0
+"""For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
+_LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
+_LOG.addHandler(logging.NullHandler())  # else a broken request is printed
+_HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
+
+
+class _Outbox:
+    """What one client has yet to get; used in the server's thread only."""
+
+    def __init__(self, texts: list[str]):
+        self._first = deque(texts)
+        self._messages: deque[str] = deque(maxlen=_MESSAGES)
+        self._latest: dict[str, str] = {}
+        self._filled = asyncio.Event()
+        self._filled.set()
+
+    def put_latest(self, kind: str, text: str) -> bool:
+        """Put a text in the place of one of its kind; return whether there was one."""
+        replaced = kind in self._latest
+        self._latest[kind] = text
+        self._filled.set()
+        return replaced
+
+    def put_message(self, text: str) -> None:
+        self._messages.append(text)
+        self._filled.set()
+
+    async def next(self) -> str:
+        """Wait for a text: the first ones, then messages, then the latest of each kind."""
+        while True:
+            for waiting in (self._first, self._messages):
+                if waiting:
+                    return waiting.popleft()
+            for kind in self._latest:
+                return self._latest.pop(kind)
+            self._filled.clear()
+            await self._filled.wait()
+
+
+class WebSocketServer:
+    """Serves the page at `url`, and estimates over WebSocket at the same port; a `Sink`."""
+
+    def __init__(
+        self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None
+    ):
+        """Open the port and begin to serve.
+
+        Args:
+            skeleton: of the estimates. port: TCP port; 0: a free one, see `url`.
+            host: address to listen at, this machine's alone by default. floor_height: for the page, m.
+
+        Raises:
+            SourceError: the port is taken, or the host is not an address of this machine.
+            RtofError: the extra is not installed.
+        """
+        self._websockets = library("websockets.asyncio.server", INSTALL)
+        self._closed = library("websockets.exceptions", INSTALL).ConnectionClosed
+        self._skeleton, self._states = skeleton, JointStates(skeleton)
+        self._hello = _text({"skeleton": self._states.description(), "floor_m": floor_height})
+        self._clients: set[_Outbox] = set()
+        self._messages: deque[str] = deque(maxlen=_MESSAGES)
+        self._status: list[str] = []
+        self._lock = threading.Lock()
+        self._waiting: OnlineEstimate | None = None
+        self._dropped = 0
+        self._host = host
+        self._socket = _listening(host, port)
+        address, self._port = self._socket.getsockname()[:2]
+        self._address = f"[{address}]" if ":" in address else address
+        self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name=self.url, daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Address of the page; for WebSocket clients it begins with ``ws:``."""
+        return f"http://{self._address}:{self._port}/"
+
+    @property
+    def clients(self) -> int:
+        """Number of connected clients."""
+        return len(self._clients)
+
+    @property
+    def dropped(self) -> int:
+        """Number of estimates not sent because a client read too slowly, summed over clients."""
+        return self._dropped
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        """Send an estimate to all clients; without clients nothing is done.
+
+        Args:
+            estimate: the next one.
+
+        Raises:
+            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """
+        self._skeleton.check_joints(estimate.poses.names)
+        if not self._clients:
+            return
+        with self._lock:
+            replaced, self._waiting = self._waiting, estimate
+        if replaced is None:
+            self._call(self._put_estimate)
+        else:
+            self._dropped += self.clients
+
+    def tell(self, sentence: str) -> None:
+        """Send a message to all clients, and to those that connect later.
+
+        Args:
+            sentence: about the streams.
+        """
+        self._call(self._put_message, _text({"message": sentence}))
+
+    def send_status(self, status: Mapping[str, Any]) -> None:
+        """Send the states of the streams to all clients; the last ones also to those that connect later.
+
+        Args:
+            status: `Monitor.status`: plain values; ``sensors`` is a list, ``camera`` one, with ``name``,
+                ``state`` and ``sentence``.
+
+        Raises:
+            InvalidInputError: it is not plain, or has NaN.
+        """
+        self._call(self._put_status, _text({"status": dict(status)}))
+
+    def close(self) -> None:
+        """Stop; may be called twice."""
+        self._call(self._stop.set)
+        self._thread.join(5.0)
+
+    def _call(self, function: Callable[..., object], *arguments: Any) -> None:
+        """Have the server's thread call a function; nothing if it has ended."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    # --- the server's thread ---------------------------------------------------------------------
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        patience = {"open_timeout": _PATIENCE_S, "close_timeout": _PATIENCE_S}
+        async with self._websockets.serve(
+            self._attend, sock=self._socket, process_request=self._answer, compression=None, logger=_LOG,
+            server_header=None, max_size=_LONGEST_REQUEST, **patience,
+        ):  # fmt: skip
+            await self._stop.wait()
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        """Serve one client until it leaves; what it says is not used."""
+        box = _Outbox([self._hello, *self._status, *self._messages])
+        self._clients.add(box)
+        sender = asyncio.create_task(self._deliver(connection, box))
+        try:
+            with suppress(self._closed):
+                async for _ in connection:
+                    pass
+        finally:
+            self._clients.discard(box)
+            sender.cancel()
+
+    async def _deliver(self, connection: ServerConnection, box: _Outbox) -> None:
+        with suppress(self._closed):
+            while True:
+                await connection.send(await box.next())
+
+    def _put_estimate(self) -> None:
+        with self._lock:
+            estimate, self._waiting = self._waiting, None
+        if estimate is not None:
+            text = _text(self._states.message(estimate))
+            self._dropped += sum(box.put_latest("estimate", text) for box in self._clients)
+
+    def _put_status(self, text: str) -> None:
+        self._status = [text]
+        for box in self._clients:
+            box.put_latest("status", text)
+
+    def _put_message(self, text: str) -> None:
+        self._messages.append(text)
+        for box in self._clients:
+            box.put_message(text)
+
+    def _answer(self, _: ServerConnection, request: Request) -> Response | None:
+        """Return the page or a refusal; None lets a WebSocket client in."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or not self._trusts(hosts[0]):
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, "use the address as numbers, or localhost")
+        if request.headers.get_all("Upgrade"):
+            if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0]}".lower()]:
+                return _response(HTTPStatus.FORBIDDEN, "another page may not read here")
+            return None
+        if request.path.partition("?")[0] != "/":
+            return _response(HTTPStatus.NOT_FOUND, "there is only /")
+        return _response(HTTPStatus.OK, live_page(), page_headers(hosts[0]))
+
+    def _trusts(self, host: str) -> bool:
+        """Return whether a name cannot be that of a foreign page which points to this machine."""
+        found = _HOST.fullmatch(host)
+        if found is None:
+            return False
+        name = found[1].strip("[]").lower()
+        if name in ("localhost", self._host.lower()):
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens."""
+    try:
+        if not 0 <= port < 1 << 16:
+            raise OSError("a port is a number up to 65535")
+        (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        opened = socket.create_server(address[:2], family=family)
+    except OSError as error:
+        raise SourceError(
+            f"{host}:{port}: cannot serve there ({error}); end the other program, or give another port"
+        ) from error
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    return opened
+
+
+def _response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
+    http, structures = (library(f"websockets.{name}", INSTALL) for name in ("http11", "datastructures"))
+    body = text.encode()
+    own = {"Content-Type": "text/plain; charset=utf-8"} if headers is None else headers
+    whole = structures.Headers({**own, "Content-Length": str(len(body)), "Connection": "close"})
+    response: Response = http.Response(status.value, status.phrase, whole, body)
+    return response
+
+
+def _text(data: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(data, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(
+            f"cannot be sent as JSON ({error}); give plain values, None for NaN"
+        ) from error

@@ -1,0 +1,144 @@
+"""The command live: what it shows, records and says, with an estimator that does no mathematics."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live_support import FakeEstimator, demo
+from rich.console import Console
+
+from rtof_kin.cli.live_display import LiveDisplay
+from rtof_kin.core.resources import model_path
+from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.recording.recording import Recording
+
+DEMO = model_path("demo")
+Cli = Callable[..., Any]
+
+
+@pytest.fixture
+def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Put an estimator without mathematics in the place of the real one; what it was made of."""
+    made: dict[str, Any] = {}
+
+    def make(setup: Recording, landmarks: tuple[str, ...], settings: Any, lifter: Any) -> FakeEstimator:
+        made.update(setup=setup, landmarks=landmarks, settings=settings, lifter=lifter)
+        return FakeEstimator()
+
+    monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
+    return made
+
+
+def test_a_replay_is_recorded_as_a_recording_that_can_be_reconstructed(
+    cli: Cli, estimator: dict[str, Any], tmp_path: Path
+) -> None:
+    take = tmp_path / "take"
+    options = ("--speed", "inf", "--seconds", 3, "--lag", 0.1, "--video-delay", 0.02, "-o", take)
+    done = cli("live", DEMO, "--camera", DEMO, "--imus", DEMO, *options)
+    assert done.code == 0, done.err
+    assert f"rtof-kin reconstruct {take}" in done.out
+    assert "video: " in done.out
+    assert "poses in 3.0 s" in done.out
+    assert estimator["landmarks"] == demo().video.names
+    assert (estimator["settings"].lag_s, estimator["settings"].video_delay_s) == (0.1, 0.02)
+    recorded = Recording.load(take)
+    assert recorded.imus is not None
+    assert set(recorded.imus.names) == set(demo().imus.names)  # type: ignore[union-attr]
+    assert 175 <= len(recorded.video) <= 181
+    again = cli("live", DEMO, "--imus", DEMO, "-o", take)
+    assert (again.code, str(take) in again.err) == (2, True)
+
+
+def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_terminal(
+    cli: Cli, estimator: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtof_kin.cli.live_display._LINE_EVERY", 0.05)
+    done = cli("live", DEMO, "--imus", DEMO, "--seconds", 4, "--speed", "inf")
+    assert done.code == 0
+    assert estimator["landmarks"] == ()
+    assert "8 of 8 streams ok" in done.out
+    assert "knee flexion" in done.out
+    assert "lag 0 ms" in done.out
+
+
+@pytest.mark.usefixtures("estimator")
+def test_ctrl_c_ends_the_session_and_finishes_the_recording(cli: Cli, tmp_path: Path) -> None:
+    take = tmp_path / "take"
+    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    done = cli("live", DEMO, "--imus", DEMO, "-o", take)
+    timer.join()
+    assert done.code == 0
+    assert "rtof-kin reconstruct" in done.out
+    assert Recording.load(take).imus is not None
+
+
+@pytest.mark.usefixtures("estimator")
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((), "--camera"),
+        (("--camera", "absent.mp4"), "absent.mp4"),
+        (("--imus", "absent.csv"), "absent.csv"),
+        (("--imus", DEMO, "--lag", "3"), "lag_s"),
+        (("--imus", DEMO, "--out", "pigeon"), "pigeon"),
+        (("--imus", "udp:9000", "--speed", "2"), "speed 2"),
+    ],
+)
+def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named: str) -> None:
+    done = cli("live", DEMO, *arguments)
+    assert done.code == 2
+    assert "error:" in done.err
+    assert named in done.err
+
+
+def test_help_lists_sources_with_examples(cli: Cli) -> None:
+    text = cli("live", "--help").out
+    for word in ("lsl:NAME", "udp:9000", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
+        assert word in text
+
+
+@pytest.mark.usefixtures("estimator")
+def test_the_page_is_shown_in_the_browser_where_asked_for(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("websockets")
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    done = cli("live", DEMO, "--imus", DEMO, "--seconds", 1, "--speed", "inf", "--view")
+    assert done.code == 0
+    (url,) = opened
+    assert url in done.err
+    assert url.startswith("http://127.0.0.1:")
+
+
+def test_a_terminal_shows_streams_angles_and_the_last_messages() -> None:
+    screen, now = io.StringIO(), [0.0]
+    console = Console(file=screen, force_terminal=True, width=100, markup=False, color_system=None)
+    display = LiveDisplay(console, demo().skeleton, lambda: now[0])
+    truth = demo().truth
+    assert truth is not None
+    row = {"name": "L_UpArm", "state": "lost", "rate_hz": 60.0, "loss_percent": 12.0, "latency_ms": 3.0,
+           "sentence": "no sample for 0.5 s"}  # fmt: skip
+    status = {"sensors": [row], "camera": row | {"name": "video", "state": "ok"}, "rate_hz": 60.0}
+    with display:
+        assert not display.due()
+        for i in range(10):
+            display.send(OnlineEstimate(truth[i : i + 1], 0.25, 0.004))
+        display.tell("5.0 s: L_UpArm: no sample for 0.5 s")
+        now[0] = 1.0
+        assert display.due()
+        display.show(status)
+        assert not display.due()
+    shown = screen.getvalue()
+    figures = ("60 Hz", "lag 250 ms", "frame 4.0 ms")
+    for text in ("L_UpArm", "lost", "no sample", "video", "knee flexion", *figures):
+        assert text in shown
+    assert shown.rstrip().endswith("no sample for 0.5 s")

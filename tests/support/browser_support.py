@@ -1,0 +1,132 @@
+"""A page in a headless browser, driven by its DevTools protocol."""
+
+from __future__ import annotations
+
+import base64
+import json
+import subprocess
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Self
+
+from report_support import BROWSER
+from websockets.sync.client import connect
+
+
+class BrowserPage:
+    """One page; `errors` are what its console and its policy complained about."""
+
+    def __init__(self, profile: Path, width: int, height: int, dark: bool = False):
+        assert BROWSER is not None
+        self._process = subprocess.Popen(
+            [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+             "--disable-background-networking", "--disable-component-update", "--disable-sync",
+             "--remote-debugging-port=0", f"--user-data-dir={profile}", "about:blank"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        self._open = ExitStack()
+        self._open.callback(self._end)
+        port, path = self._endpoint(profile / "DevToolsActivePort")
+        address = f"ws://127.0.0.1:{port}{path}"
+        self._socket = self._open.enter_context(connect(address, max_size=None, proxy=None, compression=None))
+        self._number, self._session = 0, None
+        self.errors: list[str] = []
+        target = self.call("Target.getTargets")["targetInfos"][0]["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+        self.resize(width, height)
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
+        self.requests: list[str] = []
+
+    @staticmethod
+    def _endpoint(file: Path) -> list[str]:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            if file.exists() and len(lines := file.read_text().split()) == 2:
+                return lines
+            time.sleep(0.02)
+        raise TimeoutError("the browser does not start")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def _end(self) -> None:
+        self._process.terminate()
+        self._process.wait(20)
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Result of a command."""
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        self._socket.send(json.dumps(message))
+        while True:
+            found = json.loads(self._socket.recv(timeout=30))
+            if found.get("id") == self._number:
+                assert "error" not in found, found
+                return found["result"]
+            self._event(found.get("method", ""), found.get("params", {}))
+
+    def _event(self, method: str, found: dict[str, Any]) -> None:
+        if method == "Runtime.exceptionThrown":
+            self.errors.append(str(found["exceptionDetails"].get("exception", found)))
+        elif method == "Runtime.consoleAPICalled":
+            self.errors.append(str(found["args"]))
+        elif method == "Log.entryAdded":
+            self.errors.append(f"{found['entry']['text']} {found['entry'].get('url', '')}")
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(found["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requests.append(found["url"])
+
+    def resize(self, width: int, height: int) -> None:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+
+    def open(self, url: str) -> None:
+        self.call("Page.navigate", url=url)
+        self.until("document.documentElement && document.readyState === 'complete'")
+
+    def value(self, expression: str) -> Any:
+        """Value of a JavaScript expression."""
+        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in found, found
+        return found["result"].get("value")
+
+    def until(self, expression: str, seconds: float = 20.0) -> None:
+        """Wait until an expression holds."""
+        deadline = time.monotonic() + seconds
+        while not self.value(expression):
+            assert time.monotonic() < deadline, (
+                expression,
+                self.errors,
+                self.value("document.body.innerText"),
+            )
+            time.sleep(0.05)
+
+    def press(self, key: str) -> None:
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag with the left button."""
+        for kind, (x, y), buttons in (
+            ("mousePressed", start, 1), ("mouseMoved", end, 1), ("mouseReleased", end, 0),
+        ):  # fmt: skip
+            self.call(
+                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1
+            )
+
+    def picture(self, file: Path, whole: bool = True) -> Path:
+        """Write a picture of the page."""
+        found = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        file.write_bytes(base64.b64decode(found["data"]))
+        return file
