@@ -8,6 +8,7 @@ wide while two delays explain the motion.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -47,8 +48,20 @@ class LateSensors:
         """Return the sensors at the frames for a delay k steps longer than the present one."""
         first = int(self.steps[-1]) - k
         frames = slice(first, first + self.count, self.parts)
-        q, w, a, w_a = (values[frames] for values in self.at)
-        return q, w, a, w_a
+        q, _, a, _ = (values[frames] for values in self.at)
+        return q, self._known[0], a, self._known[1]
+
+    @cached_property
+    def _known(self) -> tuple[Array, Array]:
+        """Weights (N, S) of orientations and accelerations that all delays have: else their energies are of
+        other residuals.
+        """
+        first = int(self.steps[-1])
+        frames = [slice(first - k, first - k + self.count, self.parts) for k in self.steps.tolist()]
+        orientations, accelerations = (
+            np.minimum.reduce([weights[own] for own in frames]) for weights in (self.at[1], self.at[3])
+        )
+        return orientations, accelerations
 
 
 class DelayPosterior:

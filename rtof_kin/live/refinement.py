@@ -26,6 +26,10 @@ _FRAMES: Final = 50
 """Frames of a window of the calibration."""
 
 
+_SETTLED: Final = 30
+"""Frames after a beginning that are not used."""
+
+
 class Refinement:
     """Collects frames, calibrates by them, and says what to correct.
 
@@ -77,8 +81,8 @@ class Refinement:
             self._count += 1
         else:
             self._count = 0
-        if self._work is None and self._count >= _FRAMES:
-            self._count = 0
+        if self._work is None and self._count >= _SETTLED + _FRAMES:
+            self._count = _SETTLED
             self._work = self._update()
         if self._work is not None:
             try:
