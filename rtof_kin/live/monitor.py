@@ -38,7 +38,7 @@ class State(Enum):
     OK = "ok"
 
 
-_EVERY, _TURNS = 0.1, 3  # [s] between checks; in so many of them the figures of all streams are renewed
+_EVERY, _TURNS = 0.1, 3  # [s] between checks; of so many the last one renews the figures of the streams
 _SILENT, _PERIODS = 0.5, 5.0  # [s] without a sample, or as many periods of a slow stream
 _SAME, _SAME_ORIENTATION = 0.3, 2.0  # [s] of identical numbers; of orientations alone, which may be rounded
 _NOBODY = 0.75  # [s]
@@ -271,8 +271,8 @@ class Monitor:
         overdue = max(arrival - self._began, elapsed) >= self._patience
         missing = _TOGETHER if self._loss() >= _LOSS else _MISSING
         groups: dict[tuple[State, bool, bool], list[tuple[_Stream, float]]] = {}
-        for i, stream in enumerate(self._streams.values()):
-            if i % _TURNS == self._turn:
+        for stream in self._streams.values():
+            if self._turn == 0:
                 stream.renew()
             for state, holds in stream.judge(now, overdue, missing).items():
                 seconds = stream.turned(state, holds, now)

@@ -34,6 +34,7 @@ from rtof_kin.recording.recording import Recording
 
 _AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
 _ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
+_BEHIND: Final = 0.3  # [s] that a step takes
 _MOST_SENTENCES: Final = 1000
 
 
@@ -318,19 +319,30 @@ class LiveSession:
         """Run until told to stop, interrupted (Ctrl-C), or all sources have finished.
 
         Args:
-            stop: asked in every step. clock: of the arrivals, s. period_s: between two polls.
+            stop: asked in every step. clock: of the arrivals, s. period_s: between two polls;
+                0 for a replay that need not keep pace.
         """
         stopped = stop.is_set if isinstance(stop, Event) else stop
         try:
             while not (stopped is not None and stopped()) and not self.finished:
                 arrival = clock()
                 self.step(arrival)
-                time.sleep(max(0.0, period_s - (clock() - arrival)))
+                self._keep_pace(clock() - arrival, period_s, arrival)
         except KeyboardInterrupt:
             pass
         finally:
             summary = self.finish(clock())
         return summary
+
+    def _keep_pace(self, taken: float, period_s: float, arrival: float) -> None:
+        """Wait for the next step; tell where a step took so long that the estimate falls behind."""
+        if period_s > 0 and taken > _BEHIND:
+            text = (
+                f"the estimate is {taken:.1f} s behind, a frame takes "
+                f"{1000 * self._times.percentile(50):.0f} ms; lower the rate, or close other programs"
+            )
+            self._once("session", "behind", text, arrival)
+        time.sleep(max(0.0, period_s - taken))
 
     @property
     def finished(self) -> bool:

@@ -44,7 +44,12 @@ def sensors(seconds: float = 6.0) -> FakeSource:
 
 
 def session_of(*sources: FakeSource, **options: object) -> LiveSession:
-    return LiveSession(demo(), sources, FakeEstimator(), in_background=False, **options)  # type: ignore[arg-type]
+    return LiveSession(demo(), sources, FakeEstimator(), in_background=False, **options)
+
+
+def estimator_of(session: LiveSession) -> FakeEstimator:
+    assert isinstance(session._estimator, FakeEstimator)
+    return session._estimator
 
 
 def run(*sources: FakeSource, stop: float = 6.0, **options: object) -> tuple[LiveSession, list[Told]]:
@@ -66,7 +71,7 @@ def test_undisturbed_session_says_nothing() -> None:
 def test_loss_is_told_once_within_a_second() -> None:
     imus = FakeSource("imus", shaken(imu_samples(8.0), 0.0, 0.1, seed=3))
     session, told = run(imus, camera(8.0), stop=8.0)
-    names = demo().calibration.sensors  # type: ignore[union-attr]
+    names = demo().calibration.sensors
     for name in names:
         assert count(told, name, "do not come") == 1
     assert np.median([first(told, name, "do not come") for name in names]) < 1.2
@@ -77,11 +82,11 @@ def test_loss_is_told_once_within_a_second() -> None:
 def test_jitter_out_of_order_is_told_once_within_a_second() -> None:
     imus = FakeSource("imus", shaken(imu_samples(6.0), 0.05, 0.0, seed=4))
     session, told = run(imus, camera())
-    for name in demo().calibration.sensors:  # type: ignore[union-attr]
+    for name in demo().calibration.sensors:
         assert first(told, name, "late") < 1.3
         assert count(told, name, "late") == 1
     assert count(told, "do not come") == 0
-    times = session._estimator.times  # type: ignore[attr-defined]
+    times = estimator_of(session).times
     assert np.all(np.diff(times) > 0)
 
 
@@ -100,21 +105,22 @@ def test_sensor_that_dies_and_comes_back() -> None:
 def test_camera_that_freezes(how: str) -> None:
     def frozen(sample: Sample) -> Sample:
         stuck = frame_samples(3.0)[-1]
-        assert isinstance(sample, FrameSample) and isinstance(stuck, FrameSample)
+        assert isinstance(sample, FrameSample)
+        assert isinstance(stuck, FrameSample)
         return replace(stuck, time=sample.time) if 2.0 < sample.time < 4.0 else sample
 
     arrivals = [(s.time, frozen(s)) for s in frame_samples(6.0)]
     if how == "no frames":
         arrivals = [(t, s) for t, s in arrivals if not 2.0 < t < 4.0]
-    session = session_of(sensors(), source := FakeSource("camera", arrivals, landmarks=LANDMARKS))
-    sources = [session._feeds[0].source, source]
-    told = drive(session, sources, 3.5)  # type: ignore[arg-type]
+    sources = [sensors(), FakeSource("camera", arrivals, landmarks=LANDMARKS)]
+    session = session_of(*sources)
+    told = drive(session, sources, 3.5)
     assert session.status()["camera"]["state"] == "frozen"
-    told += drive(session, sources, 6.0, 3.5)  # type: ignore[arg-type]
+    told += drive(session, sources, 6.0, 3.5)
     assert 2.0 < first(told, VIDEO) < 3.0
     assert 4.0 <= first(told, VIDEO, "back again") < 4.3
     assert len(told) == 2
-    pushed = [s for s in session._estimator.pushed if isinstance(s, FrameSample)]  # type: ignore[attr-defined]
+    pushed = [s for s in estimator_of(session).pushed if isinstance(s, FrameSample)]
     assert sum(2.5 < s.time < 4.0 for s in pushed) == 0
 
 
@@ -127,7 +133,7 @@ def test_sensor_that_repeats_itself_is_left_out() -> None:
     session, told = run(FakeSource("imus", arrivals), camera())
     assert 2.0 < first(told, "R_UpLeg", "same numbers") < 3.0
     assert 4.0 <= first(told, "R_UpLeg", "back again") < 4.3
-    pushed = [s for s in session._estimator.pushed if name_of(s) == "R_UpLeg"]  # type: ignore[attr-defined]
+    pushed = [s for s in estimator_of(session).pushed if name_of(s) == "R_UpLeg"]
     assert sum(2.6 < s.time < 3.9 for s in pushed) == 0
 
 
@@ -142,7 +148,7 @@ def test_clock_that_jumps(leap: float, clock: Clock) -> None:
     assert 3.0 < first(told, "imus", "jumped") < 4.0
     assert count(told, "jumped") == 1
     assert len(told) == 1
-    pushed = session._estimator.pushed  # type: ignore[attr-defined]
+    pushed = estimator_of(session).pushed
     times = np.array([s.time for s in pushed if name_of(s) == "L_UpArm"])
     assert np.all(np.diff(times) > 0)
     assert np.diff(times).max() < 0.15
@@ -151,14 +157,14 @@ def test_clock_that_jumps(leap: float, clock: Clock) -> None:
 def test_stream_that_never_starts() -> None:
     missing = FakeSource("lsl:phone", [])
     missing.silent = True
-    session, told = run(sensors(), camera(), missing, patience_s=0.9)
+    _session, told = run(sensors(), camera(), missing, patience_s=0.9)
     assert 0.9 <= first(told, "lsl:phone", "nothing has come") < 1.1
     assert len(told) == 1
 
 
 def test_sensor_of_the_calibration_that_never_comes() -> None:
     arrivals = [(t, s) for t, s in on_time(imu_samples(4.0)) if name_of(s) != "L_LowLeg"]
-    session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
+    _session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
     assert first(told, "L_LowLeg", "nothing has come") < 3.2
     assert len(told) == 1
 
@@ -175,7 +181,7 @@ def test_wrong_units_are_told_after_two_seconds(factor: float) -> None:
     assert count(told, "specific force") == 1
     if factor < 1:
         assert count(told, "acceleration_unit = g") == 1
-    assert len(session._estimator.pushed) > 1000  # type: ignore[attr-defined]
+    assert len(estimator_of(session).pushed) > 1000
 
 
 def test_unusable_numbers_are_left_out_and_told_once() -> None:
@@ -204,7 +210,7 @@ def test_unknown_sensor_is_told_with_the_closest_name() -> None:
     ]
     session, told = run(FakeSource("imus", arrivals), stop=2.0)
     assert first(told, "l_lowarm", "did you mean L_LowArm") < 0.1
-    assert "l_lowarm" not in {name_of(s) for s in session._estimator.pushed}  # type: ignore[attr-defined]
+    assert "l_lowarm" not in {name_of(s) for s in estimator_of(session).pushed}
 
 
 def test_unknown_landmark_is_told_with_the_closest_name() -> None:
@@ -222,7 +228,7 @@ def test_source_that_fails_is_tried_again() -> None:
     assert count(told, "unplugged") == 1
     assert count(told, "imus: goes on") == 1
     assert imus.starts == 3
-    assert len(session._estimator.pushed) > 2000  # type: ignore[attr-defined]
+    assert len(estimator_of(session).pushed) > 2000
 
 
 def test_source_that_does_not_start_does_not_stop_the_rest() -> None:
@@ -249,7 +255,7 @@ def test_clock_that_is_ahead_does_not_carry_the_others_away() -> None:
     rest = [(t, s) for t, s in on_time(imu_samples(3.0)) if name_of(s) != "L_UpArm"]
     session, told = run(FakeSource("imus", rest), FakeSource("other", [(t + 0.1, s) for t, s in ahead]), stop=3.0)
     assert count(told, "L_UpArm", "ahead") == 1
-    assert max(session._estimator.times) < 3.1  # type: ignore[attr-defined]
+    assert max(estimator_of(session).times) < 3.1
 
 
 def test_two_sources_of_one_name_are_refused() -> None:
