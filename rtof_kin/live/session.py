@@ -34,7 +34,6 @@ from rtof_kin.recording.recording import Recording
 
 _AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
 _ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
-_BEHIND: Final = 0.3  # [s] that a step takes
 _MOST_SENTENCES: Final = 1000
 _HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
 
@@ -338,22 +337,12 @@ class LiveSession:
             while not (stopped is not None and stopped()) and not self.finished:
                 arrival = clock()
                 self.step(arrival)
-                self._keep_pace(clock() - arrival, period_s, arrival)
+                time.sleep(max(0.0, period_s - (clock() - arrival)))
         except KeyboardInterrupt:
             pass
         finally:
             summary = self.finish(clock())
         return summary
-
-    def _keep_pace(self, taken: float, period_s: float, arrival: float) -> None:
-        """Wait for the next step; tell where a step took so long that the estimate falls behind."""
-        if period_s > 0 and taken > _BEHIND:
-            text = (
-                f"the estimate is {taken:.1f} s behind, a frame takes "
-                f"{1000 * self._times.percentile(50):.0f} ms; lower the rate, or close other programs"
-            )
-            self._once("session", "behind", text, arrival)
-        time.sleep(max(0.0, period_s - taken))
 
     @property
     def finished(self) -> bool:
@@ -380,7 +369,8 @@ class LiveSession:
         with suppress(RtofError):
             rest = self._estimator.finish()
             self._send(rest, arrival)
-            self._times.add(self._times.percentile(50), len(rest))
+            if rest and self._times.frames:
+                self._times.add(self._times.percentile(50), len(rest))
         seconds = self.monitor.elapsed(arrival)
         for feed in self._feeds:
             feed.close()

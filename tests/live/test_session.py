@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import socket
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -22,9 +25,13 @@ from live_support import (
     shaken,
 )
 
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.osc_source import OscSource
+from rtof_kin.live.replay import Faults, RecordingReplay
+from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.live.session import LiveSession
 
@@ -251,9 +258,10 @@ def test_sink_that_fails_is_dropped() -> None:
 
 
 def test_clock_that_is_ahead_does_not_carry_the_others_away() -> None:
-    ahead = [(t, replace(s, time=s.time + 40)) for t, s in on_time(imu_samples(3.0)) if name_of(s) == "L_UpArm"]
-    rest = [(t, s) for t, s in on_time(imu_samples(3.0)) if name_of(s) != "L_UpArm"]
-    session, told = run(FakeSource("imus", rest), FakeSource("other", [(t + 0.1, s) for t, s in ahead]), stop=3.0)
+    samples = imu_samples(3.0)
+    ahead = [(s.time + 0.1, replace(s, time=s.time + 40)) for s in samples if name_of(s) == "L_UpArm"]
+    rest = FakeSource("imus", on_time([s for s in samples if name_of(s) != "L_UpArm"]))
+    session, told = run(rest, FakeSource("other", ahead), stop=3.0)
     assert count(told, "L_UpArm", "ahead") == 1
     assert max(estimator_of(session).times) < 3.1
 
@@ -283,3 +291,44 @@ def test_run_in_background_starts_sources_in_threads() -> None:
     imus.now = 1.0
     summary = LiveSession(demo(), [imus], FakeEstimator()).run(period_s=0.001)
     assert summary.streams["L_UpArm"].received == 18
+
+
+@pytest.mark.parametrize("faults", [Faults(), Faults(loss=0.1, jitter_s=0.05, seed=2)])
+def test_replays_as_fast_as_they_are_read(faults: Faults) -> None:
+    replay = ReplayClock(np.inf)
+    imus = RecordingReplay.of_recording(demo(), replay, video=False, faults=faults)
+    video = RecordingReplay.of_recording(demo(), replay, sensors=False)
+    session = LiveSession(demo(), [imus, video], FakeEstimator(), in_background=False)
+    summary = session.run(lambda: replay.time > 3.0, clock=lambda: replay.time, period_s=0.0)
+    assert summary.frames == pytest.approx(180, abs=3)
+    assert bool(summary.sentences) == bool(faults.loss)
+    assert all("do not come" in text or "late" in text for text in summary.sentences)
+
+
+def test_samples_over_udp_are_used_and_their_end_is_told() -> None:
+    source = OscSource(0)
+    session = LiveSession(demo(), [source], FakeEstimator(), in_background=False)
+    sender, start = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), time.monotonic()
+    session.step(start)  # opens the port
+    with sender:
+        for k, sample in enumerate(imu_samples(0.8)):
+            assert isinstance(sample, ImuSample)
+            quat = so3.to_quat_wxyz(sample.R_inertial_sensor).tolist()
+            known = {"sensor": sample.sensor, "time": 7 + sample.time, "quat": quat}
+            datagram = json.dumps({**known, "acc": sample.f_sensor.tolist()}).encode()
+            while time.monotonic() < start + sample.time:
+                time.sleep(0.001)
+            sender.sendto(datagram, ("127.0.0.1", source.port))
+            if k % 8 == 0:
+                session.step(time.monotonic())
+    now = time.monotonic()
+    while not any("no usable sample" in text for text in session.sentences):
+        now += 0.02  # the arrivals' clock goes on faster than this one
+        assert now < time.monotonic() + 5
+        session.step(now)
+        time.sleep(0.001)
+    summary = session.finish(now)
+    pushed = [s for s in estimator_of(session).pushed if name_of(s) == "L_UpArm"]
+    assert len(pushed) == 48
+    assert abs(pushed[-1].time - (start + 0.8)) < 0.2
+    assert summary.streams["L_UpArm"].received == 48
