@@ -44,6 +44,7 @@ _SAME_SAMPLE: Final = 1e-4  # [s]
 _FROZEN: Final = 0.3  # [s] of identical numbers
 _UNION: Final = 1.2  # [-] times of all sensors together against those of one, where they share their times
 _SAID: Final = 100
+_ESTIMATES: Final = ("p_world_joint", "R_world_bone", "provenance")
 
 Chunk = dict[str, NDArray[Any]]
 
@@ -119,7 +120,8 @@ def _read(live: Path) -> tuple[list[Chunk], list[str]]:
     chunks, notes = [], []
     for path in sorted(live.glob("[0-9]*.npz")):
         try:
-            chunks.append(read_npz_as_saved(path, kinds="fiubU"))
+            found = read_npz_as_saved(path, kinds="fiubU")
+            chunks.append({name: values for name, values in found.items() if name not in _ESTIMATES})
         except FileFormatError as error:
             notes.append(f"left out: {error}")
     said = [str(text) for chunk in chunks for text in chunk.get("sentences", ())]

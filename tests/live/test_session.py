@@ -6,6 +6,7 @@ import json
 import socket
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,10 +31,12 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.osc_source import OscSource
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.replay import Faults, RecordingReplay
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.live.session import LiveSession
+from rtof_kin.recording.recording import Recording
 
 LANDMARKS = demo().video.names
 
@@ -224,6 +227,27 @@ def test_unknown_landmark_is_told_with_the_closest_name() -> None:
     names = ["Hip", *LANDMARKS[1:]]
     _, told = run(FakeSource("camera", on_time(frame_samples(1.0)), landmarks=names), stop=1.0)
     assert count(told, "Hip:", "did you mean Hips") == 1
+
+
+def test_stream_of_two_sources_is_taken_from_the_first() -> None:
+    other = FakeSource("phone", [(s.time, s) for s in imu_samples(1.0) if name_of(s) == "R_LowLeg"])
+    second = FakeSource("second", on_time(frame_samples(1.0)), landmarks=LANDMARKS[:5])
+    session, told = run(sensors(1.0), camera(1.0), other, second, stop=1.0)
+    assert count(told, "phone", "R_LowLeg", "imus") == count(told, "second", VIDEO, "camera") == 1
+    assert len(told) == 2
+    assert session.finish(1.0).streams["R_LowLeg"].received == pytest.approx(60, abs=1)
+
+
+def test_names_of_points_may_come_with_the_first_frame(tmp_path: Path) -> None:
+    samples = [(s.time, s) for s in imu_samples(1.0)] + [(s.time + 0.3, s) for s in frame_samples(0.7)]
+    source = FakeSource("udp", samples)
+    recorder = Recorder(tmp_path / "walk", demo(), in_background=False)
+    session = session_of(source, recorder=recorder)
+    drive(session, [source], 0.3)
+    source.landmarks = LANDMARKS
+    drive(session, [source], 1.2, 0.3)
+    session.finish(1.2)
+    assert len(Recording.load(tmp_path / "walk").video) == len(frame_samples(0.7))
 
 
 def test_source_that_fails_is_tried_again() -> None:
