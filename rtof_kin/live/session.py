@@ -388,7 +388,7 @@ class LiveSession:
             name: StreamSummary(
                 count.received, count.lost, count.late,
                 self._estimator.dropped.get(name, 0), self._left_out.get(name, 0),
-            )  # fmt: skip
+            )
             for name, count in self.monitor.counts().items()
         }
         p50, p99 = (1000 * self._times.percentile(percent) for percent in (50, 99))
