@@ -12,7 +12,10 @@ _LONGEST_PAUSE: Final = 8.0  # [s] between attempts
 
 
 class Feed:
-    """Polls one source; whatever it raises becomes a sentence and another attempt after a pause."""
+    """Polls one source; whatever it raises becomes a sentence and another attempt after a pause.
+
+    An attempt is another `Source.start`, which does nothing where the source is open, and polls from then on.
+    """
 
     def __init__(self, source: Source, in_background: bool = False):
         """Take a source that is not started yet.
@@ -103,10 +106,6 @@ class Feed:
         self._running = False
         self._next, self._pause = arrival + self._pause, min(2 * self._pause, _LONGEST_PAUSE)
         self._tell(error, "; it is tried again")
-        try:
-            self.source.close()
-        except Exception as another:  # of a foreign device or library
-            self._tell(another, "")
 
     def _tell(self, error: BaseException, what_follows: str) -> None:
         text = self._named(str(error) or type(error).__name__)

@@ -44,6 +44,7 @@ _SAME_SAMPLE: Final = 1e-4  # [s]
 _FROZEN: Final = 0.3  # [s] of identical numbers
 _UNION: Final = 1.2  # [-] times of all sensors together against those of one, where they share their times
 _SAID: Final = 100
+_ESTIMATES: Final = ("p_world_joint", "R_world_bone", "provenance")
 
 Chunk = dict[str, NDArray[Any]]
 
@@ -54,6 +55,7 @@ class _Stream:
 
     times: Array
     values: tuple[Array, ...]
+    lost: int
     left_out: int
     repeated: int
 
@@ -66,7 +68,14 @@ class _Stream:
         left_out = len(times) - len(order)
         times, values = times[order], tuple(value[order] for value in values)
         kept = ~_repeated(times, np.concatenate([value.reshape(len(times), -1) for value in values], axis=1))
-        return cls(times[kept], tuple(value[kept] for value in values), left_out, int(np.sum(~kept)))
+        kept_values = tuple(value[kept] for value in values)
+        return cls(times[kept], kept_values, _lost(times), left_out, int(np.sum(~kept)))
+
+
+def _lost(times: Array) -> int:
+    """Return how many samples are not there, by the median step."""
+    steps = np.diff(times)
+    return int(np.sum(np.maximum(np.round(steps / np.median(steps)) - 1, 0))) if len(steps) else 0
 
 
 def _repeated(times: Array, numbers: Array) -> Mask:
@@ -111,7 +120,8 @@ def _read(live: Path) -> tuple[list[Chunk], list[str]]:
     chunks, notes = [], []
     for path in sorted(live.glob("[0-9]*.npz")):
         try:
-            chunks.append(read_npz_as_saved(path, kinds="fiubU"))
+            found = read_npz_as_saved(path, kinds="fiubU")
+            chunks.append({name: values for name, values in found.items() if name not in _ESTIMATES})
         except FileFormatError as error:
             notes.append(f"left out: {error}")
     said = [str(text) for chunk in chunks for text in chunk.get("sentences", ())]
@@ -231,11 +241,8 @@ def _joined(parts: Sequence[ImuSequence]) -> ImuSequence:
 
 
 def _note(notes: list[str], what: str, stream: _Stream) -> None:
-    steps = np.diff(stream.times)
-    texts = []
-    if len(steps):
-        lost = int(np.sum(np.maximum(np.round(steps / np.median(steps)) - 1, 0)))
-        texts += [f"{lost} of {len(stream.times) + lost} samples did not come"] if lost else []
+    total = len(stream.times) + stream.repeated + stream.lost
+    texts = [f"{stream.lost} of {total} samples did not come"] if stream.lost else []
     texts += [f"{stream.repeated} repeated the ones before"] if stream.repeated else []
     texts += [f"{stream.left_out} had no usable time"] if stream.left_out else []
     if texts:

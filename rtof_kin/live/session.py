@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any, Final, Protocol
@@ -20,8 +19,9 @@ from rtof_kin.live.feed import Feed
 from rtof_kin.live.frame_times import FrameTimes
 from rtof_kin.live.monitor import Monitor, State
 from rtof_kin.live.recorder import Recorder
-from rtof_kin.live.samples import FrameSample, OnlineEstimate, Sample, Sink, Source
+from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
 from rtof_kin.live.session_summary import SessionSummary, StreamSummary
+from rtof_kin.live.sink_group import SinkGroup
 from rtof_kin.live.stream_checks import (
     FirstSeconds,
     landmark_sentences,
@@ -93,7 +93,7 @@ class LiveSession:
         self._setup, self._estimator, self._recorder = setup, estimator, recorder
         self._feeds = [Feed(source, in_background) for source in sources]
         self._clock = SessionClock({source.name: source.clock for source in sources})
-        self._sinks = list(sinks)
+        self._sinks = SinkGroup(sinks)
         known = setup.calibration.sensors if setup.calibration is not None else ()
         self.monitor = Monitor(known, patience_s=patience_s)
         """State of all streams."""
@@ -105,7 +105,8 @@ class LiveSession:
         self._heard: set[str] = set()  # sources
         self._newest: dict[str, tuple[float, float]] = {}  # by stream: time, arrival
         self._said: set[tuple[str, str]] = set()
-        self._filming = ""  # source of the frames in use
+        self._owners: dict[str, str] = {}  # by stream: its source
+        self._landmarks: tuple[str, ...] = ()
         self._left_out: dict[str, int] = {}
         self._sentences: list[str] = []
         self._times, self._spent = FrameTimes(), 0.0
@@ -142,16 +143,8 @@ class LiveSession:
         return estimates
 
     def _arrived(self, arrival: float) -> list[Arrived]:
-        """Poll all sources; samples whose numbers are of no use have no time."""
-        polled: list[tuple[Feed, Sample]] = []
-        for feed in self._feeds:
-            samples = feed.poll(arrival)
-            if samples and feed.name not in self._heard:
-                self._begin(feed, arrival)
-            other_camera = bool(feed.source.landmarks) and feed.name != self._filming
-            polled += [(feed, s) for s in samples if not (other_camera and isinstance(s, FrameSample))]
-            for sentence in feed.sentences():
-                self._tell(sentence, arrival)
+        """Return what has come; samples whose numbers are of no use have no time."""
+        polled = list(self._polled(arrival))
         landmarks = [len(feed.source.landmarks) for feed, _ in polled]
         faults = shape_faults([sample for _, sample in polled], landmarks)
         shaped = [pair for pair, fault in zip(polled, faults, strict=True) if not fault]
@@ -170,21 +163,32 @@ class LiveSession:
             self._tell(sentence, arrival)
         return arrived
 
-    def _begin(self, feed: Feed, arrival: float) -> None:
-        """Look at the names of a source that gives its first samples."""
-        self._heard.add(feed.name)
-        names = feed.source.landmarks
-        if not names:
-            return
-        if self._filming:
-            text = f"a second camera beside {self._filming}; it is not used"
-            self._tell(f"{feed.name}: {text}", arrival)
-            return
-        self._filming = feed.name
-        for sentence in landmark_sentences(names, self._setup):
+    def _polled(self, arrival: float) -> Iterator[tuple[Feed, Sample]]:
+        """Poll all sources; a stream is taken from the first source that gives it."""
+        for feed in self._feeds:
+            samples = feed.poll(arrival)
+            for sentence in feed.sentences():
+                self._tell(sentence, arrival)
+            if samples:
+                self._heard.add(feed.name)
+            for sample in samples:
+                stream = stream_of(sample)
+                owner = self._owners.setdefault(stream, feed.name)
+                if owner != feed.name:
+                    text = f"{feed.name}: {stream} comes from {owner} already, and is used from there alone"
+                    self._once(feed.name, stream, text, arrival)
+                    continue
+                if stream == VIDEO and feed.source.landmarks != self._landmarks:
+                    self._name(feed, arrival)
+                yield feed, sample
+
+    def _name(self, feed: Feed, arrival: float) -> None:
+        """Take the names of the points that a camera's source gives from now on."""
+        self._landmarks = feed.source.landmarks
+        for sentence in landmark_sentences(self._landmarks, self._setup):
             self._tell(f"{feed.name}: {sentence}", arrival)
         if self._recorder is not None:
-            self._recorder.landmarks(names)
+            self._recorder.landmarks(self._landmarks)
 
     def _look(self, arrived: Sequence[Arrived], arrival: float) -> None:
         """Tell what is new: states of streams, names, sources that do not start, broken laws."""
@@ -211,7 +215,7 @@ class LiveSession:
     def _partly_heard(self, streams: Sequence[str]) -> bool:
         """Return whether a source of such streams gives samples; else it is told by its name."""
         if VIDEO in streams:
-            return bool(self._filming)
+            return any(feed.source.landmarks and feed.name in self._heard for feed in self._feeds)
         return any(name != VIDEO for name in self._newest)
 
     def _check_first(self, arrival: float) -> None:
@@ -282,23 +286,11 @@ class LiveSession:
         for estimate in estimates:
             if self._recorder is not None:
                 self._recorder.add_estimate(estimate, arrival)
-            for sink in tuple(self._sinks):
-                self._guarded(sink, partial(sink.send, estimate), arrival)
+            for sentence in self._sinks.send(estimate):
+                self._tell(sentence, arrival)
         if self._recorder is not None:
             for sentence in self._recorder.notices():
                 self._tell(sentence, arrival)
-
-    def _guarded(self, sink: Sink, call: Callable[[], None], arrival: float) -> None:
-        """Call a sink; drop it where it fails."""
-        try:
-            call()
-        except Exception as error:  # of a foreign listener or library
-            if sink in self._sinks:
-                self._sinks.remove(sink)
-            with suppress(Exception):
-                sink.close()
-            name = type(sink).__name__
-            self._tell(f"{name}: gets no more estimates ({error or type(error).__name__})", arrival)
 
     def _fault(self, stream: str, fault: str, arrival: float) -> None:
         self._once(stream, fault, f"{stream}: {fault}; such samples are left out", arrival)
@@ -314,8 +306,8 @@ class LiveSession:
             self._sentences.append(text)
         if self._recorder is not None:
             self._recorder.tell(text, arrival)
-        for sink in tuple(self._sinks):
-            self._guarded(sink, partial(sink.tell, text), arrival)
+        for another in self._sinks.tell(text):
+            self._tell(another, arrival)
 
     # --- whole sessions --------------------------------------------------------------------------
 
@@ -329,7 +321,8 @@ class LiveSession:
         """Run until told to stop, interrupted (Ctrl-C), or all sources have finished.
 
         Args:
-            stop: asked in every step. clock: of the arrivals, s. period_s: between two polls.
+            stop: asked in every step. clock: of the arrivals, s. period_s: between two polls;
+                0 for a replay that need not keep pace.
         """
         stopped = stop.is_set if isinstance(stop, Event) else stop
         try:
@@ -368,16 +361,15 @@ class LiveSession:
         with suppress(RtofError):
             rest = self._estimator.finish()
             self._send(rest, arrival)
-            self._times.add(self._times.percentile(50), len(rest))
+            if rest and self._times.frames:
+                self._times.add(self._times.percentile(50), len(rest))
         seconds = self.monitor.elapsed(arrival)
         for feed in self._feeds:
             feed.close()
         if self._checker is not None:
             self._checker.shutdown(wait=False, cancel_futures=True)
         folder = self._finish_recording(arrival)
-        for sink in self._sinks:
-            with suppress(Exception):
-                sink.close()
+        self._sinks.close()
         self._summary = self._summed(seconds, folder)
         return self._summary
 
@@ -394,15 +386,10 @@ class LiveSession:
     def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
         streams = {
             name: StreamSummary(
-                count.received,
-                count.lost,
-                count.late,
-                self._estimator.dropped.get(name, 0),
-                self._left_out.get(name, 0),
+                count.received, count.lost, count.late,
+                self._estimator.dropped.get(name, 0), self._left_out.get(name, 0),
             )
             for name, count in self.monitor.counts().items()
         }
         p50, p99 = (1000 * self._times.percentile(percent) for percent in (50, 99))
-        return SessionSummary(
-            self._times.frames, seconds, p50, p99, streams, tuple(self._sentences), folder
-        )
+        return SessionSummary(self._times.frames, seconds, p50, p99, streams, self.sentences, folder)

@@ -66,7 +66,8 @@ def test_jump_begins_the_map_anew(clock: Clock, leap: float) -> None:
     assert 2 <= np.isnan(times).sum() <= 10
     assert np.nanmax(np.abs(times - [t for t, _ in pairs])) < 0.04
     (sentence,) = clock_map.notices(4.0)
-    assert "s: " in sentence and f"{leap:+.1f}" in sentence
+    assert "s: " in sentence
+    assert f"{leap:+.1f}" in sentence
     assert clock_map.notices(5.0) == []
 
 
@@ -75,7 +76,8 @@ def test_single_stamp_off_the_line_is_left_out() -> None:
     pairs = [(t + (50 if i == 100 else 0), t + 0.01) for i, t in enumerate(np.arange(0, 3, 0.01))]
     times = mapped(clock_map, pairs)
     assert list(np.flatnonzero(np.isnan(times))) == [100]
-    assert clock_map.left_out == 1 and clock_map.notices(3.0) == []
+    assert clock_map.left_out == 1
+    assert clock_map.notices(3.0) == []
 
 
 def test_stamp_that_is_not_finite_is_left_out() -> None:
@@ -129,7 +131,8 @@ def test_own_clock_is_put_on_the_common_one() -> None:
 def test_without_the_common_clock_this_machines_clock_is_taken() -> None:
     clock = SessionClock({"lsl": Clock.COMMON, "phone": Clock.OWN})
     times = [clock.arrived("phone", sample(t - OFFSET), 900 + t).time for t in np.arange(0, 5, 0.1)]
-    assert np.isnan(times[0]) and times[-1] == pytest.approx(904.9)
+    assert np.isnan(times[0])
+    assert times[-1] == pytest.approx(904.9)
     late = clock.arrived("lsl", sample(7.0, "b"), 905.0)
     assert late.time == pytest.approx(905.0)
 

@@ -59,21 +59,26 @@ def test_all_that_die_together_are_one_change() -> None:
     monitor = Monitor(["a", "b"])
     arrivals = [pair for name in "ab" for pair in ticks(60.0, 2.0, name)]
     (change,) = follow(monitor, [*arrivals, *ticks(60.0, 4.0, "c")], 4.0)
-    assert change.streams == ("a", "b") and change.state is State.LOST and change.begins
+    assert change.streams == ("a", "b")
+    assert change.state is State.LOST
+    assert change.begins
     assert 2.4 < change.time < 2.8
 
 
 def test_time_goes_on_where_nothing_comes_at_all() -> None:
     monitor = Monitor(["a"])
     (change,) = follow(monitor, ticks(60.0, 1.0), 3.0)
-    assert change.state is State.LOST and 1.4 < change.time < 1.9
+    assert change.state is State.LOST
+    assert 1.4 < change.time < 1.9
 
 
 def test_losses_are_told_as_over_only_after_a_while() -> None:
     monitor = Monitor(["a"])
     arrivals = [(t, s) for i, (t, s) in enumerate(ticks(60.0, 8.0)) if t > 2.0 or i % 6]
     begin, end = follow(monitor, arrivals, 8.0)
-    assert begin.begins and not end.begins and begin.state is end.state is State.LOSSY
+    assert begin.begins
+    assert not end.begins
+    assert begin.state is end.state is State.LOSSY
     assert 5.0 < end.time < 7.0
 
 
@@ -86,7 +91,8 @@ def test_camera_that_sees_nobody() -> None:
     ]
     begin, end = follow(monitor, frames, 4.0)
     assert begin.state is end.state is State.EMPTY
-    assert 1.0 < begin.time + 0.07 < 2.1 and not end.begins
+    assert 1.0 < begin.time + 0.07 < 2.1
+    assert not end.begins
     assert not monitor.frozen(VIDEO)
 
 
@@ -101,7 +107,9 @@ def test_waiting_is_told_and_ends() -> None:
     assert monitor.status()["sensors"][0]["state"] == "waiting"
     late = [(t + 1, replace(s, time=t + 1)) for t, s in ticks(60.0, 1.0) if isinstance(s, ImuSample)]
     begin, end = follow(monitor, late, 2.0)
-    assert begin.state is end.state is State.WAITING and begin.time < 0.7 and not end.begins
+    assert begin.state is end.state is State.WAITING
+    assert begin.time < 0.7
+    assert not end.begins
 
 
 def test_stamps_of_arrival_are_no_losses() -> None:
@@ -127,7 +135,7 @@ def test_status_is_plain_and_has_the_figures_of_the_estimate() -> None:
 
 
 def test_following_all_streams_takes_a_tenth_of_a_millisecond() -> None:
-    names = demo().calibration.sensors  # type: ignore[union-attr]
+    names = demo().calibration.sensors
     samples = [Arrived("s", s, s.time, s.time) for s in sorted(imu_samples(5.0), key=lambda s: s.time)]
 
     def seconds() -> float:
@@ -149,6 +157,7 @@ def test_memory_of_a_stream_is_bounded() -> None:
         recent.add(0.001 * i, 0.0)
     assert len(recent._samples) <= 1024
     quality = recent.quality()
-    assert quality is not None and quality.rate_hz == pytest.approx(1000, rel=0.02)
+    assert quality is not None
+    assert quality.rate_hz == pytest.approx(1000, rel=0.02)
 
 

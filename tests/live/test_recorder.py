@@ -15,7 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_support import FakeEstimator, FakeSource, count, demo, drive, frame_samples, imu_samples, name_of, shaken
+from live_support import (
+    FakeEstimator,
+    FakeSource,
+    count,
+    demo,
+    drive,
+    frame_samples,
+    imu_samples,
+    name_of,
+    shaken,
+)
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.arrays import read_npz_as_saved
@@ -45,7 +55,7 @@ time.sleep(60)
 
 def recorded(folder: Path, samples: list[Sample], **options: float) -> Recorder:
     """A recorder that took these samples, without a thread."""
-    recorder = Recorder(folder, demo(), in_background=False, **options)  # type: ignore[arg-type]
+    recorder = Recorder(folder, demo(), in_background=False, **options)
     recorder.landmarks(demo().video.names)
     for sample in sorted(samples, key=lambda sample: sample.time):
         recorder.add(Arrived("demo", sample, sample.time, sample.time))
@@ -66,7 +76,8 @@ def full_disk(room: int = 2000) -> Iterator[None]:
 def test_recording_has_what_came(tmp_path: Path) -> None:
     assert recorded(tmp_path / "walk", imu_samples(3.0) + frame_samples(3.0)).finish() == ()
     found, whole = Recording.load(tmp_path / "walk"), demo()
-    assert found.imus is not None and whole.imus is not None
+    assert found.imus is not None
+    assert whole.imus is not None
     n, start = len(found.imus), whole.imus.times[0]
     np.testing.assert_allclose(found.imus.times, whole.imus.times[:n] - start, atol=1e-12)
     np.testing.assert_allclose(found.imus.R_inertial_sensor, whole.imus.R_inertial_sensor[:n], atol=1e-9)
@@ -74,7 +85,8 @@ def test_recording_has_what_came(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.video.uv_px, whole.video.uv_px[: len(found.video)])
     np.testing.assert_allclose(found.video.times, whole.video.times[: len(found.video)] - start, atol=1e-12)
     assert found.imus.names == whole.imus.names
-    assert found.calibration is not None and found.calibration.sensors == whole.calibration.sensors  # type: ignore[union-attr]
+    assert found.calibration is not None
+    assert found.calibration.sensors == whole.calibration.sensors
     np.testing.assert_array_equal(found.joint_offsets, whole.joint_offsets)
 
 
@@ -93,7 +105,8 @@ def test_sensors_of_other_rates_are_joined(tmp_path: Path) -> None:
     moved = [replace(s, time=s.time + 0.005) if name_of(s) == "R_UpArm" else s for s in slow]
     recorded(tmp_path / "walk", moved).finish()
     found = Recording.load(tmp_path / "walk").imus
-    assert found is not None and found.names == demo().imus.names  # type: ignore[union-attr]
+    assert found is not None
+    assert found.names == demo().imus.names
     assert np.isfinite(found.f_sensor).all(axis=-1).mean() > 0.9
 
 
@@ -128,8 +141,10 @@ def test_sensor_of_wrong_unit_and_unknown_sensor_are_left_out_with_a_note(tmp_pa
         samples.append(replace(s, sensor="phone") if s.sensor == "R_UpArm" else s)
     notes = recorded(tmp_path / "walk", samples).finish()
     found = Recording.load(tmp_path / "walk")
-    assert found.imus is not None and not {"L_UpArm", "R_UpArm", "phone"} & set(found.imus.names)
-    assert any("L_UpArm" in note for note in notes) and any("phone" in note for note in notes)
+    assert found.imus is not None
+    assert not {"L_UpArm", "R_UpArm", "phone"} & set(found.imus.names)
+    assert any("L_UpArm" in note for note in notes)
+    assert any("phone" in note for note in notes)
     assert all(note in found.notes for note in notes)
 
 
@@ -154,11 +169,13 @@ def test_killed_session_is_finished_later(tmp_path: Path) -> None:
     folder = tmp_path / "walk"
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(SUPPORT)])}
     with subprocess.Popen([sys.executable, "-c", KILLED, folder], stdout=subprocess.PIPE, env=env) as process:
-        assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
         process.send_signal(signal.SIGKILL)
     finish(folder)
     found = Recording.load(folder)
-    assert found.imus is not None and 110 <= len(found.imus) <= 130
+    assert found.imus is not None
+    assert 110 <= len(found.imus) <= 130
     assert len(found.video) >= 110
     with pytest.raises(OutputExistsError, match="walk"):
         finish(folder)
@@ -172,7 +189,8 @@ def test_damaged_file_is_noted_and_the_rest_kept(tmp_path: Path) -> None:
     notes = finish(tmp_path / "walk")
     assert any("000002.npz" in note for note in notes)
     found = Recording.load(tmp_path / "walk").imus
-    assert found is not None and len(found) == pytest.approx(120, abs=2)
+    assert found is not None
+    assert len(found) == pytest.approx(120, abs=2)
 
 
 def test_folder_with_files_is_refused(tmp_path: Path) -> None:

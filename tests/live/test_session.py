@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import socket
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,11 +26,17 @@ from live_support import (
     shaken,
 )
 
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.osc_source import OscSource
+from rtof_kin.live.recorder import Recorder
+from rtof_kin.live.replay import Faults, RecordingReplay
+from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.live.session import LiveSession
+from rtof_kin.recording.recording import Recording
 
 LANDMARKS = demo().video.names
 
@@ -44,7 +54,12 @@ def sensors(seconds: float = 6.0) -> FakeSource:
 
 
 def session_of(*sources: FakeSource, **options: object) -> LiveSession:
-    return LiveSession(demo(), sources, FakeEstimator(), in_background=False, **options)  # type: ignore[arg-type]
+    return LiveSession(demo(), sources, FakeEstimator(), in_background=False, **options)
+
+
+def estimator_of(session: LiveSession) -> FakeEstimator:
+    assert isinstance(session._estimator, FakeEstimator)
+    return session._estimator
 
 
 def run(*sources: FakeSource, stop: float = 6.0, **options: object) -> tuple[LiveSession, list[Told]]:
@@ -66,7 +81,7 @@ def test_undisturbed_session_says_nothing() -> None:
 def test_loss_is_told_once_within_a_second() -> None:
     imus = FakeSource("imus", shaken(imu_samples(8.0), 0.0, 0.1, seed=3))
     session, told = run(imus, camera(8.0), stop=8.0)
-    names = demo().calibration.sensors  # type: ignore[union-attr]
+    names = demo().calibration.sensors
     for name in names:
         assert count(told, name, "do not come") == 1
     assert np.median([first(told, name, "do not come") for name in names]) < 1.2
@@ -77,11 +92,11 @@ def test_loss_is_told_once_within_a_second() -> None:
 def test_jitter_out_of_order_is_told_once_within_a_second() -> None:
     imus = FakeSource("imus", shaken(imu_samples(6.0), 0.05, 0.0, seed=4))
     session, told = run(imus, camera())
-    for name in demo().calibration.sensors:  # type: ignore[union-attr]
+    for name in demo().calibration.sensors:
         assert first(told, name, "late") < 1.3
         assert count(told, name, "late") == 1
     assert count(told, "do not come") == 0
-    times = session._estimator.times  # type: ignore[attr-defined]
+    times = estimator_of(session).times
     assert np.all(np.diff(times) > 0)
 
 
@@ -100,21 +115,22 @@ def test_sensor_that_dies_and_comes_back() -> None:
 def test_camera_that_freezes(how: str) -> None:
     def frozen(sample: Sample) -> Sample:
         stuck = frame_samples(3.0)[-1]
-        assert isinstance(sample, FrameSample) and isinstance(stuck, FrameSample)
+        assert isinstance(sample, FrameSample)
+        assert isinstance(stuck, FrameSample)
         return replace(stuck, time=sample.time) if 2.0 < sample.time < 4.0 else sample
 
     arrivals = [(s.time, frozen(s)) for s in frame_samples(6.0)]
     if how == "no frames":
         arrivals = [(t, s) for t, s in arrivals if not 2.0 < t < 4.0]
-    session = session_of(sensors(), source := FakeSource("camera", arrivals, landmarks=LANDMARKS))
-    sources = [session._feeds[0].source, source]
-    told = drive(session, sources, 3.5)  # type: ignore[arg-type]
+    sources = [sensors(), FakeSource("camera", arrivals, landmarks=LANDMARKS)]
+    session = session_of(*sources)
+    told = drive(session, sources, 3.5)
     assert session.status()["camera"]["state"] == "frozen"
-    told += drive(session, sources, 6.0, 3.5)  # type: ignore[arg-type]
+    told += drive(session, sources, 6.0, 3.5)
     assert 2.0 < first(told, VIDEO) < 3.0
     assert 4.0 <= first(told, VIDEO, "back again") < 4.3
     assert len(told) == 2
-    pushed = [s for s in session._estimator.pushed if isinstance(s, FrameSample)]  # type: ignore[attr-defined]
+    pushed = [s for s in estimator_of(session).pushed if isinstance(s, FrameSample)]
     assert sum(2.5 < s.time < 4.0 for s in pushed) == 0
 
 
@@ -127,7 +143,7 @@ def test_sensor_that_repeats_itself_is_left_out() -> None:
     session, told = run(FakeSource("imus", arrivals), camera())
     assert 2.0 < first(told, "R_UpLeg", "same numbers") < 3.0
     assert 4.0 <= first(told, "R_UpLeg", "back again") < 4.3
-    pushed = [s for s in session._estimator.pushed if name_of(s) == "R_UpLeg"]  # type: ignore[attr-defined]
+    pushed = [s for s in estimator_of(session).pushed if name_of(s) == "R_UpLeg"]
     assert sum(2.6 < s.time < 3.9 for s in pushed) == 0
 
 
@@ -142,7 +158,7 @@ def test_clock_that_jumps(leap: float, clock: Clock) -> None:
     assert 3.0 < first(told, "imus", "jumped") < 4.0
     assert count(told, "jumped") == 1
     assert len(told) == 1
-    pushed = session._estimator.pushed  # type: ignore[attr-defined]
+    pushed = estimator_of(session).pushed
     times = np.array([s.time for s in pushed if name_of(s) == "L_UpArm"])
     assert np.all(np.diff(times) > 0)
     assert np.diff(times).max() < 0.15
@@ -151,14 +167,14 @@ def test_clock_that_jumps(leap: float, clock: Clock) -> None:
 def test_stream_that_never_starts() -> None:
     missing = FakeSource("lsl:phone", [])
     missing.silent = True
-    session, told = run(sensors(), camera(), missing, patience_s=0.9)
+    _session, told = run(sensors(), camera(), missing, patience_s=0.9)
     assert 0.9 <= first(told, "lsl:phone", "nothing has come") < 1.1
     assert len(told) == 1
 
 
 def test_sensor_of_the_calibration_that_never_comes() -> None:
     arrivals = [(t, s) for t, s in on_time(imu_samples(4.0)) if name_of(s) != "L_LowLeg"]
-    session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
+    _session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
     assert first(told, "L_LowLeg", "nothing has come") < 3.2
     assert len(told) == 1
 
@@ -175,7 +191,7 @@ def test_wrong_units_are_told_after_two_seconds(factor: float) -> None:
     assert count(told, "specific force") == 1
     if factor < 1:
         assert count(told, "acceleration_unit = g") == 1
-    assert len(session._estimator.pushed) > 1000  # type: ignore[attr-defined]
+    assert len(estimator_of(session).pushed) > 1000
 
 
 def test_unusable_numbers_are_left_out_and_told_once() -> None:
@@ -204,13 +220,34 @@ def test_unknown_sensor_is_told_with_the_closest_name() -> None:
     ]
     session, told = run(FakeSource("imus", arrivals), stop=2.0)
     assert first(told, "l_lowarm", "did you mean L_LowArm") < 0.1
-    assert "l_lowarm" not in {name_of(s) for s in session._estimator.pushed}  # type: ignore[attr-defined]
+    assert "l_lowarm" not in {name_of(s) for s in estimator_of(session).pushed}
 
 
 def test_unknown_landmark_is_told_with_the_closest_name() -> None:
     names = ["Hip", *LANDMARKS[1:]]
     _, told = run(FakeSource("camera", on_time(frame_samples(1.0)), landmarks=names), stop=1.0)
     assert count(told, "Hip:", "did you mean Hips") == 1
+
+
+def test_stream_of_two_sources_is_taken_from_the_first() -> None:
+    other = FakeSource("phone", [(s.time, s) for s in imu_samples(1.0) if name_of(s) == "R_LowLeg"])
+    second = FakeSource("second", on_time(frame_samples(1.0)), landmarks=LANDMARKS[:5])
+    session, told = run(sensors(1.0), camera(1.0), other, second, stop=1.0)
+    assert count(told, "phone", "R_LowLeg", "imus") == count(told, "second", VIDEO, "camera") == 1
+    assert len(told) == 2
+    assert session.finish(1.0).streams["R_LowLeg"].received == pytest.approx(60, abs=1)
+
+
+def test_names_of_points_may_come_with_the_first_frame(tmp_path: Path) -> None:
+    samples = [(s.time, s) for s in imu_samples(1.0)] + [(s.time + 0.3, s) for s in frame_samples(0.7)]
+    source = FakeSource("udp", samples)
+    recorder = Recorder(tmp_path / "walk", demo(), in_background=False)
+    session = session_of(source, recorder=recorder)
+    drive(session, [source], 0.3)
+    source.landmarks = LANDMARKS
+    drive(session, [source], 1.2, 0.3)
+    session.finish(1.2)
+    assert len(Recording.load(tmp_path / "walk").video) == len(frame_samples(0.7))
 
 
 def test_source_that_fails_is_tried_again() -> None:
@@ -222,7 +259,7 @@ def test_source_that_fails_is_tried_again() -> None:
     assert count(told, "unplugged") == 1
     assert count(told, "imus: goes on") == 1
     assert imus.starts == 3
-    assert len(session._estimator.pushed) > 2000  # type: ignore[attr-defined]
+    assert len(estimator_of(session).pushed) > 2000
 
 
 def test_source_that_does_not_start_does_not_stop_the_rest() -> None:
@@ -245,11 +282,12 @@ def test_sink_that_fails_is_dropped() -> None:
 
 
 def test_clock_that_is_ahead_does_not_carry_the_others_away() -> None:
-    ahead = [(t, replace(s, time=s.time + 40)) for t, s in on_time(imu_samples(3.0)) if name_of(s) == "L_UpArm"]
-    rest = [(t, s) for t, s in on_time(imu_samples(3.0)) if name_of(s) != "L_UpArm"]
-    session, told = run(FakeSource("imus", rest), FakeSource("other", [(t + 0.1, s) for t, s in ahead]), stop=3.0)
+    samples = imu_samples(3.0)
+    ahead = [(s.time + 0.1, replace(s, time=s.time + 40)) for s in samples if name_of(s) == "L_UpArm"]
+    rest = FakeSource("imus", on_time([s for s in samples if name_of(s) != "L_UpArm"]))
+    session, told = run(rest, FakeSource("other", ahead), stop=3.0)
     assert count(told, "L_UpArm", "ahead") == 1
-    assert max(session._estimator.times) < 3.1  # type: ignore[attr-defined]
+    assert max(estimator_of(session).times) < 3.1
 
 
 def test_two_sources_of_one_name_are_refused() -> None:
@@ -277,3 +315,44 @@ def test_run_in_background_starts_sources_in_threads() -> None:
     imus.now = 1.0
     summary = LiveSession(demo(), [imus], FakeEstimator()).run(period_s=0.001)
     assert summary.streams["L_UpArm"].received == 18
+
+
+@pytest.mark.parametrize("faults", [Faults(), Faults(loss=0.1, jitter_s=0.05, seed=2)])
+def test_replays_as_fast_as_they_are_read(faults: Faults) -> None:
+    replay = ReplayClock(np.inf)
+    imus = RecordingReplay.of_recording(demo(), replay, video=False, faults=faults)
+    video = RecordingReplay.of_recording(demo(), replay, sensors=False)
+    session = LiveSession(demo(), [imus, video], FakeEstimator(), in_background=False)
+    summary = session.run(lambda: replay.time > 3.0, clock=lambda: replay.time, period_s=0.0)
+    assert summary.frames == pytest.approx(180, abs=3)
+    assert bool(summary.sentences) == bool(faults.loss)
+    assert all("do not come" in text or "late" in text for text in summary.sentences)
+
+
+def test_samples_over_udp_are_used_and_their_end_is_told() -> None:
+    source = OscSource(0)
+    session = LiveSession(demo(), [source], FakeEstimator(), in_background=False)
+    sender, start = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), time.monotonic()
+    session.step(start)  # opens the port
+    with sender:
+        for k, sample in enumerate(imu_samples(0.8)):
+            assert isinstance(sample, ImuSample)
+            quat = so3.to_quat_wxyz(sample.R_inertial_sensor).tolist()
+            known = {"sensor": sample.sensor, "time": 7 + sample.time, "quat": quat}
+            datagram = json.dumps({**known, "acc": sample.f_sensor.tolist()}).encode()
+            while time.monotonic() < start + sample.time:
+                time.sleep(0.001)
+            sender.sendto(datagram, ("127.0.0.1", source.port))
+            if k % 8 == 0:
+                session.step(time.monotonic())
+    now = time.monotonic()
+    while not any("no usable sample" in text for text in session.sentences):
+        now += 0.02  # the arrivals' clock goes on faster than this one
+        assert now < time.monotonic() + 5
+        session.step(now)
+        time.sleep(0.001)
+    summary = session.finish(now)
+    pushed = [s for s in estimator_of(session).pushed if name_of(s) == "L_UpArm"]
+    assert len(pushed) == 48
+    assert abs(pushed[-1].time - (start + 0.8)) < 0.2
+    assert summary.streams["L_UpArm"].received == 48

@@ -111,7 +111,7 @@ class FakeEstimator:
     def push(self, sample: Sample) -> None:
         self.pushed.append(sample)
 
-    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:  # noqa: ARG002
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
         assert time is not None
         if self._next is None:
             self._next = time
