@@ -223,8 +223,8 @@ def _run(
     """Run until the end, Ctrl-C, or the time given, and show what happens."""
     replay = streams.replay
     clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
-    if not streams.replayed:
-        streams.sources[0].poll()  # when it came during the preparation is not known
+    for source in streams.live:
+        source.poll()  # when this came is not known
     begun = clock()
 
     def stop() -> bool:
