@@ -18,7 +18,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.imu_calibration import GRAVITY_WORLD, ImuCalibration
+from rtof_kin.data.imu import GRAVITY_WORLD
+from rtof_kin.data.imu_calibration import ImuCalibration
 
 _LONGEST_GAP: Final = 0.1  # [s] between samples that is interpolated
 _REACH: Final = 0.08  # [s] of the impulse response to either side
@@ -31,7 +32,8 @@ class SensorBuffer:
     """The newest samples of S sensors.
 
     Attributes:
-        joints: S segments. levers: (S, 3) positions of the sensors in them, m. newest: (S,) time of the newest sample of each, s; -inf before the first one.
+        joints: S segments. levers: (S, 3) positions of the sensors in them, m.
+        newest: (S,) time of the newest sample of each, s; -inf before the first one.
         changed: earliest time whose values changed since `clean`, s.
     """
 
@@ -173,7 +175,7 @@ class SensorBuffer:
 
 @cache
 def _response(rate_hz: float, cutoff_hz: float | None) -> Array:
-    """Impulse response (n,) of low-pass and triangle at distances of `_STEP`, per second; the last one is 0."""
+    """Impulse response (n,) of low-pass and triangle at distances of `_STEP`, 1/s; the last one is 0."""
     count = round(4 * _REACH / _STEP)
     t = (np.arange(2 * count + 1) - count) * _STEP
     values = np.maximum(1 - np.abs(t) * rate_hz, 0.0) * rate_hz
@@ -181,4 +183,4 @@ def _response(rate_hz: float, cutoff_hz: float | None) -> Array:
         values = signals.low_pass(values, 1 / _STEP, cutoff_hz)
     out = values[count : count + round(_REACH / _STEP) + 1].copy()
     out[-1] = 0.0
-    return out
+    return np.asarray(out)
