@@ -42,8 +42,8 @@ _EVERY, _TURNS = 0.1, 3  # [s] between checks; in so many of them the figures of
 _SILENT, _PERIODS = 0.5, 5.0  # [s] without a sample, or as many periods of a slow stream
 _SAME, _SAME_ORIENTATION = 0.3, 2.0  # [s] of identical numbers; of orientations alone, which may be rounded
 _NOBODY = 0.75  # [s]
-_LOSS, _MISSING = 0.05, 3  # [-] of the samples, and at least so many, within a second
-_LATE, _UNEVEN_FRAMES, _LATE_FRAMES = 0.02, 0.1, 0.5  # [s] of sensors; jitter and age of the camera's frames
+_LOSS, _MISSING, _TOGETHER = 0.05, 4, 2  # [-] of a second's samples; so many, or fewer where all lose some
+_LATE, _UNEVEN_FRAMES, _LATE_FRAMES = 0.015, 0.025, 0.5  # [s] of sensors; jitter and age of the camera's frames
 _RECOVERED = 3.0  # [s] below half a limit
 _GRACE = 0.1  # [s] without any sample, from which on the session's clock goes on by itself
 _FRAMES = 60  # estimates that the figures of `Monitor.status` are of
@@ -74,7 +74,7 @@ class StreamCounts:
     lost: int
     """That did not come, by the stream's own rate."""
     late: int
-    """More than 20 ms older than the newest one of any stream before."""
+    """More than 15 ms older than the newest one of any stream before."""
     repeated: int
     """That came while the stream was frozen."""
 
@@ -131,7 +131,7 @@ class _Stream:
         """Seconds without a sample after which the stream is lost."""
         return max(_SILENT, _PERIODS * self.quality.period)
 
-    def judge(self, now: float, overdue: bool) -> dict[State, bool | None]:
+    def judge(self, now: float, overdue: bool, missing: int) -> dict[State, bool | None]:
         """Return which states hold; None where the last judgement stays."""
         if self.received == 0:
             return {State.WAITING: overdue}
@@ -141,7 +141,7 @@ class _Stream:
         uneven, late = (_UNEVEN_FRAMES, _LATE_FRAMES) if video else (_LATE, 10 * _LATE)
         lateness = max(q.jitter / uneven, q.age / late)
         same = _SAME_ORIENTATION if self.oriented_only else _SAME
-        loss = min(q.loss / _LOSS, q.missing / _MISSING)
+        loss = min(q.loss / _LOSS, q.missing / missing)
         return {
             State.WAITING: False,
             State.LOST: False,
@@ -269,16 +269,23 @@ class Monitor:
             return []
         self._checked, self._turn = now, (self._turn + 1) % _TURNS
         overdue = max(arrival - self._began, elapsed) >= self._patience
+        missing = _TOGETHER if self._loss() >= _LOSS else _MISSING
         groups: dict[tuple[State, bool, bool], list[tuple[_Stream, float]]] = {}
         for i, stream in enumerate(self._streams.values()):
             if i % _TURNS == self._turn:
                 stream.renew()
-            for state, holds in stream.judge(now, overdue).items():
+            for state, holds in stream.judge(now, overdue, missing).items():
                 seconds = stream.turned(state, holds, now)
                 if seconds is not None:
                     key = state, bool(holds), stream.name == VIDEO
                     groups.setdefault(key, []).append((stream, seconds))
         return [self._change(*key[:2], group, now, elapsed) for key, group in groups.items()]
+
+    def _loss(self) -> float:
+        """Return the share of the samples of all streams that did not come in the last second."""
+        figures = [s.quality for s in self._streams.values() if s.received and State.LOST not in s.since]
+        lost, came = sum(q.missing_hz for q in figures), sum(q.rate_hz for q in figures)
+        return lost / max(lost + came, 1e-9)
 
     def status(self) -> dict[str, Any]:
         """Return the state of all streams and the figures of the estimate as plain values, for displays.
