@@ -37,6 +37,7 @@ cameras (--camera):
   walk.mp4                 a video, at its speed
   lsl:NAME                 points that another program detects, over LSL
   udp:9000                 points in UDP datagrams (OSC, JSON)
+  take.xdf, walk.npz       points that a detector wrote, replayed
   FOLDER                   the keypoints of a recording, replayed
 
 sensors (--imus, may be given several times):
@@ -115,7 +116,8 @@ def _live(options: argparse.Namespace) -> None:
     limit_threads(None)
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimator import OnlineEstimator, OnlineSettings
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.online_settings import OnlineSettings
     from rtof_kin.live.open_sources import open_sinks, open_sources
     from rtof_kin.live.recorder import Recorder
     from rtof_kin.live.session import LiveSession

@@ -15,9 +15,12 @@ from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, Sink, Source
 from rtof_kin.live.video_source import VideoSource, is_webcam
 from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 
-CAMERAS: Final = "number of a webcam, VIDEO, lsl:NAME, udp:PORT, or the folder of a recording"
+CAMERAS: Final = (
+    "number of a webcam, VIDEO, a detector's file, lsl:NAME, udp:PORT, or the folder of a recording"
+)
 """Words of a camera, for messages."""
 SENSORS: Final = "lsl:NAME, udp:PORT, a file or folder of sensors, or the folder of a recording"
 """Words of sensors, for messages."""
@@ -176,11 +179,11 @@ def _camera(word: str, opening: _Opening) -> Source:
                 f"camera {word}: its images have {own.width_px} x {own.height_px} px, those of the setup "
                 f"{setup.name} {camera.width_px} x {camera.height_px} px; take a setup of this camera"
             )
-        return RecordingReplay.of_recording(
-            recording, opening.replay, sensors=False, clock=opening.clock
-        )
+        return RecordingReplay.of_recording(recording, opening.replay, sensors=False, clock=opening.clock)
     if not webcam and not path.is_file():
         raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
+    if not webcam and path.suffix.lower() in FORMATS:
+        return RecordingReplay.of_keypoint_file(path, camera, opening.replay, clock=opening.clock)
     if setup.skeleton_table != _SKELETON:
         raise SourceError(
             f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} "

@@ -155,9 +155,7 @@ def test_help_lists_sources_with_examples(cli: Cli) -> None:
 
 
 @pytest.mark.usefixtures("estimator")
-def test_the_page_is_shown_in_the_browser_where_asked_for(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_is_shown_in_the_browser_where_asked_for(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("websockets")
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -75,7 +75,16 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
     camera, sensors = opened([str(video)], [str(file)]).sources
     assert isinstance(camera, VideoSource)
     assert isinstance(sensors, RecordingReplay)
-    assert (camera.name, sensors.name) == ("walk.mp4", "walk.csv")
+    assert (camera.name, sensors.name) == ("walk.mp4", "walk.csv (sensors)")
+    keypoints = tmp_path / "walk.npz"
+    found = demo().video
+    np.savez(keypoints, uv_px=found.uv_px[:100, None], confidence=found.confidence[:100, None],
+             times=found.times[:100])  # fmt: skip
+    (camera,) = opened([str(keypoints)], []).sources
+    assert set(demo().skeleton.names) <= set(camera.landmarks)
+    keypoints.write_bytes(b"")
+    with pytest.raises(SourceError, match="walk.npz"):
+        opened([str(keypoints)], [])
 
 
 @pytest.mark.parametrize(

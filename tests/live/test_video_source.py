@@ -235,9 +235,7 @@ def test_devices_are_named_as_each_system_names_them(monkeypatch: pytest.MonkeyP
         webcam.device_of(0, "beos")
 
 
-def test_what_is_no_video_and_a_missing_detector_are_source_errors(
-    film: Path, tmp_path: Path
-) -> None:
+def test_what_is_no_video_and_a_missing_detector_are_source_errors(film: Path, tmp_path: Path) -> None:
     text = tmp_path / "notes.mp4"
     text.write_text("no video")
     for path in (text, tmp_path / "absent.mp4"):
@@ -290,9 +288,7 @@ def test_a_webcam_that_stops_says_so_and_may_be_started_again(
         assert source.finished
 
 
-def test_a_missing_camera_is_found_once_it_is_there(
-    stage: Callable[[str], None], tmp_path: Path
-) -> None:
+def test_a_missing_camera_is_found_once_it_is_there(stage: Callable[[str], None]) -> None:
     source = VideoSource("/dev/video97", Walker)
     with pytest.raises(SourceError, match="no such camera"):
         source.start()
