@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from detector_support import points_px, walking, watching
 
 from rtof_kin.core.errors import CalibrationError, RtofError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -77,11 +78,10 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
     assert isinstance(sensors, RecordingReplay)
     assert (camera.name, sensors.name) == ("walk.mp4", "walk.csv (sensors)")
     keypoints = tmp_path / "walk.npz"
-    found = demo().video
-    np.savez(keypoints, uv_px=found.uv_px[:100, None], confidence=found.confidence[:100, None],
-             times=found.times[:100])  # fmt: skip
+    uv = points_px("coco17", walking(), watching(walking()))[:, None]
+    np.savez(keypoints, uv_px=uv, confidence=np.ones(uv.shape[:3]), times=np.arange(len(uv)) / 30)
     (camera,) = opened([str(keypoints)], []).sources
-    assert set(demo().skeleton.names) <= set(camera.landmarks)
+    assert "coco17:Nose" in camera.landmarks
     keypoints.write_bytes(b"")
     with pytest.raises(SourceError, match="walk.npz"):
         opened([str(keypoints)], [])
