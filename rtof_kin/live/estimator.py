@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from rtof_kin.body.observability import WHOLE, levels_by_points
+from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
@@ -25,6 +26,7 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.live.first_pose import first_lifted, first_sensed
 from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.live.refinement import Refinement
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.live.window import Window, speeds
@@ -52,7 +54,7 @@ class OnlineEstimator:
 
     def __init__(
         self, setup: Recording, landmarks: Sequence[str] = (), settings: OnlineSettings | None = None,
-        lifter: Lifter | None = None,
+        lifter: Lifter | None = None, calibration: SelfCalibration | None = None,
     ) -> None:  # fmt: skip
         """Build the problem, which compiles code the first time.
 
@@ -60,6 +62,7 @@ class OnlineEstimator:
             setup: recording whose camera, body, floor and calibration of sensors are used; not its streams.
             landmarks: names of the L points of the video; none for sensors alone.
             settings: rate, lag and solver. lifter: keypoints to 3D; by default the shipped one.
+            calibration: that the refinement begins with; for one to be kept as it is, apply it to the setup.
 
         Raises:
             InvalidInputError: there is neither camera nor calibrated sensor.
@@ -88,6 +91,7 @@ class OnlineEstimator:
         self.dropped: dict[str, int] = {}
         self.hurried = 0
         self._ends = self._provenance_of_sensors()
+        self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
         self._levels: dict[bytes, Mask] = {}
 
     def _streaming(self, lifter: Lifter | None, floor_height: float | None) -> StreamingLifter | None:
@@ -100,6 +104,17 @@ class OnlineEstimator:
             lifter or Lifter.load(), self._camera, self.skeleton.joint_offsets, floor_height,
             names=self._landmarks, history_s=self.settings.frames / self.settings.rate_hz + 0.5,
         )  # fmt: skip
+
+    def _refined(self, start: SelfCalibration | None) -> Refinement | None:
+        priors = self.settings.refined
+        if priors is None or self._sensors is None or self._camera is None:
+            return None
+        return Refinement(self._window, self._sensors, priors, start)
+
+    @property
+    def calibration(self) -> SelfCalibration | None:
+        """What was refined so far; None where nothing is."""
+        return None if self._refinement is None else self._refinement.calibration.as_self_calibration()
 
     # --- samples ---------------------------------------------------------------------------------
 
@@ -118,7 +133,7 @@ class OnlineEstimator:
         L = len(self._landmarks)
         if np.shape(sample.uv_px) != (L, 2) or np.shape(sample.confidence) != (L,):
             raise ShapeError(f"frame at {sample.time:g} s: {np.shape(sample.uv_px)} points for {L} landmarks")
-        sample = replace(sample, time=sample.time - self.settings.video_delay_s)
+        sample = replace(sample, time=sample.time - self._delay_s)
         if self._origin is not None and sample.time < self._time(self._window.first) - 0.5 / self._rate:
             self._drop("video")
             return
@@ -186,6 +201,8 @@ class OnlineEstimator:
     def _step(self, solve: bool) -> None:
         """Append the next frame; lift and solve it if asked to."""
         window = self._window
+        if self._refinement is not None:
+            self._correct(self._refinement)
         window.append(window.smoother.predicted())
         times = self._times
         if self._sensors is not None:
@@ -196,6 +213,14 @@ class OnlineEstimator:
         if solve:
             window.stand(times)
             self._iterate(self.settings.iterations)
+
+    def _correct(self, refinement: Refinement) -> None:
+        """Go on with the calibration and apply what it found."""
+        assert self._sensors is not None
+        found = refinement.step(float(self._time(self._window.first)) + self._delay_s)
+        self._delay_s = self.settings.video_delay_s + found.delay
+        self._sensors.correct(found.heading, found.R_mounting)
+        self._window.prefer(refinement.quat_mean)
 
     def _iterate(self, iterations: int) -> None:
         try:

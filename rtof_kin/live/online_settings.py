@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -31,6 +32,9 @@ class OnlineSettings:
     """Levenberg-Marquardt iterations for each frame."""
     confidence: bool = False
     """Whether to compute the covariance of every returned pose."""
+    refined: CalibrationPriors | None = None
+    """What is calibrated while the person moves, with its prior: delay, headings, mountings, posture. None:
+    nothing."""
     solver: JointSpaceSettings = field(default_factory=JointSpaceSettings)
     """Standard deviations of the residuals; the floor is that of the recording where none is given."""
 

@@ -8,6 +8,7 @@ have not arrived yet are left out of the mean.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Final
 
@@ -57,6 +58,7 @@ class SensorBuffer:
         self._count = np.zeros(S, dtype=int)
         self._times = np.full((S, _CAPACITY), np.inf)
         self._R, self._a = np.zeros((S, _CAPACITY, 3, 3)), np.zeros((S, _CAPACITY, 3))
+        self._heading, self._mounting = np.zeros(S), np.tile([1.0, 0.0, 0.0, 0.0], (S, 1))
         self._frame = 1 / rate_hz
         self._response = _response(rate_hz, cutoff_hz)
         self.newest = np.full(S, -np.inf)
@@ -102,11 +104,22 @@ class SensorBuffer:
         changed, self.changed = self.changed - _REACH, np.inf
         return changed
 
-    def at(self, times: Array) -> tuple[Array, Array, Array, Array]:
+    def correct(self, heading: Mapping[str, float], R_mounting: Mapping[str, Array]) -> None:
+        """Rotate what `at` returns from now on.
+
+        Args:
+            heading: segment -> rotation about world's z, rad. R_mounting: segment -> (3, 3) in its axes.
+        """
+        for s, joint in enumerate(self.joints):
+            self._heading[s] = heading.get(joint, 0.0)
+            if joint in R_mounting:
+                self._mounting[s] = so3.to_quat_wxyz(R_mounting[joint])
+
+    def at(self, times: Array, *, corrected: bool = True) -> tuple[Array, Array, Array, Array]:
         """Return quaternions (F, S, 4) and whether known (F, S), accelerations (F, S, 3) and whether known.
 
         Args:
-            times: (F,) of frames, s.
+            times: (F,) of frames, s. corrected: as `correct` asks for.
         """
         S, F = len(self.joints), len(times)
         after = np.empty((S, F), dtype=int)
@@ -114,6 +127,11 @@ class SensorBuffer:
             after[s] = np.searchsorted(self._times[s, : self._count[s]], times)
         q, known = self._orientations(after, times)
         a, moved = self._accelerations(after, times)
+        if corrected and (self._heading.any() or (self._mounting[:, 1:] != 0).any()):
+            half = np.zeros((S, 1, 4))
+            half[:, 0, 0], half[:, 0, 3] = np.cos(self._heading / 2), np.sin(self._heading / 2)
+            q = quat.multiply(half, quat.multiply(q, self._mounting[:, None]))
+            a = np.einsum("sij,sfj->sfi", so3.about_axis("z", self._heading), a)
         return q.swapaxes(0, 1), known.T, a.swapaxes(0, 1), moved.T
 
     def _orientations(self, after: Index, times: Array) -> tuple[Array, Array]:

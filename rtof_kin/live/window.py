@@ -42,6 +42,7 @@ class Window:
 
     Attributes:
         data: the problem. smoother: of N frames. first: number of the window's first frame.
+        order: places of the sensors' rows in `SensorBuffer.joints`.
         seen: (N, J) joints whose landmark the camera saw. latency_s: usual age of an image that arrives, s.
     """
 
@@ -68,7 +69,7 @@ class Window:
         self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
         worn = () if sensors is None else sensors.joints
         self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self._torso]
-        self._order = [worn.index(joint) for joint in self.data.sensors]
+        self.order = [worn.index(joint) for joint in self.data.sensors]
         points = self.data.points
         self._sizes = points.independent / points.sizes**2
         if camera is not None:
@@ -104,6 +105,10 @@ class Window:
         self.first += 1
         self._since_image += 1
 
+    def prefer(self, quat_mean: Array) -> None:
+        """Take other means (4, A - 1) of the pose prior."""
+        self.smoother.constant["quat_mean"] = quat_mean
+
     # --- sensors ---------------------------------------------------------------------------------
 
     def sense(self, first: int, times: Array) -> None:
@@ -114,7 +119,7 @@ class Window:
         """
         if self.sensors is None or not len(times):
             return
-        smoother, order = self.smoother, self._order
+        smoother, order = self.smoother, self.order
         q, known, a, moved = self.sensors.at(times)
         smoother.rows["quat_sensor"][first:] = q[:, order]
         smoother.rows["w_sensor"][first:] = known[:, order]
@@ -129,7 +134,7 @@ class Window:
         has = self.smoother.rows["w_sensor"]
         for i, s in enumerate(self._of_torso):
             if s >= 0:
-                out[has[:, self._order.index(s)] > 0, i] = 0.0
+                out[has[:, self.order.index(s)] > 0, i] = 0.0
 
     # --- image -----------------------------------------------------------------------------------
 

@@ -160,6 +160,11 @@ class FixedLagSmoother:
         """Return the reprojection residuals (N, L, 2) at the present states, px."""
         return self._window.value(self.x)[1]
 
+    def weighted_first(self) -> dict[str, Array]:
+        """Return the observations of the oldest frame with their weights: name -> (...)."""
+        rows = self._errors.weighted({name: values[:1] for name, values in self.rows.items()})
+        return {name: values[0] for name, values in rows.items()}
+
     def _share(self) -> float:
         """Weight of a new estimate of the landmarks' errors."""
         return max(_EVERY / (_MEMORY_S * self.rate_hz), 1 / max(self._appended, 1))
@@ -167,10 +172,10 @@ class FixedLagSmoother:
     def _data(self) -> FragmentData:
         """Observations of the window with the present weights."""
         rows, inside = self._errors.weighted(self.rows), self.inside
-        whole = inside[2:] & inside[1:-1] & inside[:-2]
+        w = self._early * (inside[2:] & inside[1:-1] & inside[:-2])
         jerk = (np.convolve(inside, np.ones(LAGS), mode="valid") == LAGS).astype(float)
         return FragmentData(
-            rows, self.constant, self.a_world[1:-1], self.w_acceleration[1:-1] * (self._early * whole)[:, None], jerk,
+            rows, self.constant, self.a_world[1:-1], w[:, None] * self.w_acceleration[1:-1], jerk,
             self.rate_hz,
         )  # fmt: skip
 
