@@ -17,6 +17,8 @@ from detector_support import points_px, walking, watching
 from live_support import FakeEstimator, demo
 from rich.console import Console
 
+from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.cli.live_display import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
@@ -49,9 +51,13 @@ def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Put an estimator without mathematics in the place of the real one; what it was made of."""
     made: dict[str, Any] = {}
 
-    def make(setup: Recording, landmarks: tuple[str, ...], settings: Any, lifter: Any) -> FakeEstimator:
+    def make(
+        setup: Recording, landmarks: tuple[str, ...], settings: Any, lifter: Any, calibration: Any
+    ) -> FakeEstimator:
         made.update(setup=setup, landmarks=landmarks, settings=settings, lifter=lifter)
-        return FakeEstimator()
+        fake: Any = FakeEstimator()
+        fake.calibration = calibration
+        return fake
 
     monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
     return made
@@ -87,6 +93,22 @@ def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_termina
     assert "8 of 8 streams ok" in done.out
     assert "knee flexion" in done.out
     assert "lag 0 ms" in done.out
+
+
+def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
+    cli: Cli, estimator: dict[str, Any], tmp_path: Path
+) -> None:
+    delay = Quantity("delay", "video", np.array([0.02]), np.array([0.002]), np.array([0.05]), 0.99)
+    earlier = SelfCalibration((delay,), (), 0.0, True)
+    write_self_calibration_toml(tmp_path / "earlier.toml", earlier)
+    take = tmp_path / "take"
+    options = ("--calibrate", "--calibration", tmp_path / "earlier.toml", "--seconds", 1, "--speed", "inf")
+    done = cli("live", DEMO, "--camera", DEMO, "--imus", DEMO, *options, "-o", take)
+    assert done.code == 0, done.err
+    assert estimator["settings"].refined is not None
+    assert "20 ms" in done.out
+    written = read_self_calibration_toml(take / "calibration.toml")
+    np.testing.assert_array_equal(written.quantities[0].value, delay.value)
 
 
 def test_a_video_is_examined_by_the_detector_of_the_options(
