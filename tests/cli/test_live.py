@@ -6,7 +6,6 @@ import argparse
 import io
 import os
 import signal
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -140,12 +139,19 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
 
 
 @pytest.mark.usefixtures("estimator")
-def test_ctrl_c_ends_the_session_and_finishes_the_recording(cli: Cli, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_session_and_finishes_the_recording(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    advance, steps = FakeEstimator.advance, iter(range(1000))
+
+    def interrupted(self: FakeEstimator, *arguments: Any, **how: Any) -> list[OnlineEstimate]:
+        if next(steps) == 50:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(self, *arguments, **how)
+
+    monkeypatch.setattr(FakeEstimator, "advance", interrupted)
     take = tmp_path / "take"
-    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     done = cli("live", DEMO, "--imus", DEMO, "-o", take)
-    timer.join()
     assert done.code == 0
     assert "rtof-kin reconstruct" in done.out
     assert Recording.load(take).imus is not None
