@@ -10,7 +10,8 @@ import numpy as np
 
 from rtof_kin import Recording
 from rtof_kin.core.resources import model_path
-from rtof_kin.live.estimator import OnlineEstimator, OnlineSettings
+from rtof_kin.live.estimator import OnlineEstimator
+from rtof_kin.live.online_settings import OnlineSettings
 from rtof_kin.live.replay import Faults, RecordingReplay
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.session import LiveSession

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import textwrap
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
@@ -14,9 +15,10 @@ from rich.text import Text
 
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import lifter_of
-from rtof_kin.cli.terminal import add_model, command, err, out, warnings_in_summary
+from rtof_kin.cli.terminal import add_model, command, err, out, print_calibration, warnings_in_summary
 
 if TYPE_CHECKING:
+    from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.live.open_sources import Streams
     from rtof_kin.live.samples import Sink, Source
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
     from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
+CALIBRATION: Final = "calibration.toml"
+"""File of what was refined, in the folder of the recording."""
 _LONGEST_WAIT: Final = 10.0
 """[s] for the names of the points of a camera's stream."""
 _MEASURING: Final = 2.0
@@ -37,6 +41,7 @@ cameras (--camera):
   walk.mp4                 a video, at its speed
   lsl:NAME                 points that another program detects, over LSL
   udp:9000                 points in UDP datagrams (OSC, JSON)
+  take.xdf, walk.npz       points that a detector wrote, replayed
   FOLDER                   the keypoints of a recording, replayed
 
 sensors (--imus, may be given several times):
@@ -65,7 +70,7 @@ def add_commands(commands: Any) -> None:
         "machine unless an output says so. Needs the extra: pip install 'rtof_kin[live]'.",
     )  # fmt: skip
     parser.formatter_class = _Help
-    parser.epilog = _EXAMPLES
+    parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES
     parser.add_argument("setup", metavar="SETUP", help="folder of the recording that was set up")
     parser.add_argument(
         "--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below"
@@ -78,7 +83,27 @@ def add_commands(commands: Any) -> None:
         help="two columns: each sensor of the streams, and its segment or its name in SETUP; default: they "
         "have the names that SETUP has for them",
     )  # fmt: skip
+    _add_outputs(parser)
+    _add_estimate(parser)
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after so many")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X",
+        help="of replayed recordings and videos, times real time; inf: as fast as they are estimated",
+    )  # fmt: skip
+    add_detector(parser)
+
+
+def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
+    parser.add_argument(
+        "--out", action="append", default=[], metavar="OUTPUT",
+        help="lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of "
+        "this machine; may be given several times",
+    )  # fmt: skip
+    parser.add_argument("--view", action="store_true", help="show the skeleton in the browser")
+
+
+def _add_estimate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lag", type=float, default=0.25, metavar="S",
         help="age of the shown poses, 0 to 1 s: the older, the more accurate",
@@ -88,18 +113,14 @@ def add_commands(commands: Any) -> None:
         "--video-delay", type=float, default=0.0, metavar="S", help="by how much stamps of the video are late"
     )
     parser.add_argument(
-        "--out", action="append", default=[], metavar="OUTPUT",
-        help="lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of "
-        "this machine; may be given several times",
+        "--calibrate", action="store_true",
+        help="refine the video's delay and the mounting of the sensors while the person moves; with -o into "
+        "FOLDER/calibration.toml",
     )  # fmt: skip
-    parser.add_argument("--view", action="store_true", help="show the skeleton in the browser")
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after so many")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="X",
-        help="of replayed recordings and videos, times real time; inf: as fast as they are estimated",
-    )  # fmt: skip
+        "--calibration", metavar="FILE", help="of an earlier session, that --calibrate begins with"
+    )
     add_model(parser)
-    add_detector(parser)
 
 
 class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
@@ -113,6 +134,8 @@ def _live(options: argparse.Namespace) -> None:
     from rtof_kin.core.threads import limit_threads
 
     limit_threads(None)
+    from rtof_kin.calibration.file import read_self_calibration_toml
+    from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimator import OnlineEstimator
@@ -125,8 +148,10 @@ def _live(options: argparse.Namespace) -> None:
     settings = OnlineSettings(options.rate, options.lag, video_delay_s=options.video_delay)
     if options.output is not None:
         check_replaceable(options.output, INDEX)
+    known = None if options.calibration is None else read_self_calibration_toml(options.calibration)
+    lifter = lifter_of(options)
     with warnings_in_summary("rtof_kin.recording.files"):
-        setup = Recording.load(options.setup)
+        setup = replace(Recording.load(options.setup), model_prior=getattr(lifter, "prior", None))
         if not options.imus and setup.keypoints is not None:
             setup = replace(setup, imus=None, calibration=None)
         streams = open_sources(
@@ -138,9 +163,12 @@ def _live(options: argparse.Namespace) -> None:
         sinks += open_sinks(options.out, setup)
         servers = _served(sinks, setup, options.view)
         landmarks = _points_of(streams.sources[0]) if options.camera else ()
-        settings = replace(settings, video_latency_s=_latency(streams.sources[0]))
+        settings = replace(
+            settings, video_latency_s=_latency(streams.sources[0]),
+            refined=CalibrationPriors.of(setup) if options.calibrate else None,
+        )  # fmt: skip
         err.print("preparing the estimator", soft_wrap=True)
-        estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
+        estimator = OnlineEstimator(setup, landmarks, settings, lifter, known)
         _start(streams.sources)
         recorder = None
         if options.output is not None:
@@ -150,7 +178,9 @@ def _live(options: argparse.Namespace) -> None:
             setup, streams.sources, estimator, sinks=(*sinks, display), recorder=recorder,
             video_delay_s=options.video_delay, in_background=streams.in_real_time,
         )  # fmt: skip
-        _print_summary(_run(session, display, servers, streams, options.seconds), options)
+        summary = _run(session, display, servers, streams, options.seconds)
+        _print_summary(summary, options)
+        _finish_calibration(estimator.calibration, summary)
     finally:
         for source in streams.sources:
             source.close()
@@ -224,8 +254,8 @@ def _run(
     """Run until the end, Ctrl-C, or the time given, and show what happens."""
     replay = streams.replay
     clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
-    if not streams.replayed:
-        streams.sources[0].poll()  # when it came during the preparation is not known
+    for source in streams.live:
+        source.poll()  # when this came is not known
     begun = clock()
 
     def stop() -> bool:
@@ -258,6 +288,18 @@ def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None
         _line("next", f"rtof-kin reconstruct {summary.folder} -o OUT")
     elif options.output is not None:
         _line("recorded", f"nothing that is a recording; what came is in {options.output}")
+
+
+def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:
+    """Print what was refined, and write it beside the recording."""
+    from rtof_kin.calibration.file import write_self_calibration_toml
+
+    if found is None:
+        return
+    print_calibration(found)
+    if summary.folder is not None:
+        write_self_calibration_toml(summary.folder / CALIBRATION, found)
+        out.print(f"wrote {summary.folder / CALIBRATION}", soft_wrap=True)
 
 
 def _line(name: str, text: str) -> None:

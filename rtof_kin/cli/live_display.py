@@ -35,14 +35,13 @@ class LiveDisplay:
         console: that is printed to. skeleton: of the estimates. now: seconds of the system.
     """
 
-    def __init__(
-        self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic
-    ):
+    def __init__(self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic):
         self._console, self._skeleton, self._now = console, skeleton, now
         self._last: OnlineEstimate | None = None
         self._seconds: deque[float] = deque(maxlen=_FRAMES)
         self._lags: deque[float] = deque(maxlen=_FRAMES)
         self._said: deque[Text] = deque(maxlen=_MESSAGES)
+        self._told = 0
         self._begun = self._shown = now()
         self._computed = -math.inf
         self._known: list[tuple[str, str]] = []
@@ -82,6 +81,7 @@ class LiveDisplay:
         if self._live is None:
             self._console.print(sentence, soft_wrap=True)
         else:
+            self._told += 1
             self._said.append(Text(sentence))
 
     def due(self) -> bool:
@@ -105,6 +105,8 @@ class LiveDisplay:
         if self._live is not None:
             self._live.stop()
             self._live = None
+            if self._told > len(self._said):
+                self._console.print(f"{self._told - len(self._said)} messages before these")
             for sentence in self._said:
                 self._console.print(sentence, soft_wrap=True)
 

@@ -15,9 +15,12 @@ from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, Sink, Source
 from rtof_kin.live.video_source import VideoSource, is_webcam
 from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 
-CAMERAS: Final = "number of a webcam, VIDEO, lsl:NAME, udp:PORT, or the folder of a recording"
+CAMERAS: Final = (
+    "number of a webcam, VIDEO, a detector's file, lsl:NAME, udp:PORT, or the folder of a recording"
+)
 """Words of a camera, for messages."""
 SENSORS: Final = "lsl:NAME, udp:PORT, a file or folder of sensors, or the folder of a recording"
 """Words of sensors, for messages."""
@@ -38,8 +41,13 @@ class Streams:
     """The camera first; not started yet."""
     replay: ReplayClock
     """Clock of those that are replayed."""
-    replayed: bool
-    """Whether all of them are replayed, so that they end."""
+    live: tuple[Source, ...]
+    """Those that are not replayed."""
+
+    @property
+    def replayed(self) -> bool:
+        """Whether all are replayed, so that they end."""
+        return not self.live
 
     @property
     def in_real_time(self) -> bool:
@@ -102,24 +110,22 @@ def open_sources(
     for same in (cameras, sensors):
         if twice := {word for word in same if list(same).count(word) > 1}:
             raise SourceError(f"{', '.join(sorted(twice))}: given twice; give each stream once")
-    live = any(_is_live(word) for word in cameras[:1]) or any(_kind(word) for word in sensors)
+    live = any(_is_live(word) for word in words)
     if live and speed != 1.0:
         raise SourceError(f"speed {speed:g}: is for replays; leave it out where a stream is live")
     lsl = any(_kind(word) == _LSL for word in words)
     opening = _Opening(setup, ReplayClock(speed), live, _lsl_clock() if lsl else time.monotonic, detector)
-    found: dict[str, Source] = {}
-    for word in cameras:
-        found[word if _kind(word) == _UDP else f"camera {word}"] = _camera(word, opening)
-    for word in sensors:
-        if word not in found:  # one port may give both
-            found[word] = _sensors(word, opening)
-    sources = tuple(found.values())
+    found = [(word, _camera(word, opening)) for word in cameras]
+    both = [word for word in cameras if _kind(word) == _UDP]  # one port gives points and sensors
+    found += [(word, _sensors(word, opening)) for word in sensors if word not in both]
+    sources = tuple(source for _, source in found)
     if names is not None:
         sources = tuple(
             source if isinstance(source, VideoSource) else RenamedSensors.of_file(source, names, setup)
             for source in sources
         )
-    return Streams(sources, opening.replay, not live)
+    own = tuple(source for (word, _), source in zip(found, sources, strict=True) if _is_live(word))
+    return Streams(sources, opening.replay, own)
 
 
 def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
@@ -173,11 +179,11 @@ def _camera(word: str, opening: _Opening) -> Source:
                 f"camera {word}: its images have {own.width_px} x {own.height_px} px, those of the setup "
                 f"{setup.name} {camera.width_px} x {camera.height_px} px; take a setup of this camera"
             )
-        return RecordingReplay.of_recording(
-            recording, opening.replay, sensors=False, clock=opening.clock
-        )
+        return RecordingReplay.of_recording(recording, opening.replay, sensors=False, clock=opening.clock)
     if not webcam and not path.is_file():
         raise SourceError(f"camera {word}: there is no such file or folder; give {CAMERAS}")
+    if not webcam and path.suffix.lower() in FORMATS:
+        return RecordingReplay.of_keypoint_file(path, camera, opening.replay, clock=opening.clock)
     if setup.skeleton_table != _SKELETON:
         raise SourceError(
             f"camera {word}: what a detector sees is for the skeleton {_SKELETON}; the setup {setup.name} "

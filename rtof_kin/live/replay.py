@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError, UnknownNameError
+from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -24,6 +25,7 @@ from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.keypoints import read_detector_keypoints
 
 
 @dataclass(frozen=True)
@@ -142,13 +144,40 @@ class RecordingReplay:
             log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
         except RtofError as error:
             raise SourceError(f"{error}") from error
-        own = cls(Path(path).name, log.streams, None, replay, clock, faults)
+        own = cls(f"{Path(path).name} (sensors)", log.streams, None, replay, clock, faults)
         remarks: dict[str, list[str]] = {note: [] for note in log.file_notes}
         for stream in log.streams:
             for note in stream.notes:
                 remarks.setdefault(note, []).append(stream.name)
         for note, sensors in remarks.items():
             own._notices.append(": ".join(filter(None, (own.name, ", ".join(sensors), note))))
+        return own
+
+    @classmethod
+    def of_keypoint_file(
+        cls,
+        path: str | Path,
+        camera: Camera,
+        replay: ReplayClock | None = None,
+        *,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
+
+        Args:
+            path: file with times that `read_detector_keypoints` reads. camera: of the video.
+            replay, clock, faults: as for the class.
+
+        Raises:
+            SourceError: not read, or without times.
+        """
+        try:
+            found = read_detector_keypoints(path, camera)
+        except RtofError as error:
+            raise SourceError(f"{error}") from error
+        own = cls(f"{Path(path).name} ({VIDEO})", (), found.keypoints, replay, clock, faults)
+        own._notices.append(f"{own.name}: {found.summary}")
         return own
 
     def _arrivals(self, names: Sequence[str]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:

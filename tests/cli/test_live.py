@@ -6,7 +6,6 @@ import argparse
 import io
 import os
 import signal
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ from detector_support import points_px, walking, watching
 from live_support import FakeEstimator, demo
 from rich.console import Console
 
+from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.cli.live_display import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
@@ -49,9 +50,13 @@ def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Put an estimator without mathematics in the place of the real one; what it was made of."""
     made: dict[str, Any] = {}
 
-    def make(setup: Recording, landmarks: tuple[str, ...], settings: Any, lifter: Any) -> FakeEstimator:
+    def make(
+        setup: Recording, landmarks: tuple[str, ...], settings: Any, lifter: Any, calibration: Any
+    ) -> FakeEstimator:
         made.update(setup=setup, landmarks=landmarks, settings=settings, lifter=lifter)
-        return FakeEstimator()
+        fake: Any = FakeEstimator()
+        fake.calibration = calibration
+        return fake
 
     monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
     return made
@@ -89,6 +94,22 @@ def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_termina
     assert "lag 0 ms" in done.out
 
 
+def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
+    cli: Cli, estimator: dict[str, Any], tmp_path: Path
+) -> None:
+    delay = Quantity("delay", "video", np.array([0.02]), np.array([0.002]), np.array([0.05]), 0.99)
+    earlier = SelfCalibration((delay,), (), 0.0, True)
+    write_self_calibration_toml(tmp_path / "earlier.toml", earlier)
+    take = tmp_path / "take"
+    options = ("--calibrate", "--calibration", tmp_path / "earlier.toml", "--seconds", 1, "--speed", "inf")
+    done = cli("live", DEMO, "--camera", DEMO, "--imus", DEMO, *options, "-o", take)
+    assert done.code == 0, done.err
+    assert estimator["settings"].refined is not None
+    assert "20 ms" in done.out
+    written = read_self_calibration_toml(take / "calibration.toml")
+    np.testing.assert_array_equal(written.quantities[0].value, delay.value)
+
+
 def test_a_video_is_examined_by_the_detector_of_the_options(
     cli: Cli, estimator: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -118,12 +139,19 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
 
 
 @pytest.mark.usefixtures("estimator")
-def test_ctrl_c_ends_the_session_and_finishes_the_recording(cli: Cli, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_session_and_finishes_the_recording(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    advance, steps = FakeEstimator.advance, iter(range(1000))
+
+    def interrupted(self: FakeEstimator, *arguments: Any, **how: Any) -> list[OnlineEstimate]:
+        if next(steps) == 50:
+            os.kill(os.getpid(), signal.SIGINT)
+        return advance(self, *arguments, **how)
+
+    monkeypatch.setattr(FakeEstimator, "advance", interrupted)
     take = tmp_path / "take"
-    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     done = cli("live", DEMO, "--imus", DEMO, "-o", take)
-    timer.join()
     assert done.code == 0
     assert "rtof-kin reconstruct" in done.out
     assert Recording.load(take).imus is not None
@@ -155,9 +183,7 @@ def test_help_lists_sources_with_examples(cli: Cli) -> None:
 
 
 @pytest.mark.usefixtures("estimator")
-def test_the_page_is_shown_in_the_browser_where_asked_for(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_is_shown_in_the_browser_where_asked_for(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("websockets")
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)

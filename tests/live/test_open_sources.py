@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from detector_support import points_px, walking, watching
 
 from rtof_kin.core.errors import CalibrationError, RtofError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -75,7 +76,15 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
     camera, sensors = opened([str(video)], [str(file)]).sources
     assert isinstance(camera, VideoSource)
     assert isinstance(sensors, RecordingReplay)
-    assert (camera.name, sensors.name) == ("walk.mp4", "walk.csv")
+    assert (camera.name, sensors.name) == ("walk.mp4", "walk.csv (sensors)")
+    keypoints = tmp_path / "walk.npz"
+    uv = points_px("coco17", walking(), watching(walking()))[:, None]
+    np.savez(keypoints, uv_px=uv, confidence=np.ones(uv.shape[:3]), times=np.arange(len(uv)) / 30)
+    (camera,) = opened([str(keypoints)], []).sources
+    assert "coco17:Nose" in camera.landmarks
+    keypoints.write_bytes(b"")
+    with pytest.raises(SourceError, match="walk.npz"):
+        opened([str(keypoints)], [])
 
 
 @pytest.mark.parametrize(
