@@ -1,7 +1,7 @@
 """A recording as live streams: ``python examples/live_replay.py [FOLDER] [SECONDS]``, by default the demo.
 
-Two sources, camera and sensors, share a clock and lose a tenth of their samples on purpose; one sensor is dead
-for a second. `rtof-kin live` does the same with webcams and streams of the network.
+Two sources, camera and sensors, share a clock and lose a tenth of their samples on purpose; one sensor is
+dead for a second. `rtof-kin live` does the same with webcams and streams of the network.
 """
 
 import sys

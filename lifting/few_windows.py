@@ -1,8 +1,8 @@
 """A few windows at a time: the answer of `Lifter.lift_windows` up to rounding, in less time.
 
 For one to ten windows, the calls of torch take longer than their arithmetic. Here torch evaluates the network
-alone; `windows.encode` and `windows.decode` are done by NumPy on arrays of the same layout, and what depends on
-the person alone once.
+alone; `windows.encode` and `windows.decode` are done by NumPy on arrays of the same layout, what depends on
+the person alone only once.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class FewWindows:
         return features, scale
 
     def _standing(self, out: _Array, rays: _Array, seen: NDArray[np.bool_], scale: _Array) -> None:
-        """Write log(horizontal distance x scale) of each foot on the floor, and whether known, (B, W, 2 F)."""
+        """Write log(horizontal distance x scale) of each foot on the floor, whether known, (B, W, 2 F)."""
         F = len(self._body.feet)
         height = -1.0 if self._height is None else self._height - ANKLE_HEIGHT
         if not height > MIN_HEIGHT:

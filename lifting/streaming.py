@@ -101,7 +101,7 @@ class StreamingLifter:
 
     @property
     def delay_s(self) -> float:
-        """Age relative to the newest frame at which a pose is complete, s; 0 for a causal lifter."""
+        """Age relative to the newest frame at which a pose is complete, s."""
         return self._after() / self._lifter.description.rate_hz
 
     @property

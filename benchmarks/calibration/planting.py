@@ -172,8 +172,8 @@ def planted(recording: Recording, wrong: Wrong) -> Recording:
     y = unknowns(recording, wrong)
     recording = _with_misled_detector(recording, y)
     recording = _with_other_camera(recording, y)
-    recording = _with_late_video(recording, y["delay", "video"])
-    recording = _with_turned_sensors(recording, y)
+    recording = with_late_video(recording, y["delay", "video"])
+    recording = with_turned_sensors(recording, y)
     factor = np.ones((len(recording.joint_offsets), 1))
     for name, joints in bone_groups(recording.skeleton, tuple(BONE_GROUPS)):
         factor[list(joints)] += y["bones", name]
@@ -211,7 +211,7 @@ def _with_other_camera(recording: Recording, y: Mapping[tuple[str, str], Array])
     return replace(recording, keypoints=replace(seen, camera=camera))
 
 
-def _with_late_video(recording: Recording, y: Array) -> Recording:
+def with_late_video(recording: Recording, y: Array) -> Recording:
     """Time stamps that are late, and grow so from the middle on."""
     seen = recording.video
     since = seen.times - middle(seen.times)
@@ -224,7 +224,7 @@ def middle(times: Array) -> float:
     return float(times[0] + times[-1]) / 2
 
 
-def _with_turned_sensors(recording: Recording, y: Mapping[tuple[str, str], Array]) -> Recording:
+def with_turned_sensors(recording: Recording, y: Mapping[tuple[str, str], Array]) -> Recording:
     """References turned, and turning; mounted otherwise, and elsewhere."""
     own, imus = recording.calibration, recording.imus
     assert own is not None

@@ -16,6 +16,6 @@ def estimator(setup: Recording, landmarks: tuple[str, ...], own: Any) -> Any:
 
 def settings(**changed: Any) -> Any:
     """Its default settings, but for some."""
-    from rtof_kin.live.estimator import OnlineSettings
+    from rtof_kin.live.online_settings import OnlineSettings
 
     return OnlineSettings(**changed)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, NeutralPosture
+from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import freeze, indices_of, readonly
@@ -127,6 +128,18 @@ class PosePrior:
             covariance=self.covariance if known is None else known,
             covariance_about_posture=None,
         )
+
+    def moved(self, turns: Mapping[str, Array]) -> PosePrior:
+        """Return the prior with the means of some joints moved.
+
+        Args:
+            turns: joint -> rotation vector (3,) in its parent's axes, rad.
+        """
+        mean = np.array(self.mean_quat_wxyz)
+        for joint, turn in turns.items():
+            j = self.joints.index(joint) - 1
+            mean[j] = quat.multiply(quat.exp(np.asarray(turn)), mean[j])
+        return replace(self, mean_quat_wxyz=mean)
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints.

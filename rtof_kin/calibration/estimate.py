@@ -7,7 +7,7 @@ errors of the detector's landmarks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -18,6 +18,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
 from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.calibration.posture_unknown import Posture
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Detector, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
@@ -69,7 +70,9 @@ def calibrate(
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
     fragments = shared_fragments(recording, guess, priors, settings, frames, left_out, bone_imus)
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
-    quantities = _quantities(fragments, shared, priors.overcount)
+    quantities = quantities_of(
+        fragments.unknowns, shared.y, shared.hessian, fragments.prior, priors.overcount
+    )
     return SelfCalibration(
         quantities=tuple(_doubted(q, recording, guess.poses, shared) for q in quantities),
         detector=_detector(fragments.data, shared.residuals, guess.poses.rate_hz),
@@ -99,7 +102,7 @@ def shared_fragments(
     native = mask_faults(recording.calibration.apply(imus), left_out)
     bone_imus = native.resample(start.times) if bone_imus is None else bone_imus
     data = Observations(recording.skeleton, frames, settings, guess, seen, bone_imus, places=native.joints)
-    slow = low_passed(_with_even_noise(native), settings)
+    slow = low_passed(even_noise(native), settings)
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
         q, w, a, w_a, _ = sensor_data(times, slow, data.sensors, settings)
@@ -115,7 +118,7 @@ def shared_fragments(
     return SharedFragments(data, start.times, unknowns, weights, priors.most_seconds)
 
 
-def _with_even_noise(imus: BoneImuSequence) -> BoneImuSequence:
+def even_noise(imus: BoneImuSequence) -> BoneImuSequence:
     """Sensors with accelerations smoothed by a Gaussian of one sample.
 
     Interpolation reduces noise between samples only, which would favour delays of half a sample.
@@ -171,9 +174,10 @@ def _unknowns(
         found.append(seeing.Tilt(p.sigma_tilt))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
         found.append(seeing.Ankles(p.sigma_ankle_height))
-    if not found:
+    if not found and p.sigma_posture is None:
         raise CalibrationError("nothing is left open: give at least one standard deviation")
-    return found
+    posture = () if p.sigma_posture is None else (Posture.of(data.space.names, p.sigma_posture),)
+    return [*found, *posture]
 
 
 def _height_px(keypoints: KeypointSequence) -> float:
@@ -185,22 +189,32 @@ def _height_px(keypoints: KeypointSequence) -> float:
     return float(np.median(np.linalg.norm(extent, axis=1)))
 
 
-def _quantities(fragments: SharedFragments, shared: Shared, overcount: float) -> tuple[Quantity, ...]:
-    """Every item with its standard deviations. Unobserved items, except nuisances, are fixed at zero, and
-    the others estimated given that.
+def quantities_of(
+    unknowns: Sequence[Unknown], y: Array, hessian: Array, prior: Array, overcount: float,
+    variance_prior: Array | None = None, significant: float = 0.0,
+) -> tuple[Quantity, ...]:  # fmt: skip
+    """Return every item with its standard deviations. Unobserved and insignificant items, except nuisances,
+    are fixed at zero, and the others estimated given that.
 
     With prior P and information D, which autocorrelated errors make k times too large, the estimate's
     covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
+
+    Args:
+        unknowns: kinds, in the order of y. y: (G,) the estimate. hessian: (G, G) P + D. prior: (G, G) P.
+        overcount: k. variance_prior: (G,) that verdicts refer to; by default that of P.
+        significant: least size of an estimate, in its standard deviations.
     """
-    P, S, y = fragments.prior, shared.hessian, shared.y
-    inverse, variance = np.linalg.inv(S), np.diag(np.linalg.inv(P))
+    P, S = prior, hessian
+    inverse = np.linalg.inv(S)
+    variance = np.diag(np.linalg.inv(P)) if variance_prior is None else variance_prior
     known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
     claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
-    parts = []
-    for unknown, columns in zip(fragments.unknowns, fragments.columns, strict=True):
-        stops = np.linspace(columns.start, columns.stop, len(unknown.items) + 1).astype(int)
-        ends = zip(unknown.items, stops[:-1], stops[1:], strict=True)
-        parts += [(unknown.name, item, slice(a, b)) for item, a, b in ends]
+    parts, first = list[tuple[str, str, slice]](), 0
+    for unknown in unknowns:
+        width = len(unknown.covariance) // len(unknown.items)
+        for item in unknown.items:
+            parts.append((unknown.name, item, slice(first, first + width)))
+            first += width
 
     def listed(y: Array, variance_now: Array) -> tuple[Quantity, ...]:
         return tuple(
@@ -209,13 +223,16 @@ def _quantities(fragments: SharedFragments, shared: Shared, overcount: float) ->
             for kind, item, own in parts
         )  # fmt: skip
 
-    kept, nuisances = np.zeros(len(y), dtype=bool), {u.name for u in fragments.unknowns if u.nuisance}
+    kept, told = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool)
+    nuisances = {u.name for u in unknowns if u.nuisance}
     for quantity, (_, _, own) in zip(listed(y, claimed), parts, strict=True):
-        kept[own] = quantity.kind in nuisances or quantity.verdict is not Verdict.PRIOR
+        size = float(np.sqrt(np.mean((quantity.value / quantity.sigma) ** 2)))
+        told[own] = quantity.verdict is not Verdict.PRIOR or quantity.kind in nuisances
+        kept[own] = told[own] & (size >= significant or quantity.kind in nuisances)
     given = np.where(kept, y, 0.0)
     if kept.any() and not kept.all():
         given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])
-    return listed(given, np.where(kept, claimed, variance))
+    return listed(given, np.where(told, claimed, variance))
 
 
 def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:

@@ -44,6 +44,8 @@ class CalibrationPriors:
     """[rad] of the camera's orientation about each axis."""
     sigma_ankle_height: float | None = 0.02
     """[m] of ankles over the floor that they stand on; only where there is one."""
+    sigma_posture: float | None = None
+    """[rad] per axis, of the neutral posture of the person, which moves the means of the pose prior."""
     effective_seconds: float = 6.0
     """[s] Effective length of a longer recording: autocorrelated errors do not average out."""
     weight_vision: float = 1.0

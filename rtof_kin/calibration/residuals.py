@@ -105,6 +105,8 @@ class Changes:
     """(N, F, 1, k) height of the ankles, m."""
     jerk: Array | None = None
     """(N - 3, 1, 3, k) jerk of the root, m/s^3, relative to the length scale."""
+    posture: Array | None = None
+    """(N, 1, 3 (A - 1), k) rotation vectors of the joints from the prior's means, rad."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class CalibrationResiduals:
         p, R: (N, J, 3) and (N, J, 3, 3) joints and segments in world.
         landmarks, sensors: (N, L, 3), (N, S, 3) their positions in world.
         R_measured: (N, S, 3, 3) measured orientations of segments. a_world: (N - 2, S, 3) measured, m/s^2.
-        times: (N,) stamps, s. index: (N,) frames of the recording.
+        times: (N,) stamps, s. index: (N,) frames of the recording. x: (N, 3 + 4A) states.
     """
 
     def __init__(
@@ -139,7 +141,7 @@ class CalibrationResiduals:
             first: frame. x: (N, 3 + 4A) states.
         """
         index = np.clip(np.arange(first, first + len(x)), 0, len(given.times) - 1)
-        self.space, self.given, self.joints, self.index = space, given, joints, index
+        self.space, self.given, self.joints, self.index, self.x = space, given, joints, index, x
         self.times = given.times[index]
         p, self.R = space.poses(x)
         offsets = np.asarray(given.constant["offsets"]).T
@@ -223,6 +225,26 @@ class CalibrationResiduals:
         by_state = np.zeros((len(self.p), 1, 3, self.space.size))
         by_state[..., :3] = np.eye(3)
         return Residuals(self.root_jerk[:, None], by_state, (weight / sigma[0] ** 2)[:, None])
+
+    @cached_property
+    def from_means(self) -> Array:
+        """(N, A - 1, 3) rotation vectors of the joints from the prior's means, in their axes, rad."""
+        mean = self.given.constant["quat_mean"].T
+        return quat.log(quat.multiply(quat.conjugate(mean), self.space.rotations(self.x)[:, 1:]))
+
+    def postures(self, weight: Array) -> tuple[Residuals, Array]:
+        """Return those of the pose prior (N, 1, 3 (A - 1)), whitened, for weights (N,); and their
+        derivatives (3 (A - 1), 3 (A - 1)) by the rotation vectors from the means.
+        """
+        W = np.asarray(np.linalg.cholesky(self.given.constant["precision"]).T, dtype=float)
+        space, N = self.space, len(self.x)
+        by_turn = quat.right_jacobian_inverse(self.from_means)
+        by_state = np.zeros((N, len(W), space.size))
+        for a in range(1, len(space.joints)):
+            rows = slice(3 * a - 3, 3 * a)
+            by_state[:, rows, space.columns(space.joints[a])] = by_turn[:, a - 1] @ space.axes(a)
+        r = self.from_means.reshape(N, -1) @ W.T
+        return Residuals(r[:, None], (W @ by_state)[:, None], weight[:, None]), W
 
     def feet(self, weight: Array, cutoff: float) -> Residuals:
         """Return those of the ankles' heights, m, for weights (N, F) and the scale of the loss, m."""

@@ -13,6 +13,7 @@ from typing import Final, Self
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
@@ -33,6 +34,7 @@ _UNITS: Final = {
     "delay": (1e3, "ms"), "heading": _DEGREES, "mounting": _DEGREES, "lever arm": (1e3, "mm"),
     "bones": (100.0, "%"), "image bias": (1.0, "px"), "place": (1e3, "mm"),
     "focal length": (100.0, "%"), "camera tilt": _DEGREES, "ankle height": (1e3, "mm"),
+    "posture": _DEGREES,
 }  # fmt: skip
 """Kind -> factor and unit for display; of drifting kinds, those of the constant."""
 _DRIFTING: Final = ("delay", "heading")
@@ -171,6 +173,8 @@ class SelfCalibration:
             imus = self._imus(imus, calibration)
             calibration = self._calibration(calibration)
         recording = replace(recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration)
+        if turns := self.of_kind("posture"):
+            recording = _with_posture(recording, turns)
         if bones := self.of_kind("bones"):
             offsets = self._offsets(recording.skeleton, bones)
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
@@ -268,6 +272,16 @@ class SelfCalibration:
         for name, joints in bone_groups(skeleton, tuple(bones)):
             offsets[list(joints)] *= 1 + bones[name][0]
         return offsets
+
+
+def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
+    """The recording with its neutral posture, or where that is unknown its pose prior, moved."""
+    known = recording.posture
+    if known is None:
+        return replace(recording, model_prior=recording.skeleton.table.prior.moved(turns))
+    moved = [turns.get(joint, np.zeros(3)) for joint in known.joints]
+    turned = quat.multiply(quat.exp(np.array(moved)), known.quat_wxyz)
+    return replace(recording, posture=replace(known, quat_wxyz=turned))
 
 
 def _rms(values: Array) -> float:

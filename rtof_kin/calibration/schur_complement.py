@@ -2,12 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from typing import Final, TypeVar
 
 import numpy as np
 
 from rtof_kin.calibration.residuals import Changes, Residuals
 from rtof_kin.core.array_types import Array
+
+_FRAMES: Final = 13
+"""Frames that are added in one slice."""
+_Result = TypeVar("_Result")
+Slices = Generator[None, None, _Result]
+"""Work that is done piece by piece; the result comes with the end."""
+
+
+def finished(slices: Slices[_Result]) -> _Result:
+    """Do all slices at once and return the result."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as last:
+            result: _Result = last.value
+            return result
 
 
 class UnknownsHessian:
@@ -43,20 +60,37 @@ class UnknownsHessian:
                 out[..., part] = own if through is None else through @ own
         return out
 
-    def add(self, residuals: Residuals, by_unknowns: Array, order: int = 0, rate_hz: float = 1.0) -> None:
-        """Add residuals (N - order, R, i) of differences over time.
+    def add_in_parts(self, residuals: Residuals, by_unknowns: Array) -> Slices[None]:
+        """Add residuals of single frames, some frames in each slice; arguments are those of `add`."""
+        for first in range(0, len(by_unknowns), _FRAMES):
+            part = slice(first, first + _FRAMES)
+            own = Residuals(residuals.value[part], residuals.by_state[part], residuals.weight[part])
+            self.add(own, by_unknowns[part], first=first)
+            yield
+
+    def add(
+        self, residuals: Residuals, by_unknowns: Array, order: int = 0, rate_hz: float = 1.0, first: int = 0
+    ) -> None:
+        """Add residuals (n - order, R, i) of differences over time, of n frames.
 
         Args:
-            residuals: with `by_state` (N, R, i, D) of the differenced quantity.
-            by_unknowns: (N - order, R, i, G) their derivatives. order: 0 for single frames. rate_hz: 1/s.
+            residuals: with `by_state` (n, R, i, D) of the differenced quantity.
+            by_unknowns: (n - order, R, i, G) their derivatives. order: 0 for single frames. rate_hz: 1/s.
+            first: frame of the fragment that they begin with.
         """
-        weighted = residuals.weight[..., None, None] * by_unknowns
-        flat = weighted.reshape(-1, len(self.gradient))
-        self.corner += flat.T @ by_unknowns.reshape(flat.shape)
-        self.gradient += flat.T @ residuals.value.ravel()
-        N, size, count = self.columns.shape
-        spread = np.zeros((N, *weighted.shape[1:]))
+        flat = by_unknowns.reshape(-1, len(self.gradient))
+        active = np.flatnonzero(flat.any(axis=0))
+        if not len(active):
+            return
+        by_active = flat[:, active]
+        weight = np.broadcast_to(residuals.weight[..., None], residuals.value.shape)
+        weighted = weight.reshape(-1, 1) * by_active
+        self.corner[np.ix_(active, active)] += weighted.T @ by_active
+        self.gradient[active] += weighted.T @ residuals.value.ravel()
+        n, size = len(residuals.by_state), self.columns.shape[1]
+        frames = weighted.reshape(n - order, -1, len(active))
+        spread = np.zeros((n, *frames.shape[1:]))
         for k, factor in enumerate(np.diff(np.eye(order + 1), n=order, axis=0)[0]):
-            spread[k : k + len(weighted)] += factor * rate_hz**order * weighted
-        left = np.swapaxes(residuals.by_state.reshape(N, -1, size), 1, 2)
-        self.columns += left @ spread.reshape(N, -1, count)
+            spread[k : k + len(frames)] += factor * rate_hz**order * frames
+        left = np.swapaxes(residuals.by_state.reshape(n, -1, size), 1, 2)
+        self.columns[first : first + n, :, active] += left @ spread

@@ -25,9 +25,10 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
+from rtof_kin.calibration.fragment_profile import ProfiledFragment
 from rtof_kin.calibration.learned_prior import learned_precision
-from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals
-from rtof_kin.calibration.schur_complement import UnknownsHessian
+from rtof_kin.calibration.residuals import CalibrationObservations
+from rtof_kin.calibration.schur_complement import UnknownsHessian, finished
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -35,7 +36,6 @@ from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.observations import Observations
 
-_DAMPING: Final = 1e-6
 _INNER: Final = 8
 """Iterations of a fragment's states after the first round."""
 _LIVELY: Final = 8
@@ -262,17 +262,10 @@ class SharedFragments:
         """
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
-            problem = self.bound(corrected, first)
-            x, multipliers = self._states[first]
-            names = self.data.limits.names if self.data.limits else ()
-            m = np.zeros((len(x), len(names))) if multipliers is None else multipliers
-            slope = self._solver.linearise(x, m)
-            own = self.unknowns_hessian(corrected, first, x, y)
-            C = own.columns.reshape(-1, len(y))
-            solved = problem.factorise(_DAMPING).solve_columns(np.column_stack([C, slope.ravel()]))
-            hessian += own.corner - C.T @ solved[:, :-1]
-            gradient += own.gradient - C.T @ solved[:, -1]
-        return (hessian + hessian.T) / 2, gradient
+            fragment = self._profiled(corrected, first, *self._states[first])
+            told, slope = finished(fragment.profile(self.unknowns, self.columns, y))
+            hessian, gradient = hessian + told, gradient + slope
+        return hessian, gradient
 
     def unknowns_hessian(
         self, corrected: CalibrationObservations, first: int, x: Array, y: Array
@@ -282,26 +275,14 @@ class SharedFragments:
         Args:
             corrected: observations at y. first: frame. x: (N, 3 + 4A) states. y: (G,).
         """
-        at = CalibrationResiduals(self.data.space, self.data.attached, corrected, first, x)
-        changes = [u.changes(at, y[c]) for u, c in zip(self.unknowns, self.columns, strict=True)]
-        out = UnknownsHessian(len(x), self.data.space.size, self.columns, changes)
-        by, values = out.by_unknowns, corrected.fragment(first, len(x))
-        weights, shape, s = values.observation, self.data.problem.energy.shape, self.data.settings
-        pixels = at.pixels(weights["w_visual"], weights["knee_visual"])
-        image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
-        out.add(pixels, image)
-        turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
-        out.add(turns, by("turns", turns.value, by_turn))
-        if shape.feet and weights["w_floor"].any():
-            feet = at.feet(weights["w_floor"], shape.floor_cutoff)
-            out.add(feet, by("feet", feet.value))
-        moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
-        rate = corrected.rate_hz
-        moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
-        out.add(moves, moved - by("accelerations", moves.value), 2, rate)
-        jerk = at.jerk(values.w_jerk, self.data.problem.sigma_jerk[:3] * corrected.length_scale)
-        out.add(jerk, by("jerk", jerk.value), 3, rate)
-        return out
+        fragment = self._profiled(corrected, first, x)
+        return finished(fragment.unknowns_hessian(self.unknowns, self.columns, y))
+
+    def _profiled(
+        self, corrected: CalibrationObservations, first: int, x: Array, multipliers: Array | None = None
+    ) -> ProfiledFragment:
+        problem, data = self.bound(corrected, first), self.data
+        return ProfiledFragment(problem, data.limits, data.settings, corrected, first, x, multipliers)
 
 
 def _doubt(

@@ -22,7 +22,7 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "lifter", nargs="?", type=Path, metavar="LIFTER",
-        help="checkpoint, or the name of a shipped one: detections (the default), perfect, causal",
+        help="checkpoint, or the name of a shipped one: detections (the default), perfect",
     )  # fmt: skip
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.onnx", help="file to write")
     parser.add_argument(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 import webbrowser
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
 
 _LONGEST_WAIT: Final = 10.0
 """[s] for the names of the points of a camera's stream."""
+_MEASURING: Final = 2.0
+"""[s] for the first examined image of a webcam."""
+_LATENCY, _MARGIN = (0.2, 0.6), 1.5
+"""[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
 _EXAMPLES: Final = """
 cameras (--camera):
   0, /dev/video2           a webcam: the person is detected on this machine
@@ -67,6 +73,11 @@ def add_commands(commands: Any) -> None:
     parser.add_argument(
         "--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below"
     )
+    parser.add_argument(
+        "--map", metavar="FILE",
+        help="two columns: each sensor of the streams, and its segment or its name in SETUP; default: they "
+        "have the names that SETUP has for them",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
     parser.add_argument(
         "--lag", type=float, default=0.25, metavar="S",
@@ -104,7 +115,8 @@ def _live(options: argparse.Namespace) -> None:
     limit_threads(None)
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimator import OnlineEstimator, OnlineSettings
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.online_settings import OnlineSettings
     from rtof_kin.live.open_sources import open_sinks, open_sources
     from rtof_kin.live.recorder import Recorder
     from rtof_kin.live.session import LiveSession
@@ -115,16 +127,21 @@ def _live(options: argparse.Namespace) -> None:
         check_replaceable(options.output, INDEX)
     with warnings_in_summary("rtof_kin.recording.files"):
         setup = Recording.load(options.setup)
+        if not options.imus and setup.keypoints is not None:
+            setup = replace(setup, imus=None, calibration=None)
         streams = open_sources(
-            options.camera, options.imus, setup, speed=options.speed, detector=lambda: detector_of(options)
-        )
+            options.camera, options.imus, setup, speed=options.speed, names=options.map,
+            detector=lambda: detector_of(options),
+        )  # fmt: skip
     sinks: list[Sink] = []
     try:
         sinks += open_sinks(options.out, setup)
         servers = _served(sinks, setup, options.view)
-        landmarks = _started(streams.sources, bool(options.camera))
+        landmarks = _points_of(streams.sources[0]) if options.camera else ()
+        settings = replace(settings, video_latency_s=_latency(streams.sources[0]))
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter_of(options))
+        _start(streams.sources)
         recorder = None
         if options.output is not None:
             recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
@@ -141,33 +158,48 @@ def _live(options: argparse.Namespace) -> None:
             sink.close()
 
 
-def _started(sources: Sequence[Source], filmed: bool) -> tuple[str, ...]:
-    """Start the sources and return the names of the points; those of a port come with its first frames.
-
-    Sensors of the network that are not there yet are tried again by the session.
-    """
+def _points_of(camera: Source) -> tuple[str, ...]:
+    """Start a camera and return the names of its points; those of a port come with the first frames."""
     from rtof_kin.core.errors import SourceError
 
-    missing: list[SourceError] = []
-    for i, source in enumerate(sources):
-        try:
-            source.start()
-        except SourceError as error:
-            missing.append(error)
-            if (filmed and i == 0) or not source.name.startswith("lsl:") or len(missing) == len(sources):
-                raise
-    if not filmed:
-        return ()
+    camera.start()
     deadline = time.monotonic() + _LONGEST_WAIT
-    if not sources[0].landmarks:
-        err.print(f"waiting for the points of {sources[0].name}", soft_wrap=True)
-    while not sources[0].landmarks:
+    if not camera.landmarks:
+        err.print(f"waiting for the points of {camera.name}", soft_wrap=True)
+    while not camera.landmarks:
         if time.monotonic() > deadline:
             raise SourceError(
-                f"{sources[0].name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
+                f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
             )
         time.sleep(0.02)
-    return sources[0].landmarks
+    return camera.landmarks
+
+
+def _start(sources: Sequence[Source]) -> None:
+    """Start sources; sensors of the network that are not there, beside others, are left to the session."""
+    from rtof_kin.core.errors import SourceError
+
+    missing = 0
+    for source in sources:
+        try:
+            source.start()
+        except SourceError:
+            missing += 1
+            if not source.name.startswith("lsl:") or missing == len(sources):
+                raise
+
+
+def _latency(camera: Source) -> float:
+    """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
+    from rtof_kin.live.video_source import VideoSource
+
+    if not isinstance(camera, VideoSource):
+        return 0.0
+    deadline = time.monotonic() + _MEASURING
+    while camera.live and not math.isfinite(camera.latency_s) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    measured = camera.latency_s if math.isfinite(camera.latency_s) else 0.0
+    return min(max(_LATENCY[0], _MARGIN * measured), _LATENCY[1])
 
 
 def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
@@ -193,8 +225,7 @@ def _run(
     replay = streams.replay
     clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
     if not streams.replayed:
-        for source in streams.sources:  # when it came during the preparation is not known
-            source.poll()
+        streams.sources[0].poll()  # when it came during the preparation is not known
     begun = clock()
 
     def stop() -> bool:

@@ -73,7 +73,7 @@ def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, 
 
 _MODEL = (
     "lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
-    "default), perfect, causal"
+    "default), perfect"
 )
 
 

@@ -11,9 +11,8 @@ PACKAGED = Path(__file__).parents[1] / "models"
 """Models folder of an installed package."""
 CHECKOUT = Path(__file__).parents[2] / "models"
 """Models folder of a source checkout."""
-LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt", "causal": "lifter_causal.pt"}
-"""Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth.
-causal: without delay, for streaming."""
+LIFTERS = {"detections": "lifter.pt", "perfect": "lifter_perfect.pt"}
+"""Shipped lifters. detections: the default, for real detectors. perfect: for projected ground truth."""
 DEFAULT_LIFTER = "detections"
 
 

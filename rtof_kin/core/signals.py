@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
@@ -20,14 +22,21 @@ def interpolate(times: Array, values: Array, at: ArrayLike, max_gap: float = np.
     at = np.asarray(at, dtype=float)
     flat = values.reshape(len(times), -1)
     out = np.full((len(at), flat.shape[1]), np.nan)
-    for column in range(flat.shape[1]):
-        ok = np.isfinite(flat[:, column])
-        if not ok.any():
-            continue
-        t, v = times[ok], flat[ok, column]
-        out[:, column] = np.interp(at, t, v, left=np.nan, right=np.nan)
-        out[_in_gap(t, at, max_gap), column] = np.nan
+    for ok, columns in _alike(np.asarray(np.isfinite(flat))):
+        t, gap = times[ok], _in_gap(times[ok], at, max_gap)
+        for column in columns:
+            out[:, column] = np.interp(at, t, flat[ok, column], left=np.nan, right=np.nan)
+            out[gap, column] = np.nan
     return out.reshape(len(at), *values.shape[1:])
+
+
+def _alike(known: Mask) -> Iterator[tuple[Mask, list[int]]]:
+    """Known samples (T,) and the columns that have these, of the columns (T, n) with any."""
+    columns: dict[bytes, list[int]] = {}
+    for column in np.flatnonzero(known.any(axis=0)).tolist():
+        columns.setdefault(known[:, column].tobytes(), []).append(column)
+    for own in columns.values():
+        yield known[:, own[0]], own
 
 
 def _in_gap(t: Array, at: Array, max_gap: float) -> Mask:
@@ -46,18 +55,15 @@ def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float 
     """
     at = np.asarray(at, dtype=float)
     out = np.full((len(at), *R.shape[1:]), np.nan)
-    for s in range(R.shape[1]):
-        ok = np.isfinite(R[:, s]).all(axis=(-2, -1))
-        if not ok.any():
-            continue
-        t, M = times[ok], R[ok, s]
+    for ok, sensors in _alike(np.asarray(np.isfinite(R).all(axis=(-2, -1)))):
+        t, M = times[ok], R[ok][:, sensors]
         inside = (at >= t[0]) & (at <= t[-1]) & ~_in_gap(t, at, max_gap)
         right = np.clip(np.searchsorted(t, at[inside]), min(1, len(t) - 1), len(t) - 1)
         left = np.maximum(right - 1, 0)
         span = np.where(right > left, t[right] - t[left], 1.0)
         share = np.clip((at[inside] - t[left]) / span, 0, 1)
         step = so3.log(np.swapaxes(M[left], -1, -2) @ M[right])
-        out[inside, s] = M[left] @ so3.exp(share[:, None] * step)
+        out[np.ix_(inside, sensors)] = M[left] @ so3.exp(share[:, None, None] * step)
     return out
 
 

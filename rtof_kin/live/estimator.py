@@ -10,83 +10,38 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtof_kin.body import kinematics
 from rtof_kin.body.observability import WHOLE, levels_by_points
+from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
-from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.live.first_pose import first_lifted, first_sensed
+from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.live.refinement import Refinement
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.live.window import Window, speeds
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.covariance import confidence_of
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 if TYPE_CHECKING:
     from lifting.predict import Lifter
-    from lifting.streaming import StreamedPose, StreamingLifter
+    from lifting.streaming import StreamingLifter
 
-_LONGEST_LAG_S: Final = 1.0
-_LEAST_FRAMES: Final = 10  # of a window
-_BEYOND_LAG: Final = 4  # frames of the window before the returned one
 _LOOKAHEADS_S: Final = (0.0, 0.07, 0.22)  # ages at which a frame is lifted
 _GRACE: Final = 1e-6  # [frames] of rounding
 _BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
+_FEW: Final = 2  # frames that are due at once and solved even in a hurry
 _BRIDGED_S: Final = 0.5  # [s] without image and sensors for which a pose counts as valid
-
-
-@dataclass(frozen=True)
-class OnlineSettings:
-    """Settings of the online estimator."""
-
-    rate_hz: float = 60.0
-    """[Hz] Frames of the estimate; usually the rate of the video."""
-    lag_s: float = 0.0
-    """[s] Age of the returned poses, 0 to 1: the older, the more accurate."""
-    window_s: float | None = None
-    """[s] Length of the frames that are optimised. None: 10 frames, more for the lag and a late video."""
-    video_delay_s: float = 0.0
-    """[s] By how much the stamps of the video are late against the clock of the sensors."""
-    video_latency_s: float = 0.0
-    """[s] Greatest usual age of an image when it arrives: the window covers it."""
-    iterations: int = 1
-    """Levenberg-Marquardt iterations for each frame."""
-    confidence: bool = False
-    """Whether to compute the covariance of every returned pose."""
-    solver: JointSpaceSettings = field(default_factory=JointSpaceSettings)
-    """Standard deviations of the residuals; the floor is that of the recording where none is given."""
-
-    def __post_init__(self) -> None:
-        if not 5 <= self.rate_hz <= 500:
-            raise InvalidInputError(f"rate_hz: {self.rate_hz:g} frames per second; give 5 to 500")
-        if not 0 <= self.lag_s <= _LONGEST_LAG_S:
-            raise InvalidInputError(f"lag_s: {self.lag_s:g} s is outside 0 to {_LONGEST_LAG_S:g} s")
-        if self.iterations < 1:
-            raise InvalidInputError("iterations: at least one for each frame")
-
-    @property
-    def lag_frames(self) -> int:
-        """The lag in frames."""
-        return round(self.lag_s * self.rate_hz)
-
-    @property
-    def frames(self) -> int:
-        """N of the window."""
-        least = max(_LEAST_FRAMES, self.lag_frames + 1 + _BEYOND_LAG)
-        late = round((self.video_latency_s + self.video_delay_s) * self.rate_hz) + 1 + _BEYOND_LAG
-        asked = 0 if self.window_s is None else round(self.window_s * self.rate_hz)
-        return max(least, late, asked)
 
 
 class OnlineEstimator:
@@ -94,11 +49,12 @@ class OnlineEstimator:
 
     Attributes:
         skeleton: the subject's. settings: as given. dropped: by sensor, and ``video``: samples too late.
+        hurried: number of frames that were only predicted, to catch up.
     """
 
     def __init__(
         self, setup: Recording, landmarks: Sequence[str] = (), settings: OnlineSettings | None = None,
-        lifter: Lifter | None = None,
+        lifter: Lifter | None = None, calibration: SelfCalibration | None = None,
     ) -> None:  # fmt: skip
         """Build the problem, which compiles code the first time.
 
@@ -106,6 +62,7 @@ class OnlineEstimator:
             setup: recording whose camera, body, floor and calibration of sensors are used; not its streams.
             landmarks: names of the L points of the video; none for sensors alone.
             settings: rate, lag and solver. lifter: keypoints to 3D; by default the shipped one.
+            calibration: that the refinement begins with; for one to be kept as it is, apply it to the setup.
 
         Raises:
             InvalidInputError: there is neither camera nor calibrated sensor.
@@ -132,8 +89,10 @@ class OnlineEstimator:
         self._origin: float | None = None
         self._newest = -np.inf
         self.dropped: dict[str, int] = {}
+        self.hurried = 0
         self._ends = self._provenance_of_sensors()
-        self._levels: dict[bytes, Array] = {}
+        self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
+        self._levels: dict[bytes, Mask] = {}
 
     def _streaming(self, lifter: Lifter | None, floor_height: float | None) -> StreamingLifter | None:
         if self._camera is None:
@@ -145,6 +104,17 @@ class OnlineEstimator:
             lifter or Lifter.load(), self._camera, self.skeleton.joint_offsets, floor_height,
             names=self._landmarks, history_s=self.settings.frames / self.settings.rate_hz + 0.5,
         )  # fmt: skip
+
+    def _refined(self, start: SelfCalibration | None) -> Refinement | None:
+        priors = self.settings.refined
+        if priors is None or self._sensors is None or self._camera is None:
+            return None
+        return Refinement(self._window, self._sensors, priors, start)
+
+    @property
+    def calibration(self) -> SelfCalibration | None:
+        """What was refined so far; None where nothing is."""
+        return None if self._refinement is None else self._refinement.calibration.as_self_calibration()
 
     # --- samples ---------------------------------------------------------------------------------
 
@@ -163,7 +133,7 @@ class OnlineEstimator:
         L = len(self._landmarks)
         if np.shape(sample.uv_px) != (L, 2) or np.shape(sample.confidence) != (L,):
             raise ShapeError(f"frame at {sample.time:g} s: {np.shape(sample.uv_px)} points for {L} landmarks")
-        sample = replace(sample, time=sample.time - self.settings.video_delay_s)
+        sample = replace(sample, time=sample.time - self._delay_s)
         if self._origin is not None and sample.time < self._time(self._window.first) - 0.5 / self._rate:
             self._drop("video")
             return
@@ -188,7 +158,7 @@ class OnlineEstimator:
     def _rate(self) -> float:
         return self.settings.rate_hz
 
-    def _time(self, frame: int | Array) -> Array:
+    def _time(self, frame: int | Index) -> Array:
         """Time of frames by their numbers, s."""
         assert self._origin is not None
         return np.asarray(self._origin + np.asarray(frame) / self._rate)
@@ -197,11 +167,12 @@ class OnlineEstimator:
     def _times(self) -> Array:
         return self._time(self._window.first + np.arange(self._window.frames))
 
-    def advance(self, time: float | None = None) -> list[OnlineEstimate]:
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
         """Estimate the frames up to a time and return those whose lag has passed, oldest first.
 
         Args:
             time: s; by default that of the newest sample.
+            hurry: of many frames that are due, predict all but the last two and solve these, to catch up.
         """
         now = self._newest if time is None else float(time)
         if self._origin is None and not self._begin():
@@ -209,8 +180,10 @@ class OnlineEstimator:
         found = []
         last = int(np.floor((now - float(self._time(0))) * self._rate + _GRACE))
         while self._window.head < last:
-            began = perf_counter()
-            self._step()
+            began, due = perf_counter(), last - self._window.head
+            solve = not hurry or due <= _FEW
+            self.hurried += not solve
+            self._step(solve)
             estimate = self._estimate(self._window.frames - 1 - self.settings.lag_frames, began)
             found += [estimate] if estimate is not None else []
         return found
@@ -225,18 +198,29 @@ class OnlineEstimator:
         estimates = [self._estimate(i, began) for i in range(first, self._window.frames)]
         return [estimate for estimate in estimates if estimate is not None]
 
-    def _step(self) -> None:
-        """Append the next frame and solve."""
+    def _step(self, solve: bool) -> None:
+        """Append the next frame; lift and solve it if asked to."""
         window = self._window
+        if self._refinement is not None:
+            self._correct(self._refinement)
         window.append(window.smoother.predicted())
         times = self._times
         if self._sensors is not None:
             changed = self._sensors.clean()
             first = int(np.clip(np.ceil((changed - times[0]) * self._rate - 1), 0, window.frames - 1))
             window.sense(first, times[first:])
-        self._see()
-        window.stand(times)
-        self._iterate(self.settings.iterations)
+        self._see(solve)
+        if solve:
+            window.stand(times)
+            self._iterate(self.settings.iterations)
+
+    def _correct(self, refinement: Refinement) -> None:
+        """Go on with the calibration and apply what it found."""
+        assert self._sensors is not None
+        found = refinement.step(float(self._time(self._window.first)) + self._delay_s)
+        self._delay_s = self.settings.video_delay_s + found.delay
+        self._sensors.correct(found.heading, found.R_mounting)
+        self._window.prefer(refinement.quat_mean)
 
     def _iterate(self, iterations: int) -> None:
         try:
@@ -250,8 +234,8 @@ class OnlineEstimator:
         smoother.restart(x)
         smoother.inside[-1], smoother.rows["w_prior"][-1] = True, 1.0
 
-    def _see(self) -> None:
-        """Put the frames of the video that are due into the window, and lift them."""
+    def _see(self, lift: bool) -> None:
+        """Put the frames of the video that are due into the window, and lift them if asked to."""
         waiting, window = deque[FrameSample](), self._window
         assert self._origin is not None
         while self._pending:
@@ -263,10 +247,10 @@ class OnlineEstimator:
             elif i < 0:
                 self._drop("video")
             else:
-                self._place(i, frame, sample)
+                self._place(i, frame, sample, lift)
         self._pending = waiting
 
-    def _place(self, i: int, frame: int, sample: FrameSample) -> None:
+    def _place(self, i: int, frame: int, sample: FrameSample, lift: bool) -> None:
         window, offset = self._window, float(self._time(frame)) - sample.time
         before = self._last_seen
         self._back(sample)
@@ -279,6 +263,8 @@ class OnlineEstimator:
         self._placed = {k: t for k, t in self._placed.items() if k >= window.first}
         assert self._lifter is not None
         self._lifter.put(sample.time, sample.uv_px, sample.confidence, self._R_world_bone(sample.time))
+        if not lift:
+            return
         ages = [frame - round(age * self._rate) for age in _LOOKAHEADS_S]
         due = [k for k in ages if k in self._placed]
         lifts = self._lifter.lift([self._placed[k] for k in due])
@@ -326,22 +312,10 @@ class OnlineEstimator:
             (pose,) = self._lifter.lift([sample.time])
             if pose is not None:
                 self._origin = sample.time
-                return self._state(pose, sample)
+                sensed = self._R_world_bone(sample.time)
+                return self._state(first_lifted(self.skeleton, pose, sensed, self._keypoints(sample)))
             self._pending.popleft()
         return None
-
-    def _state(self, pose: StreamedPose, sample: FrameSample) -> Array:
-        """State of a lifted pose with the orientations of the sensors, its root on its rays."""
-        offsets, parents = self.skeleton.joint_offsets, self.skeleton.parents
-        p = pose.p_world_joint[None]
-        R = kinematics.rotations_from_positions(parents, offsets, p)
-        R = np.where(np.isfinite(pose.R_world_bone), pose.R_world_bone, R)
-        for joint, sensed in self._R_world_bone(sample.time).items():
-            R[0, self.skeleton.names.index(joint)] = sensed
-        p = kinematics.positions(parents, offsets, p[:, 0], R)
-        poses = PoseSequence(np.array([sample.time]), p, R, self.skeleton.names)
-        poses = refit_root(poses, self._keypoints(sample))
-        return np.asarray(self._window.data.space.from_poses(poses.p_world_joint[:, 0], R)[0])
 
     def _keypoints(self, sample: FrameSample) -> KeypointSequence:
         assert self._camera is not None
@@ -351,24 +325,20 @@ class OnlineEstimator:
         )  # fmt: skip
 
     def _first_by_sensors(self) -> Array | None:
-        """State with the person at the origin, on the floor."""
         sensors = self._sensors
-        if sensors is None or not np.isfinite(self._newest):
+        if sensors is None or not np.isfinite(sensors.newest).any():
             return None
-        at = float(sensors.newest[np.isfinite(sensors.newest)].min(initial=np.inf))
-        if not np.isfinite(at):
-            return None
-        q, known, a, _ = sensors.at(np.array([at]))
-        if not known.any():
-            return None
-        R = np.where(known[..., None, None], so3.from_quat_wxyz(q), np.nan)
-        measured = BoneImuSequence(np.array([at]), R, a, sensors.levers, sensors.joints)
-        poses = poses_from_sensors(self.skeleton, measured)
-        floor = self._solver.floor_height or 0.0
-        ankles = poses.p_world_joint[0, self.skeleton.index("LeftFoot", "RightFoot"), 2]
-        root = np.array([[0.0, 0.0, floor + self._solver.ankle_height - float(ankles.min())]])
-        self._origin = at
-        return np.asarray(self._window.data.space.from_poses(root, poses.R_world_bone)[0])
+        at = float(sensors.newest[np.isfinite(sensors.newest)].min())
+        ankle = (self._solver.floor_height or 0.0) + self._solver.ankle_height
+        poses = first_sensed(self.skeleton, sensors, at, ankle)
+        if poses is not None:
+            self._origin = at
+        return None if poses is None else self._state(poses)
+
+    def _state(self, poses: PoseSequence) -> Array:
+        """State (3 + 4A,) of the only frame of poses."""
+        space = self._window.data.space
+        return np.asarray(space.from_poses(poses.p_world_joint[:, 0], poses.R_world_bone)[0])
 
     # --- results ---------------------------------------------------------------------------------
 
@@ -391,7 +361,8 @@ class OnlineEstimator:
         if i is None:
             return PoseSequence(np.array([time]), p, R, self.skeleton.names)
         seen, sensed = self._window.seen[i], self._sensed(i)
-        provenance = np.where(seen, Provenance.CAMERA, Provenance.BRIDGED if self._camera else Provenance.PRIOR)
+        unseen = Provenance.PRIOR if self._camera is None else Provenance.BRIDGED
+        provenance = np.where(seen, Provenance.CAMERA, unseen)
         by_imu = np.zeros(len(seen), dtype=bool)
         by_imu[1:] = sensed[self._ends]
         provenance = np.where(by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), provenance)

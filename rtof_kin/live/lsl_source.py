@@ -110,6 +110,8 @@ class _LslSource:
             self._search.start()
             return []
         self._watch(inlet, len(stamps))
+        if len(stamps) == 0:
+            return []
         times, jump = self._clock.times(stamps, inlet.now())
         self._note(jump)
         known = np.isfinite(times)

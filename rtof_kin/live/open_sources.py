@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.live.renamed_sensors import RenamedSensors
 from rtof_kin.live.replay import RecordingReplay
 from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, Sink, Source
@@ -75,6 +76,7 @@ def open_sources(
     setup: Recording,
     *,
     speed: float = 1.0,
+    names: str | Path | None = None,
     detector: Callable[[], PersonDetector] = choose_detector,
 ) -> Streams:
     """Return the sources that words name; nothing is started.
@@ -85,11 +87,12 @@ def open_sources(
     Args:
         cameras, sensors: words of `CAMERAS` and `SENSORS`.
         setup: recording whose camera is filmed with. speed: of replays, times real time; inf: without pace.
+        names: map of sensors, see `RenamedSensors`; None: they have the names of the calibration.
         detector: gives the detector of a webcam's or a video's images.
 
     Raises:
         SourceError: nothing is named, or twice; more than one camera; no such file; a speed for what is live.
-        RtofError: a recording is damaged, or what a source needs is not installed.
+        RtofError: a recording or the map is damaged, or what a source needs is not installed.
     """
     words = [word.strip() for word in (*cameras, *sensors)]
     if not words:
@@ -110,7 +113,13 @@ def open_sources(
     for word in sensors:
         if word not in found:  # one port may give both
             found[word] = _sensors(word, opening)
-    return Streams(tuple(found.values()), opening.replay, not live)
+    sources = tuple(found.values())
+    if names is not None:
+        sources = tuple(
+            source if isinstance(source, VideoSource) else RenamedSensors.of_file(source, names, setup)
+            for source in sources
+        )
+    return Streams(sources, opening.replay, not live)
 
 
 def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:

@@ -8,6 +8,7 @@ have not arrived yet are left out of the mean.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Final
 
@@ -18,7 +19,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.imu_calibration import GRAVITY_WORLD, ImuCalibration
+from rtof_kin.data.imu import GRAVITY_WORLD
+from rtof_kin.data.imu_calibration import ImuCalibration
 
 _LONGEST_GAP: Final = 0.1  # [s] between samples that is interpolated
 _REACH: Final = 0.08  # [s] of the impulse response to either side
@@ -31,7 +33,8 @@ class SensorBuffer:
     """The newest samples of S sensors.
 
     Attributes:
-        joints: S segments. levers: (S, 3) positions of the sensors in them, m. newest: (S,) time of the newest sample of each, s; -inf before the first one.
+        joints: S segments. levers: (S, 3) positions of the sensors in them, m.
+        newest: (S,) time of the newest sample of each, s; -inf before the first one.
         changed: earliest time whose values changed since `clean`, s.
     """
 
@@ -55,6 +58,7 @@ class SensorBuffer:
         self._count = np.zeros(S, dtype=int)
         self._times = np.full((S, _CAPACITY), np.inf)
         self._R, self._a = np.zeros((S, _CAPACITY, 3, 3)), np.zeros((S, _CAPACITY, 3))
+        self._heading, self._mounting = np.zeros(S), np.tile([1.0, 0.0, 0.0, 0.0], (S, 1))
         self._frame = 1 / rate_hz
         self._response = _response(rate_hz, cutoff_hz)
         self.newest = np.full(S, -np.inf)
@@ -100,11 +104,22 @@ class SensorBuffer:
         changed, self.changed = self.changed - _REACH, np.inf
         return changed
 
-    def at(self, times: Array) -> tuple[Array, Array, Array, Array]:
+    def correct(self, heading: Mapping[str, float], R_mounting: Mapping[str, Array]) -> None:
+        """Rotate what `at` returns from now on.
+
+        Args:
+            heading: segment -> rotation about world's z, rad. R_mounting: segment -> (3, 3) in its axes.
+        """
+        for s, joint in enumerate(self.joints):
+            self._heading[s] = heading.get(joint, 0.0)
+            if joint in R_mounting:
+                self._mounting[s] = so3.to_quat_wxyz(R_mounting[joint])
+
+    def at(self, times: Array, *, corrected: bool = True) -> tuple[Array, Array, Array, Array]:
         """Return quaternions (F, S, 4) and whether known (F, S), accelerations (F, S, 3) and whether known.
 
         Args:
-            times: (F,) of frames, s.
+            times: (F,) of frames, s. corrected: as `correct` asks for.
         """
         S, F = len(self.joints), len(times)
         after = np.empty((S, F), dtype=int)
@@ -112,6 +127,11 @@ class SensorBuffer:
             after[s] = np.searchsorted(self._times[s, : self._count[s]], times)
         q, known = self._orientations(after, times)
         a, moved = self._accelerations(after, times)
+        if corrected and (self._heading.any() or (self._mounting[:, 1:] != 0).any()):
+            half = np.zeros((S, 1, 4))
+            half[:, 0, 0], half[:, 0, 3] = np.cos(self._heading / 2), np.sin(self._heading / 2)
+            q = quat.multiply(half, quat.multiply(q, self._mounting[:, None]))
+            a = np.einsum("sij,sfj->sfi", so3.about_axis("z", self._heading), a)
         return q.swapaxes(0, 1), known.T, a.swapaxes(0, 1), moved.T
 
     def _orientations(self, after: Index, times: Array) -> tuple[Array, Array]:
@@ -173,7 +193,7 @@ class SensorBuffer:
 
 @cache
 def _response(rate_hz: float, cutoff_hz: float | None) -> Array:
-    """Impulse response (n,) of low-pass and triangle at distances of `_STEP`, per second; the last one is 0."""
+    """Impulse response (n,) of low-pass and triangle at distances of `_STEP`, 1/s; the last one is 0."""
     count = round(4 * _REACH / _STEP)
     t = (np.arange(2 * count + 1) - count) * _STEP
     values = np.maximum(1 - np.abs(t) * rate_hz, 0.0) * rate_hz
@@ -181,4 +201,4 @@ def _response(rate_hz: float, cutoff_hz: float | None) -> Array:
         values = signals.low_pass(values, 1 / _STEP, cutoff_hz)
     out = values[count : count + round(_REACH / _STEP) + 1].copy()
     out[-1] = 0.0
-    return out
+    return np.asarray(out)

@@ -35,6 +35,7 @@ from rtof_kin.recording.recording import Recording
 _AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
 _ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
 _MOST_SENTENCES: Final = 1000
+_HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
 
 
 class Estimator(Protocol):
@@ -47,8 +48,12 @@ class Estimator(Protocol):
     def push(self, sample: Sample) -> None:
         """Take a sample, in any order."""
 
-    def advance(self, time: float | None = None) -> list[OnlineEstimate]:
-        """Return the frames that are due at a time, s."""
+    @property
+    def hurried(self) -> int:
+        """Frames that were only predicted, to catch up."""
+
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
+        """Return the frames that are due at a time, s; in a hurry with less work for many of them."""
 
     def finish(self) -> list[OnlineEstimate]:
         """Return the frames that remain."""
@@ -258,10 +263,16 @@ class LiveSession:
         if math.isnan(now):
             return []
         try:
-            estimates = self._estimator.advance(now)
+            estimates = self._estimator.advance(now, hurry=True)
         except RtofError as error:
             self._once("estimate", str(error), f"estimate: {error}", arrival)
             return []
+        if self._estimator.hurried > _HURRIED:
+            text = (
+                "this machine is too slow for all frames: some are only predicted; choose a lower --rate, or "
+                "end other programs"
+            )
+            self._once("estimate", "slow", text, arrival)
         self._send(estimates, arrival)
         return estimates
 

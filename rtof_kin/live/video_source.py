@@ -57,7 +57,8 @@ class VideoSource:
         now: Callable[[], float] = system.monotonic,
     ):
         self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
-        self._live = is_webcam(source)
+        self.live = is_webcam(source)
+        """Whether it is a webcam."""
         self._replay, self._clock, self._now = replay or ReplayClock(), clock, now
         self._run: Examination | None = None
         self._closed = False
@@ -68,7 +69,7 @@ class VideoSource:
     @property
     def name(self) -> str:
         """Name of the file, or number of the webcam."""
-        return f"camera {self._source}" if self._live else Path(str(self._source)).name
+        return f"camera {self._source}" if self.live else Path(str(self._source)).name
 
     @property
     def clock(self) -> Clock:
@@ -88,7 +89,7 @@ class VideoSource:
     @property
     def finished(self) -> bool:
         """Whether the video ended and all was polled."""
-        return self._closed or (self._run is not None and not self._live and self._run.ended)
+        return self._closed or (self._run is not None and not self.live and self._run.ended)
 
     @property
     def latency_s(self) -> float:
@@ -118,7 +119,7 @@ class VideoSource:
             return
         with ExitStack() as opened:
             try:
-                images = opened.enter_context(closing(self._webcam() if self._live else self._file()))
+                images = opened.enter_context(closing(self._webcam() if self.live else self._file()))
                 first = next(images, None)
                 if first is None:
                     raise SourceError(f"{self.name}: gives no image; see whether another program shows one")
@@ -132,7 +133,7 @@ class VideoSource:
             opened.pop_all()  # from here on the threads release them
         self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
         self._run = Examination(
-            images, first, detector, points, None if self._live else self._replay, self._now
+            images, first, detector, points, None if self.live else self._replay, self._now
         )
 
     def poll(self) -> list[Sample]:
@@ -144,7 +145,7 @@ class VideoSource:
         run = self._run
         if run is None or self._closed:
             return []
-        if not self._live:
+        if not self.live:
             return list(run.take(self._replay.now(self), wait=not self._replay.paced))
         found = run.take()
         if run.ended and not found:
@@ -157,15 +158,15 @@ class VideoSource:
         run, told = self._run, list[str]()
         if run is None:
             return []
-        for said in (run.points.notices, *([] if self._live else [run.problems])):
+        for said in (run.points.notices, *([] if self.live else [run.problems])):
             while said:
                 told.append(said.popleft())
         took = f"detection takes {1000 * run.detection_s:.0f} ms an image"
-        if self._live and run.dropped >= self._tell_dropped:
+        if self.live and run.dropped >= self._tell_dropped:
             self._tell_dropped = 2 * run.dropped
             count = run.dropped + run.examined
             told.append(f"{run.dropped} of {count} images were not examined, as {took}")
-        if not self._live and self._replay.paced and run.latency_s >= self._tell_late:
+        if not self.live and self._replay.paced and run.latency_s >= self._tell_late:
             self._tell_late = 2 * run.latency_s
             told.append(
                 f"its points are {run.latency_s:.1f} s late and will be later, as {took}; lower the speed, "

@@ -42,6 +42,7 @@ class Window:
 
     Attributes:
         data: the problem. smoother: of N frames. first: number of the window's first frame.
+        order: places of the sensors' rows in `SensorBuffer.joints`.
         seen: (N, J) joints whose landmark the camera saw. latency_s: usual age of an image that arrives, s.
     """
 
@@ -68,9 +69,9 @@ class Window:
         self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
         worn = () if sensors is None else sensors.joints
         self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self._torso]
-        self._lifted = list(range(len(self._torso)))
-        self._order = [worn.index(joint) for joint in self.data.sensors]
-        self._sizes = np.zeros(0) if camera is None else self.data.points.independent / self.data.points.sizes**2
+        self.order = [worn.index(joint) for joint in self.data.sensors]
+        points = self.data.points
+        self._sizes = points.independent / points.sizes**2
         if camera is not None:
             self._measured = [list(landmarks).index(name) for name in self.data.names]
             self._joints = [(list(landmarks).index(n), j) for j, n in enumerate(names) if n in landmarks]
@@ -97,12 +98,16 @@ class Window:
             x: (3 + 4A,) its initial state.
         """
         S = len(self.data.sensors)
-        self.smoother.append(x, {"w_prior": 1.0}, np.zeros((S, 3)), np.zeros(S))
+        self.smoother.append(x, {"w_prior": np.ones(())}, np.zeros((S, 3)), np.zeros(S))
         for array in (self.seen, self._torso_weights, self._standing):
             array[:-1] = array[1:]
             array[-1] = 0
         self.first += 1
         self._since_image += 1
+
+    def prefer(self, quat_mean: Array) -> None:
+        """Take other means (4, A - 1) of the pose prior."""
+        self.smoother.constant["quat_mean"] = quat_mean
 
     # --- sensors ---------------------------------------------------------------------------------
 
@@ -114,7 +119,7 @@ class Window:
         """
         if self.sensors is None or not len(times):
             return
-        smoother, order = self.smoother, self._order
+        smoother, order = self.smoother, self.order
         q, known, a, moved = self.sensors.at(times)
         smoother.rows["quat_sensor"][first:] = q[:, order]
         smoother.rows["w_sensor"][first:] = known[:, order]
@@ -129,7 +134,7 @@ class Window:
         has = self.smoother.rows["w_sensor"]
         for i, s in enumerate(self._of_torso):
             if s >= 0:
-                out[has[:, self._order.index(s)] > 0, i] = 0.0
+                out[has[:, self.order.index(s)] > 0, i] = 0.0
 
     # --- image -----------------------------------------------------------------------------------
 
@@ -166,16 +171,16 @@ class Window:
             frames: n indices in the window. poses: n of their times.
         """
         own, rows, s = list(frames), self.smoother.rows, self._settings
-        p, R = np.stack([pose.p_world_joint for pose in poses]), np.stack([pose.R_world_bone for pose in poses])
-        if s.sigma_torso is not None and self._lifted:
-            j = [self._torso[n] for n in self._lifted]
+        p = np.stack([pose.p_world_joint for pose in poses])
+        R = np.stack([pose.R_world_bone for pose in poses])
+        if s.sigma_torso is not None:
+            j = self._torso
             known = np.isfinite(R[:, j, 0, 0])
             sigma = np.stack([pose.sigma_rad[j] for pose in poses]) * s.torso_inflation
             weights = known / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
             oriented = np.stack([self._oriented(k, p, R) for k in j], axis=1)
             oriented = np.where(known[..., None, None], oriented, np.eye(3))
-            at = np.ix_(own, self._lifted)
-            rows["quat_torso"][at], self._torso_weights[at] = so3.to_quat_wxyz(oriented), weights
+            rows["quat_torso"][own], self._torso_weights[own] = so3.to_quat_wxyz(oriented), weights
             self._weigh_torso()
         if self._bone_weights.any():
             joints, children = np.array(self._bones).T

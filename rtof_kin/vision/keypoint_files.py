@@ -15,6 +15,7 @@ TRC in pixels               Sports2D's ``*_px_*.trc``
 NPZ                         ``uv_px`` or ``keypoints`` (T, K, 2 or 3) or (T, P, K, 2 or 3),
                             - ``confidence`` or ``scores``, - ``times``, - ``identity`` (T, P)
 NPY                         one array like that
+XDF                         one stream of channels ``<point>_x``, ``<point>_y``, - ``<point>_confidence``, px
 ==========================  ====================================================================
 
 Of a whole body (133 points of COCO, 136 of Halpe) face and hands are left out. Coordinates that are fractions
@@ -36,10 +37,11 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
+from rtof_kin.formats.xdf import read_xdf_points
 from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person, of_body
 from rtof_kin.vision.keypoint_tables import TIMES, read_csv_table, read_pixel_trc
 
-FORMATS = (".json", ".npz", ".npy", ".csv", ".trc")
+FORMATS = (".json", ".npz", ".npy", ".csv", ".trc", ".xdf")
 ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")
 """Names of the array of points in an .npz."""
 _LARGEST_JSON = 256 * 2**20  # bytes
@@ -83,6 +85,9 @@ def _read(path: Path) -> Detections:
         raise FileFormatError(path, "there is no such file or folder")
     if suffix == ".json":
         return _read_json(path)
+    if suffix == ".xdf":
+        points = read_xdf_points(path)
+        return Detections(points.uv_px[:, None], points.confidence[:, None], points.times, points.names)
     if suffix == ".trc":
         return read_pixel_trc(path)
     if suffix == ".csv":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import signal
@@ -10,7 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from detector_support import points_px, walking, watching
 from live_support import FakeEstimator, demo
 from rich.console import Console
 
@@ -18,9 +21,27 @@ from rtof_kin.cli.live_display import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.detections import Person
 
 DEMO = model_path("demo")
 Cli = Callable[..., Any]
+
+
+class Walking:
+    """A detector that finds one person who walks."""
+
+    name = "walking"
+    points = 33
+
+    def __init__(self) -> None:
+        self._uv = 0.1 * points_px("mediapipe33", walking(), watching(walking()))
+
+    def find(self, image: Any, time: float) -> list[Person]:
+        at = min(round(25 * time), len(self._uv) - 1)
+        return [Person(np.column_stack([self._uv[at], np.full(33, 0.9)]))]
+
+    def close(self) -> None:
+        pass
 
 
 @pytest.fixture
@@ -66,6 +87,34 @@ def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_termina
     assert "8 of 8 streams ok" in done.out
     assert "knee flexion" in done.out
     assert "lag 0 ms" in done.out
+
+
+def test_a_video_is_examined_by_the_detector_of_the_options(
+    cli: Cli, estimator: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pytest.importorskip("onnx")
+    from dot_detector import write_video
+
+    asked: list[argparse.Namespace] = []
+
+    def of(options: argparse.Namespace) -> Walking:
+        asked.append(options)
+        return Walking()
+
+    monkeypatch.setattr("rtof_kin.cli.live.detector_of", of)
+    images = [np.zeros((108, 192, 3), dtype=np.uint8)] * 50
+    film = write_video(tmp_path / "film.mp4", images)
+    take = tmp_path / "take"
+    options = ("--speed", "inf", "--rate", 25, "--model-dir", "models", "-o", take)
+    done = cli("live", DEMO, "--camera", film, *options)
+    assert done.code == 0, done.err
+    assert [one.model_dir for one in asked] == ["models"]
+    assert "video: 50 samples" in done.out
+    assert "L_UpArm" not in done.out
+    assert estimator["setup"].calibration is None
+    assert "mediapipe33:Nose" in estimator["landmarks"]
+    recorded = Recording.load(take)
+    assert (len(recorded.video), recorded.imus) == (50, None)
 
 
 @pytest.mark.usefixtures("estimator")

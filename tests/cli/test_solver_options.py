@@ -52,13 +52,13 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
 
 
 def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    options = "--paper --no-guards --no-lift-with-sensors --lifter causal"
+    options = "--paper --no-guards --no-lift-with-sensors --lifter perfect"
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
     assert (found["fragment"]["k_V"], found["fragment"]["bone_lengths"]) == (0.9, "free")
     assert (found["guards"], found["lift_with_sensors"]) == ("", False)
-    assert found["lifter"] == "causal"
+    assert found["lifter"] == "perfect"
     assert "stream_faults" not in summary
 
 

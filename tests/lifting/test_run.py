@@ -74,8 +74,8 @@ def test_a_start_of_another_shape_is_refused(corpus: Corpus, tmp_path: Path) -> 
         train(replace(QUICK, channels=9), corpus, tmp_path / "other.pt", start=path)
     with pytest.raises(FileFormatError, match="this training is of videopose3d"):
         train(replace(QUICK, model="videopose3d"), corpus, tmp_path / "other.pt", start=path)
-    with pytest.raises(FileFormatError, match=r"lifter_causal\.pt: .*start from one that fits"):
-        train(QUICK, corpus, tmp_path / "other.pt", start="causal")
+    with pytest.raises(FileFormatError, match=r"lifter_perfect\.pt: .*start from one that fits"):
+        train(QUICK, corpus, tmp_path / "other.pt", start="perfect")
 
 
 def test_a_start_gives_the_first_weights(corpus: Corpus, tmp_path: Path) -> None:

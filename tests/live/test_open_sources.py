@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtof_kin.core.errors import RtofError, SourceError
+from rtof_kin.core.errors import CalibrationError, RtofError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.open_sources import open_sinks, open_sources
 from rtof_kin.live.replay import RecordingReplay
@@ -111,6 +111,27 @@ def test_a_setup_must_have_the_camera_that_is_used(tmp_path: Path) -> None:
     )  # fmt: skip
     with pytest.raises(RtofError, match="human36m"):
         opened(["0"], [], setup=h36m)
+
+
+def test_sensors_are_renamed_by_serial_number_segment_or_name(tmp_path: Path) -> None:
+    given = demo().imus
+    assert given is not None
+    serials = ("00B42279", "00B4227D", *given.names[2:])
+    other = replace(demo(), imus=replace(given, names=serials), calibration=None, keypoints=None, truth=None)
+    other.save(tmp_path / "take")
+    (tmp_path / "map.csv").write_text("sensor,segment\n2279,left upper arm\n00B4227D,R_UpArm\n")
+    (source,) = opened([], [str(tmp_path / "take")], names=tmp_path / "map.csv", speed=float("inf")).sources
+    assert source.sensors == given.names
+    source.start()
+    found = set()
+    while not source.finished:
+        found |= {sample.sensor for sample in source.poll()}
+    assert found == set(given.names)
+    (tmp_path / "map.csv").write_text("2279,pelvis\n")
+    with pytest.raises(UnknownNameError, match="pelvis"):
+        opened([], [DEMO], names=tmp_path / "map.csv")
+    with pytest.raises(CalibrationError, match="demo"):
+        opened([], [DEMO], names=tmp_path / "map.csv", setup=replace(demo(), imus=None, calibration=None))
 
 
 def test_a_damaged_recording_is_named(tmp_path: Path) -> None:

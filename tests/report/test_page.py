@@ -108,12 +108,12 @@ def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path
 
 def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
     settings = {"space": "cartesian", "backend": "ipopt", "energy": "as printed", "frames": 20,
-                "lifter": "causal", "lift_with_sensors": False, "calibrate": "no", "threads": 1,
+                "lifter": "perfect", "lift_with_sensors": False, "calibrate": "no", "threads": 1,
                 "guards": ""}  # fmt: skip
     folder = folder_of(walk(), tmp_path / "out", inputs=INPUTS, settings=settings, audit=None)
     top = text_of(folder, session=Session(subject="P08"))
     for text in (
-        "P08: motion report", "2026-01-31", "causal, from the image alone", "Outlier rejection off",
+        "P08: motion report", "2026-01-31", "perfect, from the image alone", "Outlier rejection off",
         "cartesian space, ipopt, energy: as printed; 20 frames a fragment", "without an audit",
     ):  # fmt: skip
         assert text in top

@@ -22,6 +22,7 @@ import numpy as np
 import planted
 import sensor_files
 import total_capture_support
+import xdf_file
 
 from lifting.checkpoint import load_checkpoint, save_checkpoint
 from lifting.corpus import read_corpus
@@ -203,6 +204,12 @@ def _opencap() -> bytes:
     return pickle.dumps(camera, 4)
 
 
+def _points_xdf() -> bytes:
+    labels = ("nose_x", "nose_y", "nose_confidence", "left_hip_x", "left_hip_y")
+    values = np.random.default_rng(0).uniform(0.1, 1, (4, 5)) * [640, 480, 1, 640, 480]
+    return xdf_file.content(xdf_file.Stream(1, "points", labels, np.arange(4.0), values, type="MoCap"))
+
+
 def _with_sensor_files() -> Files:
     index = b'schema_version = 1\n[imus]\nfile = "dot"\nsensor_map = "map.csv"\nstart_s = -5.0\n'
     files = {f"dot/{name}": content for name, content in sensor_file("Movella DOT CSV").items()}
@@ -310,6 +317,7 @@ READERS = (
         read_detector_file,
     ),
     given("markers in pixels", "a_px.trc", PIXEL_TRC, read_detector_file),
+    given("points in XDF", "a.xdf", _points_xdf, read_detector_file),
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),

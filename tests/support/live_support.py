@@ -101,6 +101,7 @@ class FakeEstimator:
     def __init__(self) -> None:
         self.pushed: list[Sample] = []
         self.dropped: Mapping[str, int] = {}
+        self.hurried = 0
         self.times: list[float] = []
         truth = demo().truth
         assert truth is not None
@@ -110,7 +111,7 @@ class FakeEstimator:
     def push(self, sample: Sample) -> None:
         self.pushed.append(sample)
 
-    def advance(self, time: float | None = None) -> list[OnlineEstimate]:
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:  # noqa: ARG002
         assert time is not None
         if self._next is None:
             self._next = time

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.io
+import xdf_file
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -204,6 +205,23 @@ def write_noraxon(folder: Path, truths: list[Truth]) -> Path:
     return path
 
 
+def write_xdf(folder: Path, truths: list[Truth]) -> Path:
+    """A file of LabRecorder: a stream for each sensor, in g and degrees, on clocks that were measured."""
+    streams = []
+    for number, (serial, one) in enumerate(zip(SERIALS, truths, strict=False), start=1):
+        labels = [f"{kind}_{axis}" for kind in ("acc", "gyr", "mag") for axis in "xyz"]
+        values = np.concatenate([one.f / G, np.rad2deg(one.w), one.m, one.quat_wxyz], axis=1)
+        units = ["g"] * 3 + ["deg/s"] * 3 + [""] * 7
+        times = 5000.0 + np.arange(len(values)) / RATE
+        offsets = [(5000.0, 0.25), (5010.0, 0.25)]
+        streams.append(xdf_file.Stream(
+            number, serial, (*labels, "qw", "qx", "qy", "qz"), times, values, tuple(units), offsets=offsets
+        ))  # fmt: skip
+    path = folder / "trial.xdf"
+    path.write_bytes(xdf_file.content(*streams))
+    return path
+
+
 WRITERS: dict[str, Callable[[Path, list[Truth]], Path]] = {
     "Xsens MT Manager text": write_mt,
     "Movella DOT CSV": write_dot,
@@ -214,5 +232,6 @@ WRITERS: dict[str, Callable[[Path, list[Truth]], Path]] = {
     "plain CSV": write_csv,
     "OpenSense .sto": write_sto,
     "Total Capture .sensors": write_total_capture,
+    "XDF": write_xdf,
 }
 """One for each format, by its title: they write a trial and return what is to be read."""

@@ -34,6 +34,7 @@ def test_a_person_detector_gives_several_people(film: Film, folder: Path) -> Non
     people_model(folder / "yolox.onnx", [box, [0, 0, 60, 60, 0.8], [5, 5, 50, 50, 0.01]])
     found = detect_video(path, folder)
     assert found.uv_px.shape == (10, 2, 17, 2)
+    assert OnnxDetector(folder).points == 17
     assert error_px(found.uv_px[:, 0], uv) < 3.0
     people_model(folder / "yolox.onnx", [[5, 5, 50, 50, 0.01]])
     with pytest.raises(FileFormatError, match="walk.mkv: there is no person"):

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.formats import total_capture
+from rtof_kin.formats import total_capture, xdf
 from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens
 
 _HEAD_BYTES: Final = 2**14
@@ -37,6 +37,10 @@ class Format:
 
 
 FORMATS: Final = (
+    Format(
+        xdf.TITLE, "binary, begins with 'XDF:'; streams of channels NAME_qw, ..., NAME_acc_x, ...",
+        xdf.is_xdf, xdf.read_xdf, True,
+    ),
     Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, True),
     Format(
         imu_mat.TITLE, "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",

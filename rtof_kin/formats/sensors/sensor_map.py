@@ -107,8 +107,7 @@ def matched(places: Mapping[str, str], sensors: Sequence[str]) -> dict[str, str]
     unused = []
     for key, place in places.items():
         same = [name for name in sensors if _plain(name) == _plain(key)]
-        ends = [name for name in sensors if _plain(name).endswith(_plain(key))]
-        fits = same or (ends if len(_plain(key)) >= _SHORTEST_END else [])
+        fits = same or [name for name in sensors if same_sensor(key, name)]
         if not fits:
             unused.append(key)
             continue
@@ -123,6 +122,16 @@ def matched(places: Mapping[str, str], sensors: Sequence[str]) -> dict[str, str]
             "which the map has not; correct one of them, or take the lines of absent sensors out"
         )
     return found
+
+
+def same_sensor(key: str, sensor: str) -> bool:
+    """Return whether a map's word means a sensor: its name, or the last characters of it.
+
+    Args:
+        key: of the map. sensor: name in the trial.
+    """
+    key, sensor = _plain(key), _plain(sensor)
+    return key == sensor or (len(key) >= _SHORTEST_END and sensor.endswith(key))
 
 
 def _plain(name: str) -> str:

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -65,6 +65,7 @@ class FixedLagSmoother:
         self._multipliers = np.zeros((frames, len(self.limits.names) if self.limits else 0))
         self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
         self._errors = _RunningErrors(data)
+        self._early = _early_weights(frames)
         self._appended = 0
 
     @property
@@ -131,8 +132,9 @@ class FixedLagSmoother:
         """
         self._window.bind(self._data())
         if self._appended % _EVERY == 0 or self._appended < self.frames:
-            if self._errors.estimate(self._window.value(self.x)[1], self.rows["w_visual"] > 0, self._share()):
-                self._window.bind(self._data())
+            residuals = self._window.value(self.x)[1]
+            self._errors.estimate(residuals, self.rows["w_visual"] > 0, self._share())
+            self._window.bind(self._data())
         solver = LevenbergMarquardt(WindowEnergy(self._window, self.prior), self.limits)
         tolerance = self._settings.tolerance if tolerance is None else tolerance
         solved = solver.solve(self.x, iterations, tolerance, self._multipliers)
@@ -158,6 +160,11 @@ class FixedLagSmoother:
         """Return the reprojection residuals (N, L, 2) at the present states, px."""
         return self._window.value(self.x)[1]
 
+    def weighted_first(self) -> dict[str, Array]:
+        """Return the observations of the oldest frame with their weights: name -> (...)."""
+        rows = self._errors.weighted({name: values[:1] for name, values in self.rows.items()})
+        return {name: values[0] for name, values in rows.items()}
+
     def _share(self) -> float:
         """Weight of a new estimate of the landmarks' errors."""
         return max(_EVERY / (_MEMORY_S * self.rate_hz), 1 / max(self._appended, 1))
@@ -165,10 +172,10 @@ class FixedLagSmoother:
     def _data(self) -> FragmentData:
         """Observations of the window with the present weights."""
         rows, inside = self._errors.weighted(self.rows), self.inside
-        whole = inside[2:] & inside[1:-1] & inside[:-2]
+        w = self._early * (inside[2:] & inside[1:-1] & inside[:-2])
         jerk = (np.convolve(inside, np.ones(LAGS), mode="valid") == LAGS).astype(float)
         return FragmentData(
-            rows, self.constant, self.a_world[1:-1], self.w_acceleration[1:-1] * whole[:, None], jerk,
+            rows, self.constant, self.a_world[1:-1], w[:, None] * self.w_acceleration[1:-1], jerk,
             self.rate_hz,
         )  # fmt: skip
 
@@ -186,6 +193,15 @@ class FixedLagSmoother:
         )  # fmt: skip
 
 
+_D, _F = 4, 100.0
+
+
+def _early_weights(frames: int) -> Array:
+    """(N - 2,) factors on the weights of accelerations."""
+    age = np.arange(frames - 2, 0, -1)
+    return np.where(age >= _D, 1.0, 1 / _F)
+
+
 class _RunningErrors:
     """Size of the landmarks' errors and their autocorrelation, averaged over time; as in `Annealing`."""
 
@@ -200,26 +216,23 @@ class _RunningErrors:
 
     @property
     def sigma(self) -> float:
-        """px per axis, with the factor for autocorrelation."""
+        """Standard deviation per axis, px, with the factor for autocorrelation."""
         if self._given is not None:
             return self._given
         if not self._estimated:
             return self._bounds[1]
         return float(np.clip(self._size * self._factor, *self._bounds))
 
-    def estimate(self, residuals: Array, seen: Array, share: float) -> bool:
-        """Average with residuals (N, L, 2), px, where seen (N, L); return whether there was an estimate."""
-        if self._given is not None:
-            return False
+    def estimate(self, residuals: Array, seen: Mask, share: float) -> None:
+        """Average with residuals (N, L, 2), px, where seen (N, L)."""
         picture = Picture(seen, self._sizes, self._bounds[1], self._largest)
-        if not picture.enough:
-            return False
+        if self._given is not None or not picture.enough:
+            return
         size, factor = picture.estimated(residuals)
         share = share if self._estimated else 1.0
         self._size += share * (size - self._size)
         self._factor += share * (factor - self._factor)
         self._estimated = True
-        return True
 
     def weighted(self, rows: Mapping[str, Array]) -> dict[str, Array]:
         """Return rows with the weights of landmarks, and of what is constant beside them."""

@@ -190,8 +190,7 @@ class Observations:
     def _energies(
         self, active: Collection[str], standing: tuple[str, ...]
     ) -> Callable[[int], FragmentEnergy]:
-        """The energy of a number of frames, for joints with active sensors and joints that may have footholds.
-        """
+        """The energy of a number of frames, for joints with sensors and those that may have footholds."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
         shape = Shape(

@@ -1,0 +1,130 @@
+"""Energy of one fragment as a function of the unknowns alone, to second order.
+
+The fragment's states x are eliminated by the Schur complement of their Gauss-Newton Hessian::
+
+    Hessian     H - C^T A^-1 C          A banded by x, C by x and y, H by y
+    gradient    h - C^T A^-1 g
+
+The work comes in slices, so that a caller with little time per frame makes one slice in each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals
+from rtof_kin.calibration.schur_complement import Slices, UnknownsHessian
+from rtof_kin.calibration.unknowns import Unknown
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.numerics.banded import Factor, StoredFactor
+from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
+from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.observations import Attached
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+_DAMPING: Final = 1e-6
+_BLOCK: Final = 4
+"""Right-hand sides that are solved in one slice."""
+
+@dataclass(frozen=True)
+class ProfiledFragment:
+    """A fragment's observations and states, and the problem to evaluate them with."""
+
+    problem: FragmentEnergy
+    """With the observations bound to it."""
+    limits: Limits | None
+    settings: JointSpaceSettings
+    observations: CalibrationObservations
+    """Corrected by the unknowns y."""
+    first: int
+    """Frame of the observations with which the fragment begins."""
+    x: Array
+    """(N, 3 + 4A) states."""
+    multipliers: Array | None = None
+    """(N, M) of the limits."""
+
+    def linearise(self) -> Array:
+        """Return the energy's gradient (N, D) by the states; the problem stores the Hessian."""
+        names = self.limits.names if self.limits else ()
+        m = np.zeros((len(self.x), len(names))) if self.multipliers is None else self.multipliers
+        return LevenbergMarquardt(self.problem, self.limits).linearise(self.x, m)
+
+    def profile(
+        self, unknowns: Sequence[Unknown], columns: Sequence[slice], y: Array
+    ) -> Slices[tuple[Array, Array]]:
+        """Return Hessian (G, G) and gradient (G,) of the energy as a function of the unknowns alone.
+
+        Args:
+            unknowns: kinds. columns: of each in y. y: (G,).
+        """
+        slope = self.linearise()
+        yield
+        factor = self.problem.factorise(_DAMPING)
+        yield
+        own = yield from self.unknowns_hessian(unknowns, columns, y)
+        return (yield from _eliminated(own, slope, factor))
+
+    def unknowns_hessian(
+        self, unknowns: Sequence[Unknown], columns: Sequence[slice], y: Array
+    ) -> Slices[UnknownsHessian]:
+        """Return the blocks of the Hessian by unknowns; arguments are those of `profile`."""
+        problem, given, N = self.problem, self.observations, len(self.x)
+        shape, s, rate = problem.energy.shape, self.settings, given.rate_hz
+        at = CalibrationResiduals(problem.space, Attached.of(shape), given, self.first, self.x)
+        changes = [u.changes(at, y[c]) for u, c in zip(unknowns, columns, strict=True)]
+        out = UnknownsHessian(N, problem.space.size, columns, changes)
+        by, values = out.by_unknowns, given.fragment(self.first, N)
+        weights = values.observation
+        yield
+
+        def changed(*names: str) -> bool:
+            return any(getattr(change, name) is not None for change in changes for name in names)
+
+        if changed("points", "image"):
+            pixels = at.pixels(weights["w_visual"], weights["knee_visual"])
+            yield
+            image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
+            yield from out.add_in_parts(pixels, image)
+        if changed("turns"):
+            turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
+            yield
+            yield from out.add_in_parts(turns, by("turns", turns.value, by_turn))
+        if changed("feet") and shape.feet and weights["w_floor"].any():
+            feet = at.feet(weights["w_floor"], shape.floor_cutoff)
+            out.add(feet, by("feet", feet.value))
+            yield
+        if changed("sensors", "accelerations"):
+            moves = at.accelerations(values.w_acceleration, s.robust_acceleration)
+            moved = np.diff(by("sensors", at.sensors), n=2, axis=0) * rate**2
+            yield
+            out.add(moves, moved - by("accelerations", moves.value), 2, rate)
+            yield
+        if changed("jerk"):
+            jerk = at.jerk(values.w_jerk, problem.sigma_jerk[:3] * given.length_scale)
+            out.add(jerk, by("jerk", jerk.value), 3, rate)
+            yield
+        if changed("posture"):
+            postures, by_turn = at.postures(weights["w_prior"])
+            yield from out.add_in_parts(postures, by("posture", postures.value, by_turn))
+        return out
+
+
+def _eliminated(
+    own: UnknownsHessian, slope: Array, factor: Factor | StoredFactor
+) -> Slices[tuple[Array, Array]]:
+    """Hessian and gradient without the states."""
+    G = len(own.gradient)
+    C = own.columns.reshape(-1, G)
+    right = np.column_stack([C, slope.ravel()])
+    coupled = np.empty((G, G + 1))
+    for first in range(0, G + 1, _BLOCK):
+        block = slice(first, first + _BLOCK)
+        coupled[:, block] = C.T @ factor.solve_columns(right[:, block])
+        yield
+    hessian = own.corner - coupled[:, :-1]
+    return (hessian + hessian.T) / 2, own.gradient - coupled[:, -1]

@@ -1,0 +1,380 @@
+"""Self-calibration that goes on while a person moves, window after window.
+
+Every window of N frames whose states were estimated adds to what is known of the unknowns y. Its
+information I and gradient s at the current y are those of `fragment_profile`, the same as in batch::
+
+    c <- (1 - d/m) c + d              d seconds of the window, m of memory
+    S <- (1 - d/m) S + I
+    b <- (1 - d/m) b + I (y - y_0) - s
+    y  = y_0 + (P + r S)^-1 r b       r = min(1, effective seconds / c)
+
+P and y_0 are those of the prior, or of a saved calibration. Errors of vision are autocorrelated: the
+windows count together as `CalibrationPriors.effective_seconds` at most, and those of m seconds ago less.
+
+The delay of the video has a posterior of its own (`delay_posterior`), as energies are not quadratic in it.
+
+An update takes tens of ms and comes in slices of about a ms. What is applied to new samples moves
+towards the estimate with a limited speed (`Pace`), so that poses do not jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve
+
+from rtof_kin.calibration.delay_posterior import DelayPosterior, LateSensors, Sensors
+from rtof_kin.calibration.estimate import quantities_of
+from rtof_kin.calibration.fragment_profile import ProfiledFragment
+from rtof_kin.calibration.posture_unknown import Posture
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.residuals import CalibrationObservations
+from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
+from rtof_kin.calibration.schur_complement import Slices
+from rtof_kin.calibration.sensor_unknowns import Delay, Heading, Mounting, Sampled
+from rtof_kin.calibration.unknowns import Unknown
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.core.numerics.banded import Factor, StoredFactor
+from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
+from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.observations import bone_axis
+from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+
+_DAMPING: Final = 1e-3
+_STEPS: Final = 2
+"""Gauss-Newton steps of a window's states at the current estimate."""
+_STILL: Final = np.radians(3.0)
+"""[rad] Turning in a window, in the mean of the sensors, below which it is not used: its errors are those of
+the window before."""
+_KEPT: Final = 0.25
+"""Least deviation of a saved value, in those of the prior: sensors move a little between recordings."""
+_KEPT_DELAY: Final = 0.5
+"""The same of a delay: clocks are started again."""
+
+
+@dataclass(frozen=True)
+class WindowObservations:
+    """A window of N frames, as measured: nothing of the calibration is applied."""
+
+    given: CalibrationObservations
+    """Of the N frames, evenly spaced: landmarks with the weights that the estimator gave them, sensors at the
+    frames' stamps with those of `Observations`."""
+    x: Array
+    """(N, 3 + 4A) estimated states."""
+    sampled: Sampled
+    """The sensors at any times near the window. Accelerations are smoothed over one sample, or delays
+    of half a sample seem likelier than others."""
+    multipliers: Array | None = None
+    """(N, M) of the limits."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast a sequential calibration follows, and is applied."""
+
+    memory_s: float = 60.0
+    """[s] of windows after which one counts 1/e."""
+    delay: float = 0.005
+    """[s/s] Largest speed of the applied delay."""
+    turn: float = np.radians(1.0)
+    """[rad/s] The same of headings, mountings and posture."""
+    significant: float = 2.0
+    """[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
+    deviations, that is corrected: a smaller one may be the detector's."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is applied to new samples."""
+
+    delay: float
+    """[s] to subtract from the stamps of the video."""
+    heading: Mapping[str, float]
+    """Segment -> rotation about world's z to apply to its measured orientation and acceleration, rad."""
+    R_mounting: Mapping[str, Array]
+    """Segment -> (3, 3) to multiply its measured orientation by, from the right."""
+    posture: Mapping[str, Array]
+    """Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad."""
+
+
+class SequentialCalibration:
+    """Estimate of delay, headings, mountings and posture from windows of a motion.
+
+    Attributes:
+        unknowns: kinds but the delay, in the order of y. columns: of each in y.
+        y: (G,) estimate. delay: posterior of the delay, or None. windows: how many were used.
+    """
+
+    def __init__(
+        self,
+        problem: FragmentEnergy,
+        settings: JointSpaceSettings,
+        priors: CalibrationPriors,
+        start: SelfCalibration | None = None,
+        pace: Pace | None = None,
+    ) -> None:
+        """Begin with the priors, or with a saved calibration.
+
+        Args:
+            problem: energy of a window, of which no other solver binds data. settings: of that solver.
+            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open.
+            start: values that are known already, of the same sensors.
+            pace: speeds.
+
+        Raises:
+            CalibrationError: nothing is open.
+        """
+        self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
+        self._limits = Limits(problem.space) if settings.limits else None
+        self.unknowns = _opened(problem, priors)
+        if not self.unknowns and priors.sigma_delay is None:
+            raise CalibrationError("nothing is left open: give at least one standard deviation")
+        stops = np.cumsum([len(u.covariance) for u in self.unknowns]).astype(int).tolist()
+        self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=False))
+        covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(stops[-1:])]
+        self._usual = np.array(np.diag(covariance))
+        saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if _is_known(q)}
+        self._mean = _started(self.unknowns, covariance, saved)
+        self._prior = np.asarray(np.linalg.inv(covariance) if stops else covariance)
+        self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
+        self._information, self._vector = np.zeros_like(self._prior), np.zeros_like(self._mean)
+        self.delay = _delay(priors.sigma_delay, saved.get(("delay", "video")))
+        self._begun = self.delay.delay if self.delay else 0.0
+        self._applied, self._applied_delay = self._mean.copy(), self._begun
+        self._quantities = self._listed()
+
+    def update(self, window: WindowObservations) -> Slices[None]:
+        """Take a window into account, in slices of one or two ms; one in which nobody moves is left out.
+
+        Args:
+            window: of as many frames as the problem has; later than those before.
+
+        Raises:
+            SolverError: the window's Hessian is not positive definite; nothing has changed then.
+        """
+        if _turning(window.given) < _STILL:
+            return
+        given, N = window.given, len(window.x)
+        late = self.delay.around(given.times, given.rate_hz, window.sampled) if self.delay else None
+        yield
+        corrected = self._by(self.y, given, late.sensors(0) if late else None)
+        yield
+        fragment = ProfiledFragment(
+            self._problem, self._limits, self._settings, corrected, 0, window.x, window.multipliers
+        )
+        self._problem.bind(corrected.fragment(0, N))
+        yield
+        fragment, factor = yield from self._settled(fragment)
+        energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
+        told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
+        if self.unknowns:
+            fragment = replace(fragment, observations=self._weighted(corrected))
+            self._problem.bind(fragment.observations.fragment(0, N))
+            yield
+            told, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
+        self._account(N / corrected.rate_hz, told, force, energies)
+        yield
+        self._quantities = self._listed()
+
+    def corrections(self, seconds: float) -> Corrections:
+        """Return what to apply to new samples.
+
+        Args:
+            seconds: since the last call; limits the change.
+        """
+        wanted, delay = self._wanted()
+        most, step = self._pace.turn * seconds, self._pace.delay * seconds
+        self._applied += np.clip(wanted - self._applied, -most, most)
+        self._applied_delay += float(np.clip(delay - self._applied_delay, -step, step))
+        own = {kind: self._applied_of(kind) for kind in ("heading", "mounting", "posture")}
+        return Corrections(
+            self._applied_delay,
+            {item: float(value[0]) for item, value in own["heading"].items()},
+            {item: so3.exp(value) for item, value in own["mounting"].items()},
+            own["posture"],
+        )
+
+    def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
+        """Return observations corrected by what `corrections` returned last.
+
+        Args:
+            given, sampled: as of `WindowObservations`.
+        """
+        late = sampled(given.times - self._applied_delay) if self.delay else None
+        return self._by(self._applied, given, late)
+
+    def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
+        """Return the present estimate, as `calibrate` would.
+
+        Args:
+            significant: as in `Pace`, which has the default.
+        """
+        return SelfCalibration(self._listed(significant), converged=self.windows > 0)
+
+    def _by(
+        self, y: Array, given: CalibrationObservations, sampled: Sensors | None
+    ) -> CalibrationObservations:
+        """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
+        if sampled is not None:
+            given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            given = unknown.correct(given, y[part])
+        return given
+
+    def _weighted(self, given: CalibrationObservations) -> CalibrationObservations:
+        """Observations with the weights of a calibration."""
+        p, rows = self._priors, given.rows
+        return given.changed(
+            w_visual=p.weight_vision * rows["w_visual"],
+            knee_visual=np.sqrt(p.weight_vision) * rows["knee_visual"],
+            w_sensor=p.weight_sensors * rows["w_sensor"],
+            w_prior=p.weight_poses * rows["w_prior"],
+            w_torso=p.weight_poses * rows["w_torso"],
+        )
+
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+        """The window after some steps of its states, and the last factor."""
+        problem = self._problem
+        energy = problem.total(fragment.x)
+        for _ in range(_STEPS):
+            slope = fragment.linearise()
+            yield
+            factor = problem.factorise(_DAMPING)
+            yield
+            x = problem.retract(fragment.x, factor.solve(-slope))
+            after = problem.total(x)
+            if not after < energy:
+                break
+            energy, fragment = after, replace(fragment, x=x)
+            yield
+        return fragment, factor
+
+    def _searched(
+        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
+    ) -> Slices[Array]:
+        """Energies of a window at other delays, each after a step of the states."""
+        assert self.delay is not None
+        problem, energies = self._problem, np.zeros(len(late.steps))
+        for i, k in enumerate(late.steps.tolist()):
+            problem.bind(self._by(self.y, given, late.sensors(k)).fragment(0, len(x)))
+            yield
+            energies[i] = problem.total(problem.retract(x, factor.solve(-problem.gradient(x))))
+            yield
+        return self.delay.interpolated(late, energies)
+
+    def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
+        """Add the information of a window."""
+        if not all(np.isfinite(values).all() for values in (told, force, energies)):
+            return
+        kept = max(0.0, 1 - seconds / self._pace.memory_s)
+        self._seconds = kept * self._seconds + seconds
+        self._information = kept * self._information + told
+        self._vector = kept * self._vector + told @ (self.y - self._mean) - force
+        self.windows += 1
+        if self.delay:
+            self.delay.add(energies, kept)
+            self.delay.estimate(self._share / self._priors.overcount)
+        if self.unknowns:
+            hessian = self._prior + self._share * self._information
+            self.y = self._mean + cho_solve(cho_factor(hessian), self._share * self._vector)
+
+    @property
+    def _share(self) -> float:
+        """Weight of all windows: together they count as the effective seconds at most."""
+        return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
+
+    def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
+        """Every item."""
+        found = [self.delay.quantity] if self.delay else []
+        if self.unknowns:
+            hessian = self._prior + self._share * self._information
+            moved = quantities_of(
+                self.unknowns, self.y - self._mean, hessian, self._prior, self._priors.overcount,
+                self._usual, self._pace.significant if significant is None else significant,
+            )  # fmt: skip
+            means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
+            found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
+        return tuple(found)
+
+    def _wanted(self) -> tuple[Array, float]:
+        """What is to be applied: estimates that are known, else what it began with."""
+        first, quantities = 0, self._quantities
+        wanted, delay = self._mean.copy(), self._begun
+        if self.delay:
+            delay = float(quantities[0].value[0]) if _is_known(quantities[0]) else delay
+            quantities = quantities[1:]
+        for q in quantities:
+            own = slice(first, first + len(q.value))
+            first = own.stop
+            if _is_known(q):
+                wanted[own] = q.value
+        return wanted, delay
+
+    def _applied_of(self, kind: str) -> dict[str, Array]:
+        """Item -> its applied numbers."""
+        for unknown, part in zip(self.unknowns, self.columns, strict=True):
+            if unknown.name == kind:
+                values = self._applied[part].reshape(len(unknown.items), -1)
+                return dict(zip(unknown.items, values, strict=True))
+        return {}
+
+
+def _turning(given: CalibrationObservations) -> float:
+    """Largest angle of the sensors from their first orientation, in the mean of those with data, rad."""
+    known = given.rows["w_sensor"] > 0
+    used = known.all(axis=0)
+    if not used.any():
+        return np.inf
+    q = given.rows["quat_sensor"][:, used]
+    cosine = np.abs(np.sum(q * q[:1], axis=-1)).min(axis=0)
+    return float(np.mean(2 * np.arccos(np.minimum(cosine, 1.0))))
+
+
+def _is_known(quantity: Quantity) -> bool:
+    """Whether a quantity is known better than before and not in doubt."""
+    return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
+
+
+def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
+    """The unknowns but the delay, in the order in which they correct the observations."""
+    skeleton, found = problem.space.skeleton, list[Unknown]()
+    sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
+    if priors.sigma_heading is not None and sensors:
+        found.append(Heading(sensors, priors.sigma_heading, None))
+    if priors.sigma_swing is not None and sensors:
+        axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
+        found.append(Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist))
+    if priors.sigma_posture is not None:
+        found.append(Posture.of(problem.space.names, priors.sigma_posture))
+    return tuple(found)
+
+
+def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
+    """Posterior of a delay that is open."""
+    if usual is None or saved is None:
+        return None if usual is None else DelayPosterior(usual, 0.0, usual)
+    sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))
+    return DelayPosterior(usual, float(saved.value[0]), sigma)
+
+
+def _started(
+    unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]
+) -> Array:
+    """Means (G,) of the prior; narrows its covariance (G, G) of items that are saved."""
+    mean, first = np.zeros(len(covariance)), 0
+    for unknown in unknowns:
+        width = len(unknown.covariance) // len(unknown.items)
+        for item in unknown.items:
+            own, known = slice(first, first + width), saved.get((unknown.name, item))
+            first += width
+            if known is not None:
+                usual = np.sqrt(np.diag(covariance)[own])
+                share = np.minimum(1.0, np.hypot(known.sigma[:width] / usual, _KEPT))
+                mean[own] = known.value[:width]
+                covariance[own, own] *= np.outer(share, share)
+    return mean

@@ -1,0 +1,265 @@
+"""XDF files, as LabRecorder writes them: streams of the Lab Streaming Layer on one clock.
+
+Inertial sensors are the streams whose channels are labelled as in `channels`; detected points those with
+``<landmark>_x``, ``_y``, ``_confidence`` in px. Other streams are left aside. Times are the stamps, mapped to
+the recorder's clock by the offsets in the file. They are not made equally spaced: where packets are lost that
+would shift the others by some of them. A declared rate does it, for senders whose stamps jitter.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.channels import PointChannels, StreamChannels
+from rtof_kin.formats.sensors.packets import lost
+from rtof_kin.formats.xdf_chunks import MAGIC, XdfHeader, XdfStructure, read_structure
+
+C = TypeVar("C")
+TITLE: Final = "XDF"
+_JITTER: Final = 0.1
+"""[sampling periods] of the stamps, by which lost packets can no longer be counted."""
+_DIFFER: Final = "Segments and clock-segments differ"
+"""Remark of pyxdf about every stream whose clock was not measured."""
+
+
+def is_xdf(head: str) -> bool:
+    """Implement `sensors.files.Format.recognise`."""
+    return head.startswith(MAGIC.decode())
+
+
+def read_xdf(path: Path, **declared: Any) -> SensorLog:
+    """Implement `sensors.files.Format.read`; a declared `rate_hz` replaces the stamps after the first."""
+    Declaration().changed(**declared)
+    structure = read_structure(path)
+
+    def understood(header: XdfHeader) -> StreamChannels:
+        channels = StreamChannels.of(
+            header.name, _labels(header), header.units, header.types, declared=declared
+        )
+        if all(one.quaternions is None and one.gyroscope is None for one in channels.sensors):
+            raise InvalidInputError(f"stream {header.name}: no orientation, and no gyroscope to find it by")
+        return channels
+
+    found, notes = _understood(path, structure, understood, "of inertial sensors")
+    loaded, remarks = _load(path, structure, [header for header, _ in found])
+    streams: list[SensorStream] = []
+    for (header, channels), (times, values, own) in zip(found, loaded, strict=True):
+        notes += channels.notes
+        rate_hz = channels.declaration.rate_hz
+        if rate_hz is not None:
+            times = times[0] + np.arange(len(times)) / rate_hz
+        else:
+            own += _spacing(times)
+        for sensor in channels.sensors:
+            try:
+                one = sensor.readings(times, values).stream(channels.declaration)
+            except InvalidInputError as error:
+                raise FileFormatError(path, f"stream {header.name}: {error}") from error
+            streams.append(replace(one, notes=tuple(own)))
+    declarations = {repr(channels.declaration) for _, channels in found}
+    if len(declarations) > 1:
+        notes.append(f"streams differ in units or conventions; shown are those of {found[0][0].name}")
+    headers = [header for header, channels in found for _ in channels.sensors]
+    named = _named(streams, headers, notes)
+    return SensorLog(path, TITLE, named, found[0][1].declaration, (*notes, *remarks))
+
+
+def _named(
+    streams: Sequence[SensorStream], headers: Sequence[XdfHeader], notes: list[str]
+) -> tuple[SensorStream, ...]:
+    """Return the sensors with what tells streams of one name apart in their names."""
+    twice = {name for name, number in Counter(one.name for one in streams).items() if number > 1}
+    named = []
+    for one, header in zip(streams, headers, strict=True):
+        ids = [h.source_id for s, h in zip(streams, headers, strict=True) if s.name == one.name]
+        by_id = len(set(ids)) == len(ids) and all(ids)
+        mark = header.source_id if by_id else f"#{header.number}"
+        named.append(replace(one, name=f"{one.name} {mark}") if one.name in twice else one)
+    if twice:
+        notes.append(f"{', '.join(sorted(twice))}: in several streams, which are told apart in their names")
+    return tuple(named)
+
+
+@dataclass(frozen=True)
+class XdfPoints:
+    """Detected points of one person, from one stream."""
+
+    stream: str
+    """Name of the stream."""
+    times: Array
+    """(T,) s, on the clock of the file's sensors."""
+    uv_px: Array
+    """(T, L, 2) px; NaN where unseen."""
+    confidence: Array
+    """(T, L) in [0, 1]; 0 where unseen."""
+    names: tuple[str, ...]
+    """L names."""
+    notes: tuple[str, ...]
+    """Remarks, in sentences."""
+
+    def sequence(self, camera: Camera) -> KeypointSequence:
+        """Return the points as keypoints.
+
+        Args:
+            camera: that saw them.
+        """
+        return KeypointSequence(camera, self.times, self.uv_px, self.confidence, self.names)
+
+
+def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
+    """Read the detected points of a file.
+
+    Args:
+        path: the file. stream: name of the stream; not needed where only one has points.
+
+    Raises:
+        FileFormatError: unreadable, damaged, or no stream of points or several.
+    """
+    path = Path(path)
+    structure = read_structure(path)
+
+    def understood(header: XdfHeader) -> PointChannels:
+        if stream not in (None, header.name):
+            raise InvalidInputError(f"stream {header.name}: not asked for")
+        try:
+            StreamChannels.of(header.name, _labels(header), header.units, header.types)
+        except InvalidInputError:
+            return PointChannels.of(header.name, _labels(header), header.units)
+        raise InvalidInputError(f"stream {header.name}: of inertial sensors")
+
+    found, notes = _understood(path, structure, understood, "of detected points")
+    if len(found) > 1:
+        names = ", ".join(header.name for header, _ in found)
+        raise FileFormatError(path, f"has {len(found)} streams of points ({names}); name one")
+    ((header, channels),) = found
+    ((times, values, own),), remarks = _load(path, structure, [header])
+    uv, confidence = channels.points(values)
+    return XdfPoints(header.name, times, uv, confidence, channels.names, (*own, *notes, *remarks))
+
+
+def _labels(header: XdfHeader) -> tuple[str, ...]:
+    if len(header.labels) != header.count or not all(header.labels):
+        named = sum(map(bool, header.labels))
+        raise InvalidInputError(f"stream {header.name}: {header.count} channels, and labels of {named}")
+    return header.labels
+
+
+def _understood(
+    path: Path, structure: XdfStructure, understood: Callable[[XdfHeader], C], what: str
+) -> tuple[list[tuple[XdfHeader, C]], list[str]]:
+    """Return the streams of a kind that have samples, and sentences about the others."""
+    found, notes, aside = [], [], []
+    for header in structure.headers:
+        if not header.item_bytes:
+            continue
+        try:
+            channels = understood(header)
+        except UnknownNameError:
+            raise
+        except InvalidInputError as error:
+            aside.append(str(error))
+            continue
+        if structure.samples[header.number]:
+            found.append((header, channels))
+        else:
+            aside.append(f"stream {header.name}: has no samples")
+    if not found:
+        why = "; ".join(aside) or "no stream of numbers"
+        raise FileFormatError(path, f"has no stream {what} ({why[:600]})")
+    if structure.cut:
+        notes.append(f"its last chunk, from byte {structure.end} on, is incomplete and left out")
+    return found, notes + [f"left aside: {one}" for one in aside]
+
+
+def _load(
+    path: Path, structure: XdfStructure, headers: Sequence[XdfHeader]
+) -> tuple[list[tuple[Array, Array, list[str]]], tuple[str, ...]]:
+    """Return times (T,), values (T, C) and remarks of each stream, and remarks of pyxdf."""
+    try:
+        import pyxdf
+    except ImportError as error:
+        raise FileFormatError(path, "XDF files need pyxdf: pip install rtof-kin[live]") from error
+    numbers = [header.number for header in headers]
+    try:
+        with path.open("rb") as stream, _remarks() as remarks, np.errstate(all="ignore"):
+            intact = io.BytesIO(stream.read(structure.end)) if structure.cut else stream
+            found, _ = pyxdf.load_xdf(intact, numbers, dejitter_timestamps=False)
+    except Exception as error:  # pyxdf raises errors of many types
+        raise FileFormatError(path, f"damaged ({error}); record or copy it again") from error
+    by_number = {one["info"]["stream_id"]: one for one in found}
+    loaded = []
+    for header in headers:
+        one = by_number[header.number]
+        times, values = np.asarray(one["time_stamps"], float), np.asarray(one["time_series"], float)
+        times, values, own = _ordered(path, header, times, values)
+        resets = len(one["info"]["clock_segments"]) - 1
+        if resets > 0:
+            own.append(f"its sender's clock began anew {resets} times; each part has its own offset")
+        if header.number not in structure.synchronised:
+            own.append("the file has no offsets of its clock; its stamps are taken as they are")
+        loaded.append((times, values, own))
+    return loaded, tuple(f"pyxdf: {remark}" for remark in remarks if _DIFFER not in remark)
+
+
+@contextmanager
+def _remarks() -> Iterator[list[str]]:
+    """Collect what pyxdf logs or warns of, in place of showing it."""
+    remarks: list[str] = []
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            remarks.append(record.getMessage())
+
+    log, handler = logging.getLogger("pyxdf"), Collector(logging.WARNING)
+    propagate, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield remarks
+    finally:
+        log.removeHandler(handler)
+        log.propagate = propagate
+
+
+def _ordered(path: Path, header: XdfHeader, times: Array, values: Array) -> tuple[Array, Array, list[str]]:
+    """Return samples in the order of time, each time once, and sentences about what was changed."""
+    if not np.isfinite(times).all():
+        i = int(np.flatnonzero(~np.isfinite(times))[0])
+        raise FileFormatError(path, f"stream {header.name}: sample {i} has no time")
+    order = np.argsort(times, kind="stable")
+    late = int(np.sum(np.diff(times) < 0))
+    times, values = times[order], values[order]
+    new = np.diff(times, prepend=-np.inf) > 0
+    notes = [f"{late} samples late, put in their places"] if late else []
+    if not new.all():
+        notes.append(f"{int(np.sum(~new))} samples at the time of another left out")
+    return times[new], values[new], notes
+
+
+def _spacing(times: Array) -> list[str]:
+    """Return sentences about lost packets, or about stamps that jitter."""
+    if len(times) < 3:
+        return []
+    steps = np.diff(times) / np.median(np.diff(times))
+    jitter = float(np.median(np.abs(steps - np.round(steps))))
+    if jitter < _JITTER:
+        return list(lost(times))
+    milliseconds = 1e3 * jitter * float(np.median(np.diff(times)))
+    return [f"its stamps jitter by {milliseconds:.1f} ms; declare rate_hz if its samples are equally spaced"]
