@@ -20,6 +20,7 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks import harness, scoring
+from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.harness import bootstrap, pooled
 from benchmarks.online.estimators import estimator, settings
 from benchmarks.online.recordings import Job, batch, causal_sf2, jobs, truth_of
@@ -104,17 +105,20 @@ def _keep(path: Path, poses: dict[tuple[str, float], PoseSequence], truth: PoseS
 
 
 def rows_of(options: Namespace) -> list[dict[str, Any]]:
-    """Rows of all recordings, in parallel."""
-    work = jobs(options)
-    lags = () if options.goals else LAGS
+    """Rows of all recordings, in parallel; those of an interrupted run are taken from the folder `work`."""
+    work, lags = jobs(options), () if options.goals else LAGS
     one = partial(measured, lags=lags, confidence=options.confidence, keep=options.keep)
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
-    rows: list[dict[str, Any]] = []
+    sources = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+    version = version_of(sources, lags, options.confidence, options.seconds)
+    kept = RowFile(Path(options.work) / f"rows_{version[:12]}.jsonl", version)
+    left = [job for job in work if job.key not in kept.rows]
     with ProcessPoolExecutor(options.workers) as pool:
-        done = as_completed([pool.submit(one, job) for job in work])
-        for future in track(done, "recordings", total=len(work)):
-            rows += future.result()
+        futures = {pool.submit(one, job): job for job in left}
+        for future in track(as_completed(futures), "recordings", total=len(left)):
+            kept.add(futures[future].key, future.result())
+    rows = [row for job in work for row in kept.rows[job.key]]
     return sorted(rows, key=lambda r: (int(r["sensors"]), r["motion"], r["camera"], r["estimate"], r["lag"]))
 
 

@@ -17,21 +17,16 @@ Interval = tuple[float, float]
 """Begin and end, s."""
 NO_FAULTS = Faults()
 _KNOWN = 1.0
-"""[s] of the streams that a setup keeps; a recording cannot be without any."""
+"""[s] of the video that a setup keeps; a recording cannot be without any stream."""
 _TOGETHER = 1e-6
 """[s] by which a sample may be newer than a tick."""
 
 
 def setup_of(recording: Recording) -> Recording:
-    """What an estimator may know before: a recording without its truth and but a second of its streams."""
-    video, imus = recording.video, recording.imus
-    until = video.times[0] + _KNOWN
-    if imus is not None:
-        count = int(np.searchsorted(imus.times, until))
-        R, f = imus.R_inertial_sensor[:count], imus.f_sensor[:count]
-        imus = replace(imus, times=imus.times[:count], R_inertial_sensor=R, f_sensor=f)
-    first = video[: int(np.searchsorted(video.times, until))]
-    return replace(recording, keypoints=first, imus=imus, truth=None)
+    """What an estimator may know before: neither truth nor samples, but a second of video."""
+    video = recording.video
+    first = video[: int(np.searchsorted(video.times, video.times[0] + _KNOWN))]
+    return replace(recording, keypoints=first, imus=None, truth=None)
 
 
 def replayed(
