@@ -38,12 +38,13 @@ def test_tables_count_recordings_that_change() -> None:
     assert line[:3] == ("right", OPEN, "heading")
     assert line[3] == pytest.approx(np.degrees(0.1))
     (line,) = effects.rows
-    assert line[4:7] == ("30.0", "-3.00", "1 / 0")
-    assert line[9] == "0 / 0"
+    assert line[3:6] == ("30.0", "-3.00", "1 / 0")
+    assert line[8] == "0 / 0"
 
 
 def test_variants_leave_open_what_they_are_named_after() -> None:
     fields = {"delay": "sigma_delay", "heading": "sigma_heading", "mounting": "sigma_swing"}
-    for variant, priors in VARIANTS.items():
+    named = ((variant, priors) for variant, (priors, _) in VARIANTS.items() if "same" not in variant)
+    for variant, priors in named:
         for kind, field in fields.items():
             assert (getattr(priors, field) is not None) == (kind in variant)
