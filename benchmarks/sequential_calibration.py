@@ -83,16 +83,16 @@ _BOTH = replace(_CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0))
 VARIANTS = {
     "delay": (replace(_CLOSED, sigma_delay=0.05), Pace()),
     "delay, heading": (_BOTH, Pace()),
+    "the same, from 3 sigma": (_BOTH, Pace(significant=3.0)),
     "delay, heading, mounting": (_ALL, Pace()),
     "the same, insignificant too": (_ALL, Pace(significant=0.0)),
-    "the same, memory of 15 s": (_ALL, Pace(memory_s=15.0)),
     "posture": (replace(_CLOSED, sigma_posture=np.radians(5.0)), Pace()),
 }
 """What is open, and how it is followed."""
 STUDIED = {
     "right": tuple(VARIANTS),
     "planted": tuple(VARIANTS)[:-1],
-    "usual": ("delay", "delay, heading", "delay, heading, mounting"),
+    "usual": tuple(VARIANTS)[:3],
 }
 """Case -> variants."""
 BATCH = (("planted", "delay, heading, mounting"),)
@@ -346,7 +346,7 @@ def tables(rows: list[Row]) -> list[Table]:
             told = [sizes.get(how, np.full(3, np.nan))[1] for how in (*moments, "batch")]
             remaining.append((case, variant, kind, float(last[0]), *map(float, told), float(last[2])))
         shown, group = list[Cell](), [r for r in own if "flexion_deg" in r]
-        for figure in FIGURES:
+        for figure in FIGURES if group else ():
             off = np.array([before[r["session"], r["camera"], case][figure] for r in group])
             change = np.array([r[figure] for r in group]) - off
             moved = np.abs(change) > NEGLIGIBLE * off
