@@ -91,7 +91,7 @@ VARIANTS = {
 """What is open, and how it is followed."""
 STUDIED = {
     "right": tuple(VARIANTS),
-    "planted": tuple(VARIANTS)[:-1],
+    "planted": tuple(VARIANTS)[:4],
     "usual": tuple(VARIANTS)[:3],
 }
 """Case -> variants."""
@@ -289,6 +289,8 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
     job = Job.of(recording, None, lifter, settings, None).with_solver(None)
     prepared = job.prepare("sf2")
     stand_in = StandIn(job, prepared)
+    if case.session.endswith("_tc"):
+        truths["posture"] = postures(corpus, case.session, prepared)
 
     def sequential(variant: str) -> SequentialCalibration:
         priors, pace = VARIANTS[variant]
