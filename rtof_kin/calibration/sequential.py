@@ -45,6 +45,9 @@ from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.observations import bone_axis
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
+DELAY_ALONE: Final = CalibrationPriors(sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None)
+"""Priors that leave nothing open but the delay. Where sensors are calibrated well, headings, mountings and
+posture take over errors of the detector; open them where they are known to be wrong."""
 _DAMPING: Final = 1e-3
 _STEPS: Final = 2
 """Gauss-Newton steps of a window's states at the current estimate."""
@@ -114,7 +117,7 @@ class SequentialCalibration:
         self,
         problem: FragmentEnergy,
         settings: JointSpaceSettings,
-        priors: CalibrationPriors,
+        priors: CalibrationPriors | None = None,
         start: SelfCalibration | None = None,
         pace: Pace | None = None,
     ) -> None:
@@ -122,13 +125,15 @@ class SequentialCalibration:
 
         Args:
             problem: energy of a window, of which no other solver binds data. settings: of that solver.
-            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open.
+            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open; by
+                default `DELAY_ALONE`.
             start: values that are known already, of the same sensors.
             pace: speeds.
 
         Raises:
             CalibrationError: nothing is open.
         """
+        priors = priors or DELAY_ALONE
         self._problem, self._settings, self._priors, self._pace = problem, settings, priors, pace or Pace()
         self._limits = Limits(problem.space) if settings.limits else None
         self.unknowns = _opened(problem, priors)

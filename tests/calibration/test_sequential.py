@@ -166,6 +166,12 @@ def test_slices_change_nothing_until_the_last() -> None:
     assert found.y.any()
 
 
+def test_by_default_the_delay_alone_is_open() -> None:
+    motion = cs.motion(30)
+    found = SequentialCalibration(observations(planted.recording(motion), motion).problem, SETTINGS)
+    assert [(q.kind, q.item) for q in found.as_self_calibration().quantities] == [("delay", "video")]
+
+
 def test_nothing_open_is_refused() -> None:
     motion = cs.motion(30)
     data = observations(planted.recording(motion), motion)
