@@ -307,8 +307,7 @@ class SequentialCalibration:
         return tuple(found)
 
     def _wanted(self) -> tuple[Array, float]:
-        """What is to be applied: estimates that are known, a delay that is observed, else what it began
-        with."""
+        """What is to be applied: known estimates and an observed delay, else what it began with."""
         first, quantities = 0, self._quantities
         wanted, delay = self._mean.copy(), self._begun
         if self.delay:
