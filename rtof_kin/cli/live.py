@@ -20,11 +20,11 @@ from rtof_kin.cli.terminal import add_model, command, err, out, print_calibratio
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.cli.live_display import LiveDisplay
-    from rtof_kin.live.open_sources import Streams
+    from rtof_kin.live.outputs.websocket_server import WebSocketServer
     from rtof_kin.live.samples import Sink, Source
-    from rtof_kin.live.session import LiveSession
-    from rtof_kin.live.session_summary import SessionSummary
-    from rtof_kin.live.websocket_server import WebSocketServer
+    from rtof_kin.live.session.session import LiveSession
+    from rtof_kin.live.session.session_summary import SessionSummary
+    from rtof_kin.live.sources.open_sources import Streams
     from rtof_kin.recording.recording import Recording
 
 CALIBRATION: Final = "calibration.toml"
@@ -138,11 +138,11 @@ def _live(options: argparse.Namespace) -> None:
     from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimator import OnlineEstimator
-    from rtof_kin.live.online_settings import OnlineSettings
-    from rtof_kin.live.open_sources import open_sinks, open_sources
-    from rtof_kin.live.recorder import Recorder
-    from rtof_kin.live.session import LiveSession
+    from rtof_kin.live.estimation.estimator import OnlineEstimator
+    from rtof_kin.live.estimation.online_settings import OnlineSettings
+    from rtof_kin.live.session.recorder import Recorder
+    from rtof_kin.live.session.session import LiveSession
+    from rtof_kin.live.sources.open_sources import open_sinks, open_sources
     from rtof_kin.recording.recording import INDEX, Recording
 
     settings = OnlineSettings(options.rate, options.lag, video_delay_s=options.video_delay)
@@ -221,7 +221,7 @@ def _start(sources: Sequence[Source]) -> None:
 
 def _latency(camera: Source) -> float:
     """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
-    from rtof_kin.live.video_source import VideoSource
+    from rtof_kin.live.sources.video_source import VideoSource
 
     if not isinstance(camera, VideoSource):
         return 0.0
@@ -234,7 +234,7 @@ def _latency(camera: Source) -> float:
 
 def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
     """Return the servers among the outputs and print their addresses; with `view` there is one."""
-    from rtof_kin.live.websocket_server import WebSocketServer
+    from rtof_kin.live.outputs.websocket_server import WebSocketServer
 
     servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
     if view and not servers:

@@ -58,7 +58,7 @@ def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         fake.calibration = calibration
         return fake
 
-    monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
+    monkeypatch.setattr("rtof_kin.live.estimation.estimator.OnlineEstimator", make)
     return made
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from osc_support import bundle, message
 
-from rtof_kin.live.datagrams import Landmarks, Points, Reading, Remark, contents
+from rtof_kin.live.sources.datagrams import Landmarks, Points, Reading, Remark, contents
 
 QUATERNION, ACCELERATION = (0.5, -0.5, 0.5, 0.5), (0.1, -9.5, 2.0)
 WHOLE = Reading("S1", 1.25, QUATERNION, ACCELERATION)

@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.joint_trajectory import joint_velocities
-from rtof_kin.live.joint_state import JointStates
+from rtof_kin.live.outputs.joint_state import JointStates
 from rtof_kin.live.samples import OnlineEstimate
 
 BODY = SkeletonModel.default().with_height(1.6)

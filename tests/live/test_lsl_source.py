@@ -14,9 +14,9 @@ from lsl_support import Sender, unique, until
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import SourceError
 from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.live import lsl_inlet
-from rtof_kin.live.lsl_source import LslFrameSource, LslImuSource
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
+from rtof_kin.live.sources import lsl_inlet
+from rtof_kin.live.sources.lsl_source import LslFrameSource, LslImuSource
 
 ONE = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")
 LABELS = [f"{sensor}_{label}" for sensor in ("pelvis", "head") for label in ONE]

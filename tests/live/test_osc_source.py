@@ -16,9 +16,9 @@ from pythonosc.udp_client import SimpleUDPClient
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.live import osc_source
-from rtof_kin.live.osc_source import OscSource
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample, Source
+from rtof_kin.live.sources import osc_source
+from rtof_kin.live.sources.osc_source import OscSource
 
 IDENTITY, REST = [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 9.81]
 

@@ -29,19 +29,19 @@ from live_support import (
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.arrays import read_npz_as_saved
-from rtof_kin.live.clock_map import Arrived
-from rtof_kin.live.recorded_session import LIVE, finish
-from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import Clock, ImuSample, Sample
-from rtof_kin.live.session import LiveSession
+from rtof_kin.live.session.clock_map import Arrived
+from rtof_kin.live.session.recorded_session import LIVE, finish
+from rtof_kin.live.session.recorder import Recorder
+from rtof_kin.live.session.session import LiveSession
 from rtof_kin.recording.recording import Recording
 
 SUPPORT = Path(__file__).parent.parent / "support"
 KILLED = """
 import sys, time
 from live_support import demo, frame_samples, imu_samples
-from rtof_kin.live.clock_map import Arrived
-from rtof_kin.live.recorder import Recorder
+from rtof_kin.live.session.clock_map import Arrived
+from rtof_kin.live.session.recorder import Recorder
 recorder = Recorder(sys.argv[1], demo(), chunk_s=0.5)
 recorder.landmarks(demo().video.names)
 for sample in sorted(imu_samples(2.2) + frame_samples(2.2), key=lambda sample: sample.time):

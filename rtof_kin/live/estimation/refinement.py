@@ -19,8 +19,8 @@ from rtof_kin.calibration.sequential import Corrections, SequentialCalibration, 
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError
-from rtof_kin.live.sensor_buffer import SensorBuffer
-from rtof_kin.live.window import Window
+from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
+from rtof_kin.live.estimation.window import Window
 
 _FRAMES: Final = 50
 """Frames of a window of the calibration."""
@@ -52,9 +52,7 @@ class Refinement:
         """
         self._window, self._sensors = window, sensors
         self._settings, self._rate_hz = window.data.settings, window.rate_hz
-        self.calibration = SequentialCalibration(
-            window.data.energy(_FRAMES), self._settings, priors, start
-        )
+        self.calibration = SequentialCalibration(window.data.energy(_FRAMES), self._settings, priors, start)
         self.corrections = self.calibration.corrections(np.inf)
         smoother = window.smoother
         self._rows = {name: np.repeat(v[:1], _FRAMES, axis=0) for name, v in smoother.rows.items()}

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Final
 
 from rtof_kin.core.errors import InvalidInputError, SourceError
-from rtof_kin.live.renamed_sensors import RenamedSensors
-from rtof_kin.live.replay import RecordingReplay
-from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, Sink, Source
-from rtof_kin.live.video_source import VideoSource, is_webcam
+from rtof_kin.live.sources.renamed_sensors import RenamedSensors
+from rtof_kin.live.sources.replay import RecordingReplay
+from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.live.sources.video_source import VideoSource, is_webcam
 from rtof_kin.recording.recording import INDEX, Recording
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
@@ -162,7 +162,7 @@ def _camera(word: str, opening: _Opening) -> Source:
     word = word.strip()
     camera = setup.keypoints.camera
     if _kind(word) == _LSL:
-        from rtof_kin.live.lsl_source import LslFrameSource
+        from rtof_kin.live.sources.lsl_source import LslFrameSource
 
         return LslFrameSource(_stream(word))
     if _kind(word) == _UDP:
@@ -202,7 +202,7 @@ def _camera(word: str, opening: _Opening) -> Source:
 def _sensors(word: str, opening: _Opening) -> Source:
     word = word.strip()
     if _kind(word) == _LSL:
-        from rtof_kin.live.lsl_source import LslImuSource
+        from rtof_kin.live.sources.lsl_source import LslImuSource
 
         return LslImuSource(_stream(word))
     if _kind(word) == _UDP:
@@ -225,7 +225,7 @@ def _stream(word: str) -> str:
 
 
 def _udp(word: str) -> Source:
-    from rtof_kin.live.osc_source import OscSource
+    from rtof_kin.live.sources.osc_source import OscSource
 
     try:
         return OscSource.of(word)
@@ -234,7 +234,7 @@ def _udp(word: str) -> Source:
 
 
 def _lsl_clock() -> Callable[[], float]:
-    from rtof_kin.live.lsl_inlet import load_pylsl
+    from rtof_kin.live.sources.lsl_inlet import load_pylsl
 
     clock: Callable[[], float] = load_pylsl().local_clock
     return clock
@@ -243,11 +243,11 @@ def _lsl_clock() -> Callable[[], float]:
 def _sink(word: str, setup: Recording) -> Sink:
     kind, _, rest = word.strip().partition(":")
     if kind.lower() == _LSL:
-        from rtof_kin.live.lsl_outlet import LslOutlet
+        from rtof_kin.live.outputs.lsl_outlet import LslOutlet
 
         return LslOutlet(rest.strip() or _OUTLET, setup.skeleton)
     if kind.lower() == _WS and (not rest or rest.isdecimal()):
-        from rtof_kin.live.websocket_server import WebSocketServer
+        from rtof_kin.live.outputs.websocket_server import WebSocketServer
 
         port = int(rest) if rest else _PORT
         return WebSocketServer(setup.skeleton, port, floor_height=setup.floor_height)

@@ -1,7 +1,7 @@
 """The folder of a recorded session, and the recording that `finish` makes of it.
 
-``live/`` has everything as it came (see `rtof_kin.live.recorder`) and stays. Beside it `finish` puts the
-files of a recording: the samples with a usable time, sorted, on one clock that starts at zero.
+``live/`` has everything as it came (see `rtof_kin.live.session.recorder`) and stays. Beside it `finish` puts
+the files of a recording: the samples with a usable time, sorted, on one clock that starts at zero.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.manifest import MANIFEST, write_manifest
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.live.stream_checks import unknown_landmarks, unknown_sensors
+from rtof_kin.live.session.stream_checks import unknown_landmarks, unknown_sensors
 from rtof_kin.recording.recording import INDEX, Recording
 
 LIVE: Final = "live"

@@ -21,9 +21,9 @@ from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
-from rtof_kin.live.clock_map import VIDEO
-from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
+from rtof_kin.live.session.clock_map import VIDEO
+from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoints import read_detector_keypoints
 

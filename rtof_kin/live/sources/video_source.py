@@ -17,11 +17,11 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.live.person_points import PersonPoints
-from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import Clock, Sample
-from rtof_kin.live.video_threads import Examination, Image, Images
-from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
+from rtof_kin.live.sources.person_points import PersonPoints
+from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.live.sources.video_threads import Examination, Image, Images
+from rtof_kin.live.sources.webcam import CaptureTimes, images_of, open_webcam
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
 from rtof_kin.vision.video_file import upright_image

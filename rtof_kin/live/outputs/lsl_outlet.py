@@ -10,8 +10,8 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
-from rtof_kin.live.lsl_inlet import load_pylsl
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.sources.lsl_inlet import load_pylsl
 
 _BUFFER_S: Final = 60
 """What a listener that has fallen behind is kept, s; LSL drops older samples."""

@@ -16,10 +16,10 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SourceError
-from rtof_kin.live.channels import FrameChannels, ImuChannels
-from rtof_kin.live.lsl_clock import LslClock
-from rtof_kin.live.lsl_inlet import Inlet, find_again, find_one
 from rtof_kin.live.samples import Clock, Sample
+from rtof_kin.live.sources.channels import FrameChannels, ImuChannels
+from rtof_kin.live.sources.lsl_clock import LslClock
+from rtof_kin.live.sources.lsl_inlet import Inlet, find_again, find_one
 
 _SILENT_S: Final = 0.6
 """[s] without a sample after which a stream is reported."""

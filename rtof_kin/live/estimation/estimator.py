@@ -24,12 +24,12 @@ from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.inertial.root_position import refit_root
-from rtof_kin.live.first_pose import first_lifted, first_sensed
-from rtof_kin.live.online_settings import OnlineSettings
-from rtof_kin.live.refinement import Refinement
+from rtof_kin.live.estimation.first_pose import first_lifted, first_sensed
+from rtof_kin.live.estimation.online_settings import OnlineSettings
+from rtof_kin.live.estimation.refinement import Refinement
+from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
+from rtof_kin.live.estimation.window import Window, speeds
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
-from rtof_kin.live.sensor_buffer import SensorBuffer
-from rtof_kin.live.window import Window, speeds
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.covariance import confidence_of
 
@@ -414,4 +414,3 @@ class OnlineEstimator:
                 )
                 self._levels[key] = levels_by_points(self.skeleton, points)[0] == WHOLE
         return self._levels[key]
-

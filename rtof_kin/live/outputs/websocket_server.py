@@ -31,10 +31,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, SourceError
-from rtof_kin.live.datagrams import INSTALL
-from rtof_kin.live.joint_state import JointStates
-from rtof_kin.live.page import live_page, page_headers
+from rtof_kin.live.outputs.joint_state import JointStates
+from rtof_kin.live.outputs.page import live_page, page_headers
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.sources.datagrams import INSTALL
 from rtof_kin.vision.video_file import library
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ _LONGEST_REQUEST: Final = 4096
 """[bytes] of what a client says."""
 _PATIENCE_S: Final = 1.0
 """For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
-_LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
+_LOG: Final = logging.getLogger("rtof_kin.live.outputs.websocket_server")
 _LOG.addHandler(logging.NullHandler())  # else a broken request is printed
 _HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from rtof_kin.live.clock_map import VIDEO, Arrived
 from rtof_kin.live.samples import FrameSample, OnlineEstimate
-from rtof_kin.live.stream_quality import Quality, Recent
+from rtof_kin.live.session.clock_map import VIDEO, Arrived
+from rtof_kin.live.session.stream_quality import Quality, Recent
 
 
 class State(Enum):

@@ -38,8 +38,8 @@ class OnlineSettings:
     solver: JointSpaceSettings = field(
         default_factory=lambda: JointSpaceSettings(torso_inflation=1.4, robust_reprojection=1.2)
     )
-    """Standard deviations of the residuals; the floor is that of the recording where none is given. Without the
-    frames to come the lift of the torso counts more, and outliers of landmarks less."""
+    """Standard deviations of the residuals; the floor is that of the recording where none is given.
+    Without the frames to come the lift of the torso counts more, and outliers of landmarks less."""
 
     def __post_init__(self) -> None:
         if not 5 <= self.rate_hz <= 500:

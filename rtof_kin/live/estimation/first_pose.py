@@ -17,7 +17,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_position import refit_root
-from rtof_kin.live.sensor_buffer import SensorBuffer
+from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 
 if TYPE_CHECKING:
     from lifting.streaming import StreamedPose

@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.live.person_points import PersonPoints
-from rtof_kin.live.replay_clock import ReplayClock
 from rtof_kin.live.samples import FrameSample
+from rtof_kin.live.sources.person_points import PersonPoints
+from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.vision.person_detector import PersonDetector
 
 _RECENT: Final = 30

@@ -14,15 +14,15 @@ from typing import Any, Final, Protocol
 
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import RtofError
-from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of, with_time
-from rtof_kin.live.feed import Feed
-from rtof_kin.live.frame_times import FrameTimes
-from rtof_kin.live.monitor import Monitor, State
-from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
-from rtof_kin.live.session_summary import SessionSummary, StreamSummary
-from rtof_kin.live.sink_group import SinkGroup
-from rtof_kin.live.stream_checks import (
+from rtof_kin.live.session.clock_map import VIDEO, Arrived, SessionClock, stream_of, with_time
+from rtof_kin.live.session.feed import Feed
+from rtof_kin.live.session.frame_times import FrameTimes
+from rtof_kin.live.session.monitor import Monitor, State
+from rtof_kin.live.session.recorder import Recorder
+from rtof_kin.live.session.session_summary import SessionSummary, StreamSummary
+from rtof_kin.live.session.sink_group import SinkGroup
+from rtof_kin.live.session.stream_checks import (
     FirstSeconds,
     landmark_sentences,
     number_faults,
@@ -39,7 +39,7 @@ _HURRIED: Final = 120  # frames that were only predicted before the machine coun
 
 
 class Estimator(Protocol):
-    """Poses from samples, such as `rtof_kin.live.estimator.OnlineEstimator`."""
+    """Poses from samples, such as `rtof_kin.live.estimation.estimator.OnlineEstimator`."""
 
     @property
     def dropped(self) -> Mapping[str, int]:
@@ -386,8 +386,11 @@ class LiveSession:
     def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
         streams = {
             name: StreamSummary(
-                count.received, count.lost, count.late,
-                self._estimator.dropped.get(name, 0), self._left_out.get(name, 0),
+                count.received,
+                count.lost,
+                count.late,
+                self._estimator.dropped.get(name, 0),
+                self._left_out.get(name, 0),
             )
             for name, count in self.monitor.counts().items()
         }

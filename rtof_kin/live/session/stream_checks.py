@@ -22,8 +22,8 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.physics import LAWS, check_log
-from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.samples import FrameSample, ImuSample, Sample
+from rtof_kin.live.session.clock_map import Arrived
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.layouts import is_detector_point
 

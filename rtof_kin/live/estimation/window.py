@@ -20,8 +20,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
+from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 from rtof_kin.live.samples import FrameSample
-from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
@@ -299,5 +299,3 @@ def speeds(sample: FrameSample, before: FrameSample | None, longest: float) -> A
     if before is None or not 0 < sample.time - before.time <= longest:
         return None
     return np.asarray((sample.uv_px - before.uv_px) / (sample.time - before.time))
-
-

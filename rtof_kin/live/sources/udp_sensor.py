@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final
 
-from rtof_kin.live.datagrams import Reading, Remark
+from rtof_kin.live.sources.datagrams import Reading, Remark
 
 _PAIR_WITHIN_S: Final = 0.05
 """A quaternion and an acceleration of different datagrams belong together if they arrive within this."""

@@ -18,9 +18,9 @@ from rtof_kin.core.array_types import Mask
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.live.datagrams import Landmarks, Points, Reading, Remark, contents
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
-from rtof_kin.live.udp_sensor import UdpSensor
+from rtof_kin.live.sources.datagrams import Landmarks, Points, Reading, Remark, contents
+from rtof_kin.live.sources.udp_sensor import UdpSensor
 
 LOOPBACK: Final = "127.0.0.1"
 _WAITING: Final = 20_000

@@ -2,7 +2,7 @@
 
 The folder has ``live/``: the setup, and every two seconds a file with the samples as they came, their stamps
 and arrivals, the estimates and the messages. Each file appears whole or not at all, so a session that was
-killed loses two seconds; `rtof_kin.live.recorded_session.finish` makes a recording of it.
+killed loses two seconds; `rtof_kin.live.session.recorded_session.finish` makes a recording of it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.live.clock_map import Arrived
-from rtof_kin.live.recorded_session import CHUNK, LIVE, SETUP, finish
 from rtof_kin.live.samples import FrameSample, OnlineEstimate
+from rtof_kin.live.session.clock_map import Arrived
+from rtof_kin.live.session.recorded_session import CHUNK, LIVE, SETUP, finish
 from rtof_kin.recording.recording import INDEX, Recording
 
 _PENDING: Final = 10  # files that wait for a slow disk

@@ -1,0 +1,1 @@
+"""Online estimation: window, sensors' samples, the estimator and its refinement."""

@@ -1,0 +1,1 @@
+"""Outputs of estimates: LSL, WebSocket, page."""

@@ -1,0 +1,1 @@
+"""The session: clocks, checks, monitoring, recording, the loop."""

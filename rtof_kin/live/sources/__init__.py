@@ -1,0 +1,1 @@
+"""Sources of samples: cameras, LSL, UDP, replays."""
