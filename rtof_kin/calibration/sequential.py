@@ -13,7 +13,7 @@ windows count together as `CalibrationPriors.effective_seconds` at most, and tho
 
 The delay of the video has a posterior of its own (`delay_posterior`), as energies are not quadratic in it.
 
-An update takes tens of ms and comes in slices of about a ms. What is applied to new samples moves
+An update takes some 50 ms and comes in slices of about a ms. What is applied to new samples moves
 towards the estimate with a limited speed (`Pace`), so that poses do not jump.
 """
 
@@ -307,11 +307,12 @@ class SequentialCalibration:
         return tuple(found)
 
     def _wanted(self) -> tuple[Array, float]:
-        """What is to be applied: estimates that are known, else what it began with."""
+        """What is to be applied: known estimates and an observed delay, else what it began with."""
         first, quantities = 0, self._quantities
         wanted, delay = self._mean.copy(), self._begun
         if self.delay:
-            delay = float(quantities[0].value[0]) if _is_known(quantities[0]) else delay
+            if quantities[0].verdict is Verdict.OBSERVED:
+                delay = float(quantities[0].value[0])
             quantities = quantities[1:]
         for q in quantities:
             own = slice(first, first + len(q.value))

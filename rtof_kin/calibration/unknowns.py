@@ -14,6 +14,7 @@ zero without an error; their prior is normal about zero.
     place       p_bone_landmark = given + y, for each landmark              m
     focal       f = (1 + y) given                                           1
     tilt        R_camera_world = exp(y) given, about the camera's centre    rad, in the camera's axes
+    posture     mean_joint = exp(y) given, of the pose prior                rad, in the parent's axes
     ankles      height of an ankle over the floor it stands on = given + y  m
 """
 

@@ -35,12 +35,15 @@ from rtof_kin.solve.joint_space.covariance import confidence_of
 
 if TYPE_CHECKING:
     from lifting.predict import Lifter
-    from lifting.streaming import StreamingLifter
+    from lifting.streaming import StreamedPose, StreamingLifter
 
 _LOOKAHEADS_S: Final = (0.0, 0.07, 0.22)  # ages at which a frame is lifted
 _GRACE: Final = 1e-6  # [frames] of rounding
 _BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
-_FEW: Final = 2  # frames that are due at once and solved even in a hurry
+_FEW: Final = 3  # frames that are due at once and solved even in a hurry
+_CHECK_EVERY: Final = 10  # images, of which one is compared with its lift
+_ASTRAY_M, _ASTRAY_TIMES = 0.3, 3  # mean distance of joints about the root from the lift, and how often
+_LAST_ITERATIONS: Final = 5
 _BRIDGED_S: Final = 0.5  # [s] without image and sensors for which a pose counts as valid
 
 
@@ -49,7 +52,8 @@ class OnlineEstimator:
 
     Attributes:
         skeleton: the subject's. settings: as given. dropped: by sensor, and ``video``: samples too late.
-        hurried: number of frames that were only predicted, to catch up.
+        hurried: number of frames that were only predicted, to catch up. restarts: how often the poses had
+            gone astray, and were begun again from the image.
     """
 
     def __init__(
@@ -89,7 +93,7 @@ class OnlineEstimator:
         self._origin: float | None = None
         self._newest = -np.inf
         self.dropped: dict[str, int] = {}
-        self.hurried = 0
+        self.hurried, self.restarts, self._astray = 0, 0, 0
         self._ends = self._provenance_of_sensors()
         self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
         self._levels: dict[bytes, Mask] = {}
@@ -172,7 +176,7 @@ class OnlineEstimator:
 
         Args:
             time: s; by default that of the newest sample.
-            hurry: of many frames that are due, predict all but the last two and solve these, to catch up.
+            hurry: of many frames that are due, solve every third only, to catch up.
         """
         now = self._newest if time is None else float(time)
         if self._origin is None and not self._begin():
@@ -181,7 +185,7 @@ class OnlineEstimator:
         last = int(np.floor((now - float(self._time(0))) * self._rate + _GRACE))
         while self._window.head < last:
             began, due = perf_counter(), last - self._window.head
-            solve = not hurry or due <= _FEW
+            solve = not hurry or due <= _FEW or self._window.head % _FEW == 0
             self.hurried += not solve
             self._step(solve)
             estimate = self._estimate(self._window.frames - 1 - self.settings.lag_frames, began)
@@ -193,7 +197,7 @@ class OnlineEstimator:
         if self._origin is None:
             return []
         began = perf_counter()
-        self._iterate(5)
+        self._window.smoother.finish(_LAST_ITERATIONS)
         first = self._window.frames - self.settings.lag_frames
         estimates = [self._estimate(i, began) for i in range(first, self._window.frames)]
         return [estimate for estimate in estimates if estimate is not None]
@@ -271,6 +275,20 @@ class OnlineEstimator:
         known = {k - window.first: pose for k, pose in zip(due, lifts, strict=True) if pose is not None}
         if known:
             window.lift(list(known), list(known.values()))
+        if i in known and frame % _CHECK_EVERY == 0:
+            self._check(i, known[i], sample)
+
+    def _check(self, i: int, pose: StreamedPose, sample: FrameSample) -> None:
+        """Begin again from the lift where the poses have been far from it for long."""
+        p = self._window.data.space.poses(self._window.smoother.x[i : i + 1])[0][0]
+        lifted = pose.p_world_joint
+        far = np.linalg.norm((p - p[0]) - (lifted - lifted[0]), axis=1).mean() > _ASTRAY_M
+        self._astray = self._astray + 1 if far else 0
+        if self._astray >= _ASTRAY_TIMES:
+            sensed = self._R_world_bone(sample.time)
+            self._restart(self._state(first_lifted(self.skeleton, pose, sensed, self._keypoints(sample))))
+            self._astray = 0
+            self.restarts += 1
 
     def _R_world_bone(self, time: float) -> dict[str, Array]:
         """Orientations of segments at a time, by joint."""

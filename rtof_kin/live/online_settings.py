@@ -35,8 +35,11 @@ class OnlineSettings:
     refined: CalibrationPriors | None = None
     """What is calibrated while the person moves, with its prior: delay, headings, mountings, posture. None:
     nothing."""
-    solver: JointSpaceSettings = field(default_factory=JointSpaceSettings)
-    """Standard deviations of the residuals; the floor is that of the recording where none is given."""
+    solver: JointSpaceSettings = field(
+        default_factory=lambda: JointSpaceSettings(torso_inflation=1.4, robust_reprojection=1.2)
+    )
+    """Standard deviations of the residuals; the floor is that of the recording where none is given. Without the
+    frames to come the lift of the torso counts more, and outliers of landmarks less."""
 
     def __post_init__(self) -> None:
         if not 5 <= self.rate_hz <= 500:

@@ -80,7 +80,7 @@ def test_a_window_as_long_as_the_recording_gives_the_result_of_one_fragment() ->
     data = observations()
     batch = FragmentSolver(BODY, 2 * T, EXACTLY).solve(guess, seen, imus).poses
     smoother = fed(data, T)
-    assert smoother.iterate(200)
+    assert smoother.finish(200)
     expected = data.space.from_poses(batch.p_world_joint[:, 0], batch.R_world_bone)
     assert apart(data, smoother.x, expected) < 1e-6
 
@@ -89,7 +89,7 @@ def test_marginalisation_keeps_the_covariance_of_the_remaining_frames() -> None:
     """At the same states and weights the Schur complement loses nothing."""
     data = observations()
     long, short = fed(data, 12, 12, 0, data.start), fed(data, 8, 12, 0, data.start)
-    long.iterate(1), short.iterate(1)
+    long.finish(1), short.finish(1)
     long.x, short.x = data.start[:12].copy(), data.start[4:12].copy()
     expected, found = long.covariance(4), short.covariance(0)
     scale = np.sqrt(np.einsum("tii->ti", expected))
@@ -103,12 +103,14 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
     """Newton's step of all frames and of those that remain, at the same states."""
     data = observations(replace(EXACTLY, limits=False))
     whole = fed(data, 9, 9, 0, data.start)
+    whole._early[:] = 1.0
     whole._window.bind(whole._data())
     whole._leaving.bind(whole._first_terms())
     prior = marginalised(whole.prior, whole._leaving, None, whole.x[:4], np.zeros((4, 0)))
     gradient = WindowEnergy(whole._window, whole.prior).linearise(whole.x)[1]
     step = whole._window.factorise(1e-9).solve(-gradient)
     rest = fed(data, 8, 9, 0, data.start)
+    rest._early[:] = 1.0
     np.testing.assert_allclose(rest.prior.precision, prior.precision, rtol=1e-9, atol=1e-3)
     rest._window.bind(rest._data())
     own = WindowEnergy(rest._window, rest.prior)
@@ -120,16 +122,10 @@ def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:
 
 def test_a_short_window_follows_all_frames() -> None:
     data = observations()
-    newest = []
-    smoother = FixedLagSmoother(data, 8)
-    for t in range(T):
-        x = smoother.predicted() if t > 1 else data.start[t]
-        smoother.append(x, row(data, t), data.a_world[t], data.w_acceleration[t])
-        smoother.iterate(1)
-        newest.append(smoother.x[-1].copy())
-    whole = fed(data, T)
-    assert whole.iterate(200)
-    assert apart(data, newest[-1][None], whole.x[-1:]) < np.radians(0.5)
+    short, whole = fed(data, 8, iterations=1), fed(data, T)
+    short.finish(5)
+    assert whole.finish(200)
+    assert apart(data, short.x[-1:], whole.x[-1:]) < np.radians(0.5)
 
 
 def test_the_gradient_of_the_prior_is_that_of_its_energy() -> None:
@@ -162,7 +158,7 @@ def test_frames_without_observations_go_on_and_come_back() -> None:
         smoother.append(smoother.predicted(), row(data, t), data.a_world[t], data.w_acceleration[t])
         smoother.iterate(2)
     whole = fed(data, T)
-    whole.iterate(200)
+    whole.finish(200)
     assert farthest(data, smoother.x[-1:], whole.x[-1:]) < 0.05
 
 
@@ -176,7 +172,7 @@ def test_a_restart_forgets_the_past() -> None:
         smoother.append(data.start[t], row(data, t), data.a_world[t], data.w_acceleration[t])
         smoother.iterate(2)
     whole = fed(data, T)
-    whole.iterate(200)
+    whole.finish(200)
     assert farthest(data, smoother.x[-1:], whole.x[-1:]) < 0.05
 
 
