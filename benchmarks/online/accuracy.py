@@ -2,7 +2,7 @@
 
 Every frame is scored, as in the harness. The last frames of a recording are estimated with what is left of
 it, whatever the lag. *batch* is mode rtof of the whole recording as given, with default settings;
-*causal SF2* the shipped causal lifter, corrected by the sensors frame by frame. *online* has the default
+*causal SF2* the newest lift of each frame, corrected by the sensors frame by frame. *online* has the default
 window of its lag. *window of 1 s* is one estimator with a longer window, of which every lag is looked at.
 """
 
@@ -22,8 +22,9 @@ from rich.progress import track
 from benchmarks import harness, scoring
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.harness import bootstrap, pooled
+from benchmarks.online.causal import causal_sf2
 from benchmarks.online.estimators import estimator, settings
-from benchmarks.online.recordings import Job, batch, causal_sf2, jobs, truth_of
+from benchmarks.online.recordings import Job, batch, jobs, truth_of
 from benchmarks.online.running import tracks, tracks_of_one_window
 from rtof_kin.body.metrics import at_times, evaluate
 from rtof_kin.body.skeleton import SkeletonModel

@@ -20,7 +20,6 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
@@ -88,14 +87,6 @@ def batch(job: Job, recording: Recording) -> MotionSequence:
     write_motion_npz(part, motion, first_frame=recording.first_frame, mode="rtof")
     part.replace(path)
     return motion
-
-
-def causal_sf2(recording: Recording) -> PoseSequence:
-    """SF2 of the causal lift, frame by frame: nothing but the past, and no memory but the lifter's."""
-    from lifting.predict import Lifter
-
-    settings = ReconstructionSettings(guards=(), confidence=False)
-    return reconstruct(recording, mode="sf2", lifter=Lifter.load("causal"), settings=settings).stages["sf2"]
 
 
 @cache

@@ -42,13 +42,14 @@ class StandIn:
     newest: float = -np.inf
     frames: list[float] = field(default_factory=list)
     dropped: dict[str, int] = field(default_factory=dict)
+    hurried: int = 0
 
     def push(self, sample: Sample) -> None:
         self.newest = max(self.newest, sample.time)
         if isinstance(sample, FrameSample):
             self.frames.append(sample.time)
 
-    def advance(self, time: float | None = None) -> list[OnlineEstimate]:
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
         now = self.newest if time is None else time
         found = []
         due = now - self.settings.lag_s + 1e-9
