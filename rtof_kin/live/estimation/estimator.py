@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from lifting.predict import Lifter
     from lifting.streaming import StreamedPose, StreamingLifter
 
-_LOOKAHEADS_S: Final = (0.0, 0.07, 0.22)  # ages at which a frame is lifted
+_LOOKAHEADS_S: Final = (0.0, 0.22)  # ages at which a frame is lifted
+_LIFT_EVERY_S: Final = 0.05  # [s] between lifts, which are autocorrelated for longer
 _GRACE: Final = 1e-6  # [frames] of rounding
 _BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
 _FEW: Final = 3  # frames that are due at once and solved even in a hurry
@@ -76,7 +77,10 @@ class OnlineEstimator:
         self._camera = setup.video.camera if landmarks else None
         solver = s.solver
         if solver.floor_height is None:
-            solver = replace(solver, floor_height=setup.floor_height)
+            floor = setup.floor_height
+            if floor is None and self._camera is None:
+                floor = 0.0  # where sensors alone put the person
+            solver = replace(solver, floor_height=floor)
         self._sensors: SensorBuffer | None = None
         if setup.calibration is not None:
             joints = tuple(dict.fromkeys(setup.calibration.joints))
@@ -93,7 +97,7 @@ class OnlineEstimator:
         self._origin: float | None = None
         self._newest = -np.inf
         self.dropped: dict[str, int] = {}
-        self.hurried, self.restarts, self._astray = 0, 0, 0
+        self.hurried, self.restarts, self._astray, self._images = 0, 0, 0, 0
         self._ends = self._provenance_of_sensors()
         self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
         self._levels: dict[bytes, Mask] = {}
@@ -266,15 +270,18 @@ class OnlineEstimator:
         self._placed[frame] = sample.time
         self._placed = {k: t for k, t in self._placed.items() if k >= window.first}
         assert self._lifter is not None
-        self._lifter.put(sample.time, sample.uv_px, sample.confidence, self._R_world_bone(sample.time))
-        if not lift:
+        self._lifter.put(sample.time, sample.uv_px, sample.confidence, window.sensed(i))
+        self._images += 1
+        usual = self._images >= _LIFT_EVERY_S * self._rate and window.needs_lift
+        if not lift or not (usual or frame % _CHECK_EVERY == 0):
             return
         ages = [frame - round(age * self._rate) for age in _LOOKAHEADS_S]
         due = [k for k in ages if k in self._placed]
         lifts = self._lifter.lift([self._placed[k] for k in due])
         known = {k - window.first: pose for k, pose in zip(due, lifts, strict=True) if pose is not None}
         if known:
-            window.lift(list(known), list(known.values()))
+            window.lift(list(known), list(known.values()), self._images)
+            self._images = 0
         if i in known and frame % _CHECK_EVERY == 0:
             self._check(i, known[i], sample)
 
@@ -307,9 +314,7 @@ class OnlineEstimator:
         moved = refit_root(poses, self._keypoints(sample), sigma_depth=1.0)
         shift = moved.p_world_joint[0, 0] - poses.p_world_joint[0, 0]
         if np.linalg.norm(shift) > _BACK_M:
-            x = window.smoother.x[-1].copy()
-            x[:3] += shift
-            self._restart(x)
+            window.translate(shift)
 
     # --- begin -----------------------------------------------------------------------------------
 

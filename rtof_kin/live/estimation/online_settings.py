@@ -10,7 +10,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _LONGEST_LAG_S: Final = 1.0
-_LEAST_FRAMES: Final = 10  # of a window
+_LEAST_FRAMES: Final = 8  # of a window
 _BEYOND_LAG: Final = 4  # frames of the window before the returned one
 
 
@@ -23,7 +23,7 @@ class OnlineSettings:
     lag_s: float = 0.0
     """[s] Age of the returned poses, 0 to 1: the older, the more accurate."""
     window_s: float | None = None
-    """[s] Length of the frames that are optimised. None: 10 frames, more for the lag and a late video."""
+    """[s] Length of the frames that are optimised. None: 8 frames, more for the lag and a late video."""
     video_delay_s: float = 0.0
     """[s] By how much the stamps of the video are late against the clock of the sensors."""
     video_latency_s: float = 0.0

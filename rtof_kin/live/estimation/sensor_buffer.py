@@ -57,7 +57,9 @@ class SensorBuffer:
         S = len(joints)
         self._count = np.zeros(S, dtype=int)
         self._times = np.full((S, _CAPACITY), np.inf)
-        self._R, self._a = np.zeros((S, _CAPACITY, 3, 3)), np.zeros((S, _CAPACITY, 3))
+        self._quat, self._a = np.zeros((S, _CAPACITY, 4)), np.zeros((S, _CAPACITY, 3))
+        self._quat[..., 0] = 1.0
+        self._fresh: list[tuple[int, int, Array]] = []  # rotations that are not converted yet
         self._heading, self._mounting = np.zeros(S), np.tile([1.0, 0.0, 0.0, 0.0], (S, 1))
         self._frame = 1 / rate_hz
         self._response = _response(rate_hz, cutoff_hz)
@@ -85,15 +87,16 @@ class SensorBuffer:
         n = self._count[s]
         if n == _CAPACITY:
             n = self._halve(s)
-        i = n
+        i = int(n)
         if n and time <= self._times[s, n - 1]:
             i = int(np.searchsorted(self._times[s, :n], time))
             if self._times[s, i] == time:
                 return
-            for array in (self._times, self._R, self._a):
+            self._convert()
+            for array in (self._times, self._quat, self._a):
                 array[s, i + 1 : n + 1] = array[s, i:n]
         self._times[s, i] = time
-        self._R[s, i] = R @ self._R_sensor_bone[s]
+        self._fresh.append((s, i, R @ self._R_sensor_bone[s]))
         self._a[s, i] = R @ f_sensor + GRAVITY_WORLD
         self._count[s] = n + 1
         self.newest[s] = max(self.newest[s], time)
@@ -121,6 +124,7 @@ class SensorBuffer:
         Args:
             times: (F,) of frames, s. corrected: as `correct` asks for.
         """
+        self._convert()
         S, F = len(self.joints), len(times)
         after = np.empty((S, F), dtype=int)
         for s in range(S):
@@ -146,8 +150,7 @@ class SensorBuffer:
             beyond = np.where(after > last, times - end, 0.0)
             before = np.where(after == 0, begin - times, 0.0)
             known = enough & (end - begin <= _LONGEST_GAP) & (beyond <= 1.2 * self._frame) & (before <= 1e-9)
-        around = np.where(known[..., None, None], self._R[own, np.stack([left, right])], np.eye(3))
-        q0, q1 = so3.to_quat_wxyz(around)
+        q0, q1 = self._quat[own, left], self._quat[own, right]
         turn = quat.log(quat.multiply(quat.conjugate(q0), q1))
         return quat.multiply(q0, quat.exp(np.where(known, share, 0.0)[..., None] * turn)), known
 
@@ -182,9 +185,17 @@ class SensorBuffer:
         """Highest rate of a sensor, Hz."""
         return min(float(self._rates().max(initial=60.0)), 400.0)
 
+    def _convert(self) -> None:
+        """Convert the newest rotations to quaternions, all at once."""
+        if self._fresh:
+            s, i, R = zip(*self._fresh, strict=True)
+            self._quat[list(s), list(i)] = so3.to_quat_wxyz(np.stack(R))
+            self._fresh.clear()
+
     def _halve(self, s: int) -> int:
+        self._convert()
         half = _CAPACITY // 2
-        for array in (self._times, self._R, self._a):
+        for array in (self._times, self._quat, self._a):
             array[s, :half] = array[s, half:]
         self._times[s, half:] = np.inf
         self._count[s] = half

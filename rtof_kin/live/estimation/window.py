@@ -33,7 +33,10 @@ if TYPE_CHECKING:
 
 _AWAY_M: Final = 4.0  # [m] from the camera of the poses that the problem is built with
 _MOVES: Final = 0.02  # [frames] distance in time below which points are not moved
+_DISPLACED_EVERY: Final = 2  # frames; what moves points beside their segments changes slowly
 _CONTACTS_EVERY: Final = 4  # frames
+_SELDOM: Final = 12  # frames between searches for standing feet that only tell the ground's height
+_GROUND_SHARE: Final = 0.1
 _LOST_S: Final = 0.1  # [s] without an image after which feet hold the root
 
 
@@ -75,6 +78,10 @@ class Window:
         if camera is not None:
             self._measured = [list(landmarks).index(name) for name in self.data.names]
             self._joints = [(list(landmarks).index(n), j) for j, n in enumerate(names) if n in landmarks]
+        self._displaced: Array | None = None
+        self._ground: float | None = None  # [m] height of standing ankles
+        if settings.floor_height is not None:
+            self._ground = settings.floor_height + settings.ankle_height
         self._standing = np.zeros((frames, len(FEET)), dtype=bool)
         self._holds: list[Array | None] = [None] * len(FEET)
         self._since_image, self.latency_s = 0, 0.0
@@ -104,6 +111,12 @@ class Window:
             array[-1] = 0
         self.first += 1
         self._since_image += 1
+
+    def translate(self, shift: Array) -> None:
+        """Move the person by (3,) m, as an image shows after a time without."""
+        self.smoother.translate(shift)
+        self.smoother.rows["w_contact"][:] = 0.0
+        self._holds = [None] * len(FEET)
 
     def prefer(self, quat_mean: Array) -> None:
         """Take other means (4, A - 1) of the pose prior."""
@@ -154,8 +167,10 @@ class Window:
         px = camera.normalise(uv[own]) @ camera.K[:2, :2].T + camera.K[:2, 2]
         points = self.data.points
         if points.place_covariance.any():
-            p, R = self.data.space.poses(self.smoother.x[i : i + 1])
-            px = px - np.nan_to_num(points.displaced(camera, p, R)[0])
+            if self.head % _DISPLACED_EVERY == 0 or self._displaced is None:
+                p, R = self.data.space.poses(self.smoother.x[i : i + 1])
+                self._displaced = np.nan_to_num(points.displaced(camera, p, R)[0])
+            px = px - self._displaced
         rows["uv_px"][i] = np.where(seen[own, None], px, 0.0)
         rows["w_visual"][i] = np.where(seen[own], sample.confidence[own] * self._sizes, 0.0)
         for k, j in self._joints:
@@ -164,11 +179,29 @@ class Window:
             self._since_image = min(self._since_image, self.frames - 1 - i)
             rows["w_contact"][i] = 0.0
 
-    def lift(self, frames: Sequence[int], poses: Sequence[StreamedPose]) -> None:
+    @property
+    def needs_lift(self) -> bool:
+        """Whether a part of the body is observed by the lift, not by sensors."""
+        if self._root_weight or self._bone_weights.any():
+            return True
+        unsensed = self.smoother.rows["w_sensor"][-1] == 0
+        return any(s < 0 or bool(unsensed[self.order.index(s)]) for s in self._of_torso)
+
+    def sensed(self, i: int) -> dict[str, Array]:
+        """Return the measured orientations (3, 3) of segments in frame i of the window, by joint."""
+        rows = self.smoother.rows
+        known = np.flatnonzero(rows["w_sensor"][i])
+        if not len(known):
+            return {}
+        R = so3.from_quat_wxyz(rows["quat_sensor"][i, known])
+        return {self.data.sensors[s]: turn for s, turn in zip(known.tolist(), R, strict=True)}
+
+    def lift(self, frames: Sequence[int], poses: Sequence[StreamedPose], images: int) -> None:
         """Anchor frames of the window to lifts, where nothing better observes the body.
 
         Args:
             frames: n indices in the window. poses: n of their times.
+            images: that each of them stands for.
         """
         own, rows, s = list(frames), self.smoother.rows, self._settings
         p = np.stack([pose.p_world_joint for pose in poses])
@@ -177,7 +210,7 @@ class Window:
             j = self._torso
             known = np.isfinite(R[:, j, 0, 0])
             sigma = np.stack([pose.sigma_rad[j] for pose in poses]) * s.torso_inflation
-            weights = known / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
+            weights = images * known / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
             oriented = np.stack([self._oriented(k, p, R) for k in j], axis=1)
             oriented = np.where(known[..., None, None], oriented, np.eye(3))
             rows["quat_torso"][own], self._torso_weights[own] = so3.to_quat_wxyz(oriented), weights
@@ -186,9 +219,9 @@ class Window:
             joints, children = np.array(self._bones).T
             lengths = np.linalg.norm(self.skeleton.joint_offsets[children], axis=1, keepdims=True)
             rows["b_world"][own] = so3.unit(p[:, children] - p[:, joints]) * lengths
-            rows["w_bone"][own] = self._bone_weights
+            rows["w_bone"][own] = images * self._bone_weights
         if self._root_weight:
-            rows["p_root"][own], rows["w_root"][own] = p[:, 0], self._root_weight
+            rows["p_root"][own], rows["w_root"][own] = p[:, 0], images * self._root_weight
 
     def _oriented(self, j: int, p: Array, R: Array) -> Array:
         """Orientations (n, 3, 3) of a segment of the torso as SF2 has them; see `InertialGuidedIK`."""
@@ -212,17 +245,17 @@ class Window:
         """
         s, smoother = self._settings, self.smoother
         lost = self.lost_s > _LOST_S
-        if s.floor_height is None and not lost:
-            return
-        if self.head % _CONTACTS_EVERY == 0:
-            self._find_contacts(times)
+        if self.head % (_CONTACTS_EVERY if lost or s.floor_height is not None else _SELDOM) == 0:
+            self._find_contacts(times, lost)
         if s.floor_height is not None:
             smoother.rows["w_floor"][:] = self._standing / s.sigma_floor**2
         if lost:
             self._hold()
 
-    def _find_contacts(self, times: Array) -> None:
-        inside = self.smoother.inside
+    def _find_contacts(self, times: Array, lost: bool) -> None:
+        inside, s = self.smoother.inside, self._settings
+        if inside.sum() < 3:
+            return
         p, R = self.data.space.poses(self.smoother.x[inside])
         poses = PoseSequence(times[inside], p, R, self.skeleton.names)
         sensors = None
@@ -239,21 +272,27 @@ class Window:
             ) if joints else None  # fmt: skip
         found = detect_contacts(poses, sensors, self.skeleton, from_poses=True)
         self._standing[inside] |= found.standing
+        if not lost and s.floor_height is None and found.standing.any():
+            height = float(p[:, self.skeleton.index(*FEET), 2][found.standing].mean())
+            before = height if self._ground is None else self._ground
+            self._ground = before + _GROUND_SHARE * (height - before)
 
     def _hold(self) -> None:
-        """Hold standing feet of the newest frame where they stood."""
+        """Hold standing feet of the newest frame where they stood, and the lower foot near the ground."""
         rows, s = self.smoother.rows, self._settings
-        ankles = self.data.space.poses(self.smoother.x[-2:-1])[0][0]
+        p = self.data.space.poses(self.smoother.x[-2:-1])[0][0]
+        ankles = p[list(self.skeleton.index(*FEET))]
+        if self._ground is None:
+            self._ground = float(ankles[:, 2].min())
+        self.smoother.constant["floor"] = np.array([self._ground])
+        rows["w_floor"][-1, int(np.argmin(ankles[:, 2]))] = 1 / s.sigma_floor**2
         standing = self._standing[-1 - (self.head % _CONTACTS_EVERY)]
-        for foot, name in enumerate(FEET):
+        for foot, ankle in enumerate(ankles):
             if not standing[foot]:
                 self._holds[foot] = None
                 continue
             if self._holds[foot] is None:
-                place = ankles[self.skeleton.names.index(name)].copy()
-                if s.floor_height is not None:
-                    place[2] = s.floor_height + s.ankle_height
-                self._holds[foot] = place
+                self._holds[foot] = np.array([ankle[0], ankle[1], self._ground])
             rows["p_contact"][-1, foot] = self._holds[foot]
             rows["w_contact"][-1, foot] = 1 / s.sigma_contact**2
 

@@ -227,9 +227,11 @@ class SimdProblem:
 
     def hessian(self) -> Array:
         """Return the whole Hessian (N D, N D), for a few frames."""
-        stored, strictly = _band_masks(self._matrix.size, self._matrix.band)
-        lower = self._as_square(self._matrix.size) * stored
-        return np.asarray(lower + (lower * strictly).T)
+        out = self._as_square(self._matrix.size) * _band_mask(self._matrix.size, self._matrix.band)
+        diagonal = out.diagonal().copy()
+        out += out.T
+        np.fill_diagonal(out, diagonal)
+        return np.asarray(out)
 
     def _as_square(self, size: int) -> Array:
         """Writable view of the first columns in which only entries of the band are those of the matrix."""
@@ -243,7 +245,7 @@ class SimdProblem:
 
 
 @cache
-def _band_masks(size: int, band: int) -> tuple[Array, Array]:
-    """1 for entries of a band on and below, and below the diagonal, else 0."""
+def _band_mask(size: int, band: int) -> Array:
+    """1 for entries of a band on and below the diagonal, else 0."""
     below = np.subtract.outer(np.arange(size), np.arange(size))
-    return ((below >= 0) & (below <= band)).astype(float), ((below > 0) & (below <= band)).astype(float)
+    return np.asarray(((below >= 0) & (below <= band)).astype(float))

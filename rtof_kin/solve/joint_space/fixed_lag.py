@@ -10,6 +10,7 @@ the result is that of one fragment.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -29,7 +30,7 @@ _DAMPING: Final = 1e-6
 _WEIGHTS: Final = ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact", "w_prior")
 _OF_CONSTANT_ERRORS: Final = ("w_sensor", "w_prior", "w_root")
 """Weights of errors that are constant over a fragment; see `Annealing`."""
-_EVERY: Final = 3
+_EVERY: Final = 6
 """Frames between estimates of the landmarks' errors."""
 _MEMORY_S: Final = 1.0
 """[s] over which those estimates are averaged."""
@@ -119,6 +120,12 @@ class FixedLagSmoother:
             self.rows[name][:] = 0.0
         self.w_acceleration[:] = 0.0
         self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
+
+    def translate(self, shift: Array) -> None:
+        """Move the root of all frames, and of what is known of them from before, by (3,) m."""
+        moved = np.concatenate([shift, np.zeros(self.x.shape[1] - 3)])
+        self.x = self.x + moved
+        self.prior = replace(self.prior, x=self.prior.x + moved)
 
     def predicted(self, damping: float = 1.0) -> Array:
         """Return the state (3 + 4A,) of the next frame at the speed of the last two.

@@ -14,10 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import lapack
 
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import Factor, StoredFactor
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
@@ -76,6 +77,9 @@ def marginalised(
     Args:
         prior: of frames 0 to 2. leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
         limits: of the hinges. x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
+
+    Raises:
+        SolverError: the frame's Hessian is not positive definite.
     """
     space = leaving.space
     D, kept = space.size, MEMORY * space.size
@@ -89,9 +93,11 @@ def marginalised(
         _, rows, columns, values = limits.curvature(x[:1], excess != 0)
         H[rows, columns] += STIFFNESS * values
     H[:D, :D] += _DAMPING * np.eye(D)
-    factor = cholesky(H[:D, :D], lower=True, check_finite=False)
-    right = np.column_stack([H[:D, D:], gradient[:D]])
-    half = solve_triangular(factor, right, lower=True, check_finite=False)
+    factor, failed = lapack.dpotrf(H[:D, :D], lower=1)
+    if failed:
+        raise SolverError("the Hessian of the frame that leaves is not positive definite")
+    right = np.concatenate([H[D:, :D], gradient[None, :D]]).T
+    half, _ = lapack.dtrtrs(factor, right, lower=1)
     precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
     slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
     return MarginalPrior(x[1:].copy(), (precision + precision.T) / 2, slope)
