@@ -113,9 +113,10 @@ def _add_estimate(parser: argparse.ArgumentParser) -> None:
         "--video-delay", type=float, default=0.0, metavar="S", help="by how much stamps of the video are late"
     )
     parser.add_argument(
-        "--calibrate", action="store_true",
-        help="refine the video's delay and the mounting of the sensors while the person moves; with -o into "
-        "FOLDER/calibration.toml",
+        "--calibrate", default="delay", metavar="KINDS",
+        help="what is refined while the person moves: delay (of the video), heading, mounting (of the "
+        "sensors), posture, with commas between, or none; with -o into FOLDER/calibration.toml. Open more "
+        "than the delay where it is known to be wrong",
     )  # fmt: skip
     parser.add_argument(
         "--calibration", metavar="FILE", help="of an earlier session, that --calibrate begins with"
@@ -135,11 +136,11 @@ def _live(options: argparse.Namespace) -> None:
 
     limit_threads(None)
     from rtof_kin.calibration.file import read_self_calibration_toml
-    from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimation.estimator import OnlineEstimator
     from rtof_kin.live.estimation.online_settings import OnlineSettings
+    from rtof_kin.live.estimation.refinement import refinement_priors
     from rtof_kin.live.session.recorder import Recorder
     from rtof_kin.live.session.session import LiveSession
     from rtof_kin.live.sources.open_sources import open_sinks, open_sources
@@ -165,7 +166,7 @@ def _live(options: argparse.Namespace) -> None:
         landmarks = _points_of(streams.sources[0]) if options.camera else ()
         settings = replace(
             settings, video_latency_s=_latency(streams.sources[0]),
-            refined=CalibrationPriors.of(setup) if options.calibrate else None,
+            refined=refinement_priors(() if options.calibrate == "none" else options.calibrate.split(",")),
         )  # fmt: skip
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter, known)

@@ -101,7 +101,8 @@ def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
     earlier = SelfCalibration((delay,), (), 0.0, True)
     write_self_calibration_toml(tmp_path / "earlier.toml", earlier)
     take = tmp_path / "take"
-    options = ("--calibrate", "--calibration", tmp_path / "earlier.toml", "--seconds", 1, "--speed", "inf")
+    opened = ("--calibrate", "delay,mounting", "--calibration", tmp_path / "earlier.toml")
+    options = (*opened, "--seconds", 1, "--speed", "inf")
     done = cli("live", DEMO, "--camera", DEMO, "--imus", DEMO, *options, "-o", take)
     assert done.code == 0, done.err
     assert estimator["settings"].refined is not None

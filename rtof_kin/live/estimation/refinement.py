@@ -7,7 +7,8 @@ frame. What it finds is applied to new samples with a limited speed.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,10 +16,15 @@ import numpy as np
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.calibration.sequential import Corrections, SequentialCalibration, WindowObservations
+from rtof_kin.calibration.sequential import (
+    DELAY_ALONE,
+    Corrections,
+    SequentialCalibration,
+    WindowObservations,
+)
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import SolverError
+from rtof_kin.core.errors import SolverError, UnknownNameError
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 from rtof_kin.live.estimation.window import Window
 
@@ -28,6 +34,32 @@ _FRAMES: Final = 50
 
 _SETTLED: Final = 30
 """Frames after a beginning that are not used."""
+
+
+_OPEN: Final = {
+    "delay": {"sigma_delay": 0.05},
+    "heading": {"sigma_heading": np.radians(8.0)},
+    "mounting": {"sigma_swing": np.radians(4.0), "sigma_twist": np.radians(5.0)},
+    "posture": {"sigma_posture": np.radians(5.0)},
+}
+"""Kind -> standard deviations before."""
+
+
+def refinement_priors(kinds: Sequence[str]) -> CalibrationPriors | None:
+    """Return the priors of what is refined during a session; None for nothing.
+
+    Args:
+        kinds: some of delay, heading, mounting, posture.
+
+    Raises:
+        UnknownNameError: there is no such kind.
+    """
+    if unknown := sorted({*kinds} - {*_OPEN}):
+        raise UnknownNameError("kind of calibration", unknown, tuple(_OPEN))
+    if not kinds:
+        return None
+    values = {name: value for kind in kinds for name, value in _OPEN[kind].items()}
+    return replace(DELAY_ALONE, **({"sigma_delay": None} | values))
 
 
 class Refinement:
