@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from rtof_kin.data.imu_calibration import ImuCalibration
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
+    from rtof_kin.live.estimation.estimator import OnlineEstimator
+    from rtof_kin.live.estimation.online_settings import OnlineSettings
+    from rtof_kin.live.samples import FrameSample, ImuSample
     from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -41,6 +44,9 @@ _MODULES = {
     "data.imu_calibration": ("ImuCalibration",),
     "data.keypoints": ("KeypointSequence",),
     "data.poses": ("PoseSequence", "Provenance"),
+    "live.estimation.estimator": ("OnlineEstimator",),
+    "live.estimation.online_settings": ("OnlineSettings",),
+    "live.samples": ("FrameSample", "ImuSample"),
     "reconstruction.pipeline": ("calibrate_recording", "reconstruct"),
     "reconstruction.result": ("Reconstruction",),
     "reconstruction.settings": ("ReconstructionSettings",),
@@ -54,11 +60,11 @@ _MODULES = {
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
     "BoneImuSequence", "CalibrationPriors", "Camera", "CartesianSettings", "FragmentSolution",
-    "FragmentSolver", "ImuCalibration", "ImuSequence", "InertialGuidedIK",
+    "FragmentSolver", "FrameSample", "ImuCalibration", "ImuSample", "ImuSequence", "InertialGuidedIK",
     "InertialGuidedIKSettings", "InvalidInputError", "JointSpaceSettings", "KeypointSequence",
-    "Metrics", "MotionSequence", "PoseSequence", "Provenance", "Reconstruction",
-    "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration", "SkeletonModel",
-    "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",
+    "Metrics", "MotionSequence", "OnlineEstimator", "OnlineSettings", "PoseSequence", "Provenance",
+    "Reconstruction", "ReconstructionSettings", "Recording", "RtofError", "SelfCalibration",
+    "SkeletonModel", "SolverStatus", "calibrate_recording", "evaluate", "export", "reconstruct",
 ]  # fmt: skip
 
 

@@ -28,10 +28,10 @@ from rtof_kin.live.estimation.first_pose import first_lifted, first_sensed
 from rtof_kin.live.estimation.online_settings import OnlineSettings
 from rtof_kin.live.estimation.refinement import Refinement
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
+from rtof_kin.live.estimation.stated_errors import StatedErrors
 from rtof_kin.live.estimation.window import Window, speeds
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.covariance import confidence_of
 
 if TYPE_CHECKING:
     from lifting.predict import Lifter
@@ -90,6 +90,7 @@ class OnlineEstimator:
         self._window = Window(
             self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames
         )
+        self._errors = StatedErrors(self._window) if s.confidence else None
         self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
         self._pending: deque[FrameSample] = deque()
         self._last_seen: FrameSample | None = None
@@ -281,6 +282,8 @@ class OnlineEstimator:
         known = {k - window.first: pose for k, pose in zip(due, lifts, strict=True) if pose is not None}
         if known:
             window.lift(list(known), list(known.values()), self._images)
+            if self._errors is not None and i in known:
+                self._errors.lifted(known[i].sigma_rad[list(self._window.torso)])
             self._images = 0
         if i in known and frame % _CHECK_EVERY == 0:
             self._check(i, known[i], sample)
@@ -371,10 +374,7 @@ class OnlineEstimator:
         if not window.smoother.inside[i]:
             return None
         time, x = float(self._time(window.first + i)), window.smoother.x[i : i + 1]
-        confidence = None
-        if self.settings.confidence:
-            C = window.smoother.covariance(i)[:1]
-            confidence = confidence_of(window.data.space, np.array([time]), x, C, window.data.fixed)
+        confidence = None if self._errors is None else self._errors.of(i, time)
         poses = self._posed(x, time, i)
         return OnlineEstimate(poses, max(self._newest - time, 0.0), perf_counter() - began, confidence)
 

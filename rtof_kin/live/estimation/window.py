@@ -45,6 +45,7 @@ class Window:
 
     Attributes:
         data: the problem. smoother: of N frames. first: number of the window's first frame.
+        torso: segments that may be anchored to the lift.
         order: places of the sensors' rows in `SensorBuffer.joints`.
         seen: (N, J) joints whose landmark the camera saw. latency_s: usual age of an image that arrives, s.
     """
@@ -67,11 +68,11 @@ class Window:
         names = skeleton.names
         self.seen = np.zeros((frames, len(names)), dtype=bool)
         shape = self.data.problem.energy.shape
-        self._torso, self._bones = list(shape.torso), shape.bones
-        self._torso_weights = np.zeros((frames, len(self._torso)))
+        self.torso, self._bones = list(shape.torso), shape.bones
+        self._torso_weights = np.zeros((frames, len(self.torso)))
         self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
         worn = () if sensors is None else sensors.joints
-        self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self._torso]
+        self._of_torso = [worn.index(names[j]) if names[j] in worn else -1 for j in self.torso]
         self.order = [worn.index(joint) for joint in self.data.sensors]
         points = self.data.points
         self._sizes = points.independent / points.sizes**2
@@ -207,7 +208,7 @@ class Window:
         p = np.stack([pose.p_world_joint for pose in poses])
         R = np.stack([pose.R_world_bone for pose in poses])
         if s.sigma_torso is not None:
-            j = self._torso
+            j = self.torso
             known = np.isfinite(R[:, j, 0, 0])
             sigma = np.stack([pose.sigma_rad[j] for pose in poses]) * s.torso_inflation
             weights = images * known / np.where(np.isfinite(sigma), sigma, s.sigma_torso) ** 2
