@@ -1,0 +1,175 @@
+"""Whole sessions over UDP and LSL of this machine: a recording is sent with faults to the real estimator."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_support import demo
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.live.estimation.estimator import OnlineEstimator
+from rtof_kin.live.estimation.online_settings import OnlineSettings
+from rtof_kin.live.samples import FrameSample, OnlineEstimate, Sample, Source
+from rtof_kin.live.session.clock_map import VIDEO
+from rtof_kin.live.session.recorder import Recorder
+from rtof_kin.live.session.session import LiveSession
+from rtof_kin.live.sources.osc_source import OscSource
+from rtof_kin.live.sources.replay import Faults, RecordingReplay
+from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.recording.recording import Recording
+
+SECONDS = 4.5
+DYING, FREEZING = (1.2, 2.2), (2.6, 3.4)
+"""[s] of the stream in which a sensor is dead, and the picture stands still."""
+DEAD = "L_LowLeg"
+FAULTS = Faults(0.1, 0.05, ((DEAD, *DYING),), FREEZING, seed=1)
+LATEST = 1.0
+"""[s] after which a fault must have been told."""
+
+
+class Heard:
+    """Sink that notes when it was told what."""
+
+    def __init__(self) -> None:
+        self.estimates, self.told = list[OnlineEstimate](), list[tuple[float, str]]()
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        self.estimates.append(estimate)
+
+    def tell(self, sentence: str) -> None:
+        self.told.append((time.monotonic(), sentence))
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+@contextmanager
+def sent(send: Callable[[Sample], None]) -> Iterator[Callable[[], float]]:
+    """Send the demo in real time from a thread; gives the time of `time.monotonic` when it began."""
+    replay = RecordingReplay.of_recording(demo(), ReplayClock(), faults=FAULTS)
+    ending, began = threading.Event(), [0.0]
+
+    def relay() -> None:
+        replay.start()
+        began[0] = time.monotonic()
+        while not ending.wait(0.002):
+            for sample in replay.poll():
+                send(sample)
+
+    thread = threading.Thread(target=relay)
+    thread.start()
+    try:
+        yield lambda: began[0]
+    finally:
+        ending.set()
+        thread.join()
+        replay.close()
+
+
+def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> None:
+    """Run a session and check what it says, estimates and records."""
+    heard, setup = Heard(), demo()
+    estimator = OnlineEstimator(setup, setup.video.names, OnlineSettings(lag_s=0.1))
+    session = LiveSession(
+        setup, sources, estimator, sinks=[heard], recorder=Recorder(folder, setup), patience_s=20.0
+    )
+    with sent(send) as began:
+        deadline = time.monotonic() + 30.0
+
+        def over() -> bool:
+            since = time.monotonic() - began()
+            return time.monotonic() > deadline or (began() > 0 and since > SECONDS)
+
+        summary = session.run(over)
+    assert summary.frames > 0.7 * 60 * SECONDS
+
+    def first(word: str, about: str, after: float) -> float:
+        """Time, s of the stream, of the first sentence with a word about a stream."""
+        times = [t - began() for t, sentence in heard.told if word in sentence and about in sentence]
+        found = [t for t in times if t > after]
+        assert found, (word, about, [sentence for _, sentence in heard.told])
+        return found[0]
+
+    # A machine that is busy with other tests is late itself: half a second for it.
+    assert first("sample for", DEAD, DYING[0]) < DYING[0] + LATEST + 0.5
+    assert first("back again", DEAD, DYING[1]) < DYING[1] + LATEST + 0.5
+    assert first("same numbers", VIDEO, FREEZING[0]) < FREEZING[0] + LATEST + 0.5
+    assert first("back again", VIDEO, FREEZING[1] - 0.1) < FREEZING[1] + LATEST + 0.5
+    p = np.concatenate([estimate.poses.p_world_joint for estimate in heard.estimates])
+    assert np.isfinite(p).all()
+    truth = setup.truth
+    assert truth is not None
+    span = np.ptp(truth.p_world_joint[:300, 0], axis=0)
+    assert (np.ptp(p[:, 0], axis=0) < span + 1.0).all()
+    recorded = Recording.load(folder)
+    assert recorded.imus is not None
+    assert DEAD in recorded.imus.names
+    assert len(recorded.video) > 0.7 * 60 * SECONDS
+
+
+def test_a_session_over_udp(tmp_path: Path) -> None:
+    source = OscSource(0, landmarks=demo().video.names)
+    source.start()
+    out, count = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), iter(range(10**6))
+
+    def send(sample: Sample) -> None:
+        if isinstance(sample, FrameSample):
+            uv = np.where(np.isfinite(sample.uv_px), sample.uv_px, 0.0)
+            text = {"frame": next(count), "time": sample.time, "uv": uv.tolist(),
+                    "confidence": sample.confidence.tolist()}  # fmt: skip
+        else:
+            quat = so3.to_quat_wxyz(sample.R_inertial_sensor)
+            text = {"sensor": sample.sensor, "time": sample.time, "quat": quat.tolist(),
+                    "acc": sample.f_sensor.tolist()}  # fmt: skip
+        out.sendto(json.dumps(text).encode(), ("127.0.0.1", source.port))
+
+    with out:
+        run([source], send, tmp_path / "take")
+
+
+def test_a_session_over_lsl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lsl_support import Sender, unique
+
+    from rtof_kin.live.sources import lsl_inlet
+    from rtof_kin.live.sources.lsl_source import LslFrameSource, LslImuSource
+
+    monkeypatch.setattr(lsl_inlet, "_SETTLE_S", 0.0)
+    imus, video = demo().imus, demo().video
+    assert imus is not None
+    channels = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")
+    senders = {
+        name: Sender(unique(name), [f"{name}_{channel}" for channel in channels]) for name in imus.names
+    }
+    points = [f"{name}_{what}" for name in video.names for what in ("x", "y", "confidence")]
+    camera = Sender(unique("points"), points)
+    began = time.monotonic()
+    from pylsl import local_clock
+
+    offset = local_clock()
+
+    def send(sample: Sample) -> None:
+        if isinstance(sample, FrameSample):
+            uv = np.where(np.isfinite(sample.uv_px), sample.uv_px, 0.0)
+            camera.send(np.column_stack([uv, sample.confidence]).ravel(), offset + sample.time)
+        else:
+            quat = so3.to_quat_wxyz(sample.R_inertial_sensor)
+            senders[sample.sensor].send([*quat, *sample.f_sensor], offset + sample.time)
+
+    names = [sender._outlet.get_info().name() for sender in senders.values()]
+    sources: list[Source] = [LslFrameSource(camera._outlet.get_info().name())]
+    sources += [LslImuSource(name) for name in names]
+    starts = [threading.Thread(target=source.start) for source in sources]
+    for thread in starts:
+        thread.start()
+    for thread in starts:
+        thread.join()
+    offset += time.monotonic() - began
+    run(sources, send, tmp_path / "take")
