@@ -228,6 +228,24 @@ def test_settings_that_cannot_be_are_refused(settings: dict[str, float], name: s
         OnlineSettings(**settings)  # type: ignore[arg-type]
 
 
+def test_a_clock_that_leaps_costs_no_time_and_no_sense() -> None:
+    own, shift = estimator(), 5000.0
+    leaping = [
+        (t + shift * (t > 1.0), replace(s, time=s.time + shift * (s.time > 1.0))) for t, s in arrivals(2.0)
+    ]
+    found = played(own, leaping)
+    times = np.array([estimate.poses.times[0] for estimate in found])
+    assert len(found) < 200
+    assert times[-1] > shift
+    assert (np.diff(times) > 0).all()
+    assert all(np.isfinite(estimate.poses.p_world_joint).all() for estimate in found)
+
+
+def test_a_time_that_is_not_finite_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="time"):
+        estimator().push(ImuSample("L_LowArm", np.nan, np.eye(3), np.zeros(3)))
+
+
 def test_frames_of_other_landmarks_are_refused() -> None:
     with pytest.raises(ShapeError):
         estimator().push(FrameSample(0.0, np.zeros((3, 2)), np.ones(3)))

@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from rtof_kin.body.observability import WHOLE, levels_by_points
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.live.estimation.first_pose import first_lifted, first_sensed
 from rtof_kin.live.estimation.online_settings import OnlineSettings
@@ -30,6 +29,7 @@ from rtof_kin.live.estimation.refinement import Refinement
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 from rtof_kin.live.estimation.stated_errors import StatedErrors
 from rtof_kin.live.estimation.window import Window, speeds
+from rtof_kin.live.estimation.window_poses import WindowPoses
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.recording.recording import Recording
 
@@ -41,11 +41,11 @@ _LOOKAHEADS_S: Final = (0.0, 0.22)  # ages at which a frame is lifted
 _LIFT_EVERY_S: Final = 0.05  # [s] between lifts, which are autocorrelated for longer
 _GRACE: Final = 1e-6  # [frames] of rounding
 _BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
+_LONGEST_STEP_S: Final = 5.0
 _FEW: Final = 3  # frames that are due at once and solved even in a hurry
 _CHECK_EVERY: Final = 10  # images, of which one is compared with its lift
 _ASTRAY_M, _ASTRAY_TIMES = 0.3, 3  # mean distance of joints about the root from the lift, and how often
 _LAST_ITERATIONS: Final = 5
-_BRIDGED_S: Final = 0.5  # [s] without image and sensors for which a pose counts as valid
 
 
 class OnlineEstimator:
@@ -90,6 +90,7 @@ class OnlineEstimator:
         self._window = Window(
             self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames
         )
+        self._poses = WindowPoses(self._window)
         self._errors = StatedErrors(self._window) if s.confidence else None
         self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
         self._pending: deque[FrameSample] = deque()
@@ -98,10 +99,9 @@ class OnlineEstimator:
         self._origin: float | None = None
         self._newest = -np.inf
         self.dropped: dict[str, int] = {}
-        self.hurried, self.restarts, self._astray, self._images = 0, 0, 0, 0
-        self._ends = self._provenance_of_sensors()
+        self.hurried, self.restarts, self._astray = 0, 0, 0
+        self._images, self._lifted = 0, -self._window.frames
         self._delay_s, self._refinement = s.video_delay_s, self._refined(calibration)
-        self._levels: dict[bytes, Mask] = {}
 
     def _streaming(self, lifter: Lifter | None, floor_height: float | None) -> StreamingLifter | None:
         if self._camera is None:
@@ -135,7 +135,11 @@ class OnlineEstimator:
 
         Raises:
             UnknownNameError: the sensor has no calibration. ShapeError: other landmarks.
+            InvalidInputError: the time is not finite.
         """
+        if not np.isfinite(sample.time):
+            name = getattr(sample, "sensor", "the video")
+            raise InvalidInputError(f"sample of {name}: its time is not finite")
         if isinstance(sample, ImuSample):
             self._push_imu(sample)
             return
@@ -180,7 +184,7 @@ class OnlineEstimator:
         """Estimate the frames up to a time and return those whose lag has passed, oldest first.
 
         Args:
-            time: s; by default that of the newest sample.
+            time: s; by default that of the newest sample. A step of more than 5 s is not bridged.
             hurry: of many frames that are due, solve every third only, to catch up.
         """
         now = self._newest if time is None else float(time)
@@ -188,6 +192,8 @@ class OnlineEstimator:
             return []
         found = []
         last = int(np.floor((now - float(self._time(0))) * self._rate + _GRACE))
+        if last - self._window.head > _LONGEST_STEP_S * self._rate:
+            self._leap(last)
         while self._window.head < last:
             began, due = perf_counter(), last - self._window.head
             solve = not hurry or due <= _FEW or self._window.head % _FEW == 0
@@ -196,6 +202,13 @@ class OnlineEstimator:
             estimate = self._estimate(self._window.frames - 1 - self.settings.lag_frames, began)
             found += [estimate] if estimate is not None else []
         return found
+
+    def _leap(self, last: int) -> None:
+        """Begin again shortly before a frame, as the streams were silent for long or their clock jumped."""
+        self.hurried += last - self._window.head - 1
+        self._window.first = last - self._window.frames
+        self._window.smoother.restart(self._window.smoother.x[-1])
+        self._placed.clear()
 
     def finish(self) -> list[OnlineEstimate]:
         """Return the frames that remain in the lag."""
@@ -273,7 +286,7 @@ class OnlineEstimator:
         assert self._lifter is not None
         self._lifter.put(sample.time, sample.uv_px, sample.confidence, window.sensed(i))
         self._images += 1
-        usual = self._images >= _LIFT_EVERY_S * self._rate and window.needs_lift
+        usual = frame - self._lifted >= _LIFT_EVERY_S * self._rate and window.needs_lift
         if not lift or not (usual or frame % _CHECK_EVERY == 0):
             return
         ages = [frame - round(age * self._rate) for age in _LOOKAHEADS_S]
@@ -284,7 +297,7 @@ class OnlineEstimator:
             window.lift(list(known), list(known.values()), self._images)
             if self._errors is not None and i in known:
                 self._errors.lifted(known[i].sigma_rad[list(self._window.torso)])
-            self._images = 0
+            self._images, self._lifted = 0, frame
         if i in known and frame % _CHECK_EVERY == 0:
             self._check(i, known[i], sample)
 
@@ -313,7 +326,7 @@ class OnlineEstimator:
         window = self._window
         if window.lost_s < _BACK_S or not (sample.confidence > 0).any():
             return
-        poses = self._posed(window.smoother.x[-1:], sample.time)
+        poses = self._poses.of(window.frames - 1, sample.time)
         moved = refit_root(poses, self._keypoints(sample), sigma_depth=1.0)
         shift = moved.p_world_joint[0, 0] - poses.p_world_joint[0, 0]
         if np.linalg.norm(shift) > _BACK_M:
@@ -373,49 +386,7 @@ class OnlineEstimator:
         window = self._window
         if not window.smoother.inside[i]:
             return None
-        time, x = float(self._time(window.first + i)), window.smoother.x[i : i + 1]
+        time = float(self._time(window.first + i))
         confidence = None if self._errors is None else self._errors.of(i, time)
-        poses = self._posed(x, time, i)
+        poses = self._poses.of(i, time)
         return OnlineEstimate(poses, max(self._newest - time, 0.0), perf_counter() - began, confidence)
-
-    def _posed(self, x: Array, time: float, i: int | None = None) -> PoseSequence:
-        """Poses of a state (1, 3 + 4A); with the provenance of frame i of the window."""
-        p, R = self._window.data.space.poses(x)
-        if i is None:
-            return PoseSequence(np.array([time]), p, R, self.skeleton.names)
-        seen, sensed = self._window.seen[i], self._sensed(i)
-        unseen = Provenance.PRIOR if self._camera is None else Provenance.BRIDGED
-        provenance = np.where(seen, Provenance.CAMERA, unseen)
-        by_imu = np.zeros(len(seen), dtype=bool)
-        by_imu[1:] = sensed[self._ends]
-        provenance = np.where(by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), provenance)
-        valid = bool(seen.any() or sensed.any() or self._window.lost_s < _BRIDGED_S)
-        return PoseSequence(
-            np.array([time]), p, R, self.skeleton.names, provenance[None].astype(np.uint8),
-            np.full((1, len(seen)), valid), (sensed | (self._whole(seen) & valid))[None],
-        )  # fmt: skip
-
-    def _sensed(self, i: int) -> Mask:
-        """(J,) segments whose sensor has data in frame i of the window."""
-        out = np.zeros(len(self.skeleton.names), dtype=bool)
-        has = self._window.smoother.rows["w_sensor"][i] > 0
-        out[list(self._window.data.problem.energy.shape.sensors)] = has
-        return out
-
-    def _provenance_of_sensors(self) -> list[int]:
-        """Parent of every joint but the root: the segment that ends in it."""
-        return list(self.skeleton.parents[1:])
-
-    def _whole(self, seen: Mask) -> Mask:
-        """(J,) segments whose orientation the joints seen determine."""
-        key = seen.tobytes()
-        if key not in self._levels:
-            if not seen.any() or self._camera is None:
-                self._levels[key] = np.zeros(len(seen), dtype=bool)
-            else:
-                uv = np.where(seen[None, :, None], 0.0, np.nan) * np.ones(2)
-                points = KeypointSequence(
-                    self._camera, np.zeros(1), uv, seen[None].astype(float), self.skeleton.names
-                )
-                self._levels[key] = levels_by_points(self.skeleton, points)[0] == WHOLE
-        return self._levels[key]
