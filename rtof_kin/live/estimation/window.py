@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _AWAY_M: Final = 4.0  # [m] from the camera of the poses that the problem is built with
 _MOVES: Final = 0.02  # [frames] distance in time below which points are not moved
-_DISPLACED_EVERY: Final = 2  # frames; what moves points beside their segments changes slowly
+_DISPLACED_EVERY: Final = 4  # frames; what moves points beside their segments changes slowly
 _CONTACTS_EVERY: Final = 4  # frames
 _SELDOM: Final = 12  # frames between searches for standing feet that only tell the ground's height
 _GROUND_SHARE: Final = 0.1

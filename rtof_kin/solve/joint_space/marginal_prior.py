@@ -100,7 +100,7 @@ def marginalised(
     half, _ = lapack.dtrtrs(factor, right, lower=1)
     precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
     slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
-    return MarginalPrior(x[1:].copy(), (precision + precision.T) / 2, slope)
+    return MarginalPrior(x[1:].copy(), precision, slope)
 
 
 class WindowEnergy:
