@@ -212,7 +212,7 @@ def test_a_wrong_heading_is_found_while_the_person_moves() -> None:
         sigma_ankle_height=None,
     )  # fmt: skip
     own = estimator(replace(LAGGED, refined=priors), setup)
-    played(own, arrivals(9.0))
+    played(own, arrivals(7.0))
     found = own.calibration
     assert found is not None
     heading = {q.item: float(q.value[0]) for q in found.quantities}["LeftLeg"]
