@@ -210,11 +210,8 @@ class StandIn:
         )
         variance = annealing.sigma**2
         knee = s.robust_reprojection / s.largest_correlation_factor
-        own = own.changed(
-            w_visual=data.confidence[part] / variance, knee_visual=np.full((FRAMES, 1), knee)
-        )
+        own = own.changed(w_visual=data.confidence[part] / variance, knee_visual=np.full((FRAMES, 1), knee))
         return WindowObservations(own, solved.x, sampled, solved.multipliers)
-
 
     def figures(self, first: int, x: Array, delay: float) -> dict[str, float]:
         """Errors of the states of a window, whose stamps are late by a delay, s."""

@@ -211,8 +211,11 @@ def _since(rows: Sequence[dict[str, Any]]) -> Table:
         for low, high in pairwise(SINCE):
             own = [row for row in every if (row["sensors"], row["from"]) == (sensors, low)]
             if own:
-                cells = [_mean(_kind(own, estimate=name), figure)
-                         for figure in ("rr_mm", "abs_mm", "drift_mm") for name in (CAMERA, OFFLINE, IMU)]
+                cells = [
+                    _mean(_kind(own, estimate=name), figure)
+                    for figure in ("rr_mm", "abs_mm", "drift_mm")
+                    for name in (CAMERA, OFFLINE, IMU)
+                ]
                 lines.append((sensors, f"{low:g} to {high:g}", *cells))  # fmt: skip
     columns: tuple[str, ...] = ("IMUs", "s since the loss")
     columns += tuple(f"{figure} mm: {name}" for figure in ("rr", "abs", "root drift")

@@ -31,6 +31,7 @@ _DAMPING: Final = 1e-6
 _BLOCK: Final = 4
 """Right-hand sides that are solved in one slice."""
 
+
 @dataclass(frozen=True)
 class ProfiledFragment:
     """A fragment's observations and states, and the problem to evaluate them with."""
