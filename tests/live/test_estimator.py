@@ -179,6 +179,19 @@ def test_a_person_seen_again_elsewhere_is_found() -> None:
     assert len(found) > 150
 
 
+def test_a_root_that_was_lost_is_found_by_the_image() -> None:
+    own, found = estimator(OnlineSettings()), list[OnlineEstimate]()
+    for t, sample in arrivals(2.0):
+        if t >= 1.0 > own._newest:
+            own._window.translate(np.array([30.0, -400.0, 5.0]))
+        own.push(sample)
+        found += own.advance()
+    times = np.array([estimate.poses.times[0] for estimate in found])
+    off = errors_mm(found, relative=False)
+    assert off[(times > 1.0) & (times < 1.05)].max() > 1e4
+    assert off[times > 1.5].max() < 3 * off[times < 0.9].max()
+
+
 def test_covariances_are_given_on_request() -> None:
     own = estimator(OnlineSettings(confidence=True))
     found = played(own, arrivals(1.0))

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 _LOOKAHEADS_S: Final = (0.0, 0.22)  # ages at which a frame is lifted
 _LIFT_EVERY_S: Final = 0.05  # [s] between lifts, which are autocorrelated for longer
 _GRACE: Final = 1e-6  # [frames] of rounding
+_ASTRAY_ROOT_M: Final = 1.0  # of the root from where the image shows it
 _BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
 _LONGEST_STEP_S: Final = 5.0
 _FEW: Final = 3  # frames that are due at once and solved even in a hurry
@@ -275,7 +276,10 @@ class OnlineEstimator:
     def _place(self, i: int, frame: int, sample: FrameSample, lift: bool) -> None:
         window, offset = self._window, float(self._time(frame)) - sample.time
         before = self._last_seen
-        self._back(sample)
+        assert self._lifter is not None
+        self._lifter.put(sample.time, sample.uv_px, sample.confidence, window.sensed(i))
+        if window.lost_s > _BACK_S and (pose := self._lifter.lift([sample.time])[0]) is not None:
+            self._move(pose, sample, _BACK_M)
         window.see(i, sample, offset, speeds(sample, before, 2.5 / self._rate))
         age = (window.head - frame) / self._rate
         window.latency_s += 0.1 * (age - window.latency_s)
@@ -283,8 +287,6 @@ class OnlineEstimator:
             self._last_seen = sample
         self._placed[frame] = sample.time
         self._placed = {k: t for k, t in self._placed.items() if k >= window.first}
-        assert self._lifter is not None
-        self._lifter.put(sample.time, sample.uv_px, sample.confidence, window.sensed(i))
         self._images += 1
         usual = frame - self._lifted >= _LIFT_EVERY_S * self._rate and window.needs_lift
         if not lift or not (usual or frame % _CHECK_EVERY == 0):
@@ -302,10 +304,12 @@ class OnlineEstimator:
             self._check(i, known[i], sample)
 
     def _check(self, i: int, pose: StreamedPose, sample: FrameSample) -> None:
-        """Begin again from the lift where the poses have been far from it for long."""
+        """Begin again from the lift where poses have been far from it for long, and move a root that is."""
         p = self._window.data.space.poses(self._window.smoother.x[i : i + 1])[0][0]
         lifted = pose.p_world_joint
         far = np.linalg.norm((p - p[0]) - (lifted - lifted[0]), axis=1).mean() > _ASTRAY_M
+        if np.linalg.norm(p[0] - lifted[0]) > _ASTRAY_ROOT_M:
+            self._move(pose, sample, _ASTRAY_ROOT_M)
         self._astray = self._astray + 1 if far else 0
         if self._astray >= _ASTRAY_TIMES:
             sensed = self._R_world_bone(sample.time)
@@ -321,16 +325,15 @@ class OnlineEstimator:
         R = so3.from_quat_wxyz(q[0])
         return {joint: R[s] for s, joint in enumerate(self._sensors.joints) if known[0, s]}
 
-    def _back(self, sample: FrameSample) -> None:
-        """Move the root to its rays when the camera sees the person again elsewhere."""
-        window = self._window
-        if window.lost_s < _BACK_S or not (sample.confidence > 0).any():
-            return
-        poses = self._poses.of(window.frames - 1, sample.time)
-        moved = refit_root(poses, self._keypoints(sample), sigma_depth=1.0)
-        shift = moved.p_world_joint[0, 0] - poses.p_world_joint[0, 0]
-        if np.linalg.norm(shift) > _BACK_M:
-            window.translate(shift)
+    def _move(self, pose: StreamedPose, sample: FrameSample, least_m: float) -> None:
+        """Move the person to where an image and its lift show her, if that is farther than a distance."""
+        poses = self._poses.of(self._window.frames - 1, sample.time)
+        lifted = pose.p_world_joint[0] - poses.p_world_joint[0, 0]
+        poses = replace(poses, p_world_joint=poses.p_world_joint + lifted)
+        shown = refit_root(poses, self._keypoints(sample))
+        shift = shown.p_world_joint[0, 0] - poses.p_world_joint[0, 0] + lifted
+        if np.linalg.norm(shift) > least_m:
+            self._window.translate(shift)
 
     # --- begin -----------------------------------------------------------------------------------
 
