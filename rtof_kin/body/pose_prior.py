@@ -135,11 +135,7 @@ class PosePrior:
         Args:
             turns: joint -> rotation vector (3,) in its parent's axes, rad.
         """
-        mean = np.array(self.mean_quat_wxyz)
-        for joint, turn in turns.items():
-            j = self.joints.index(joint) - 1
-            mean[j] = quat.multiply(quat.exp(np.asarray(turn)), mean[j])
-        return replace(self, mean_quat_wxyz=mean)
+        return replace(self, mean_quat_wxyz=moved_means(self.mean_quat_wxyz, self.joints, turns))
 
     def precision(self, joints: Sequence[str], inflation: float, least: float) -> Array:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints.
@@ -171,3 +167,17 @@ def shipped_prior(joints: tuple[str, ...]) -> PosePrior:
         joints: of the skeleton.
     """
     return PosePrior.load(joints)
+
+
+def moved_means(mean_quat_wxyz: Array, joints: Sequence[str], turns: Mapping[str, Array]) -> Array:
+    """Return mean rotations (A - 1, 4) with those of some joints moved.
+
+    Args:
+        mean_quat_wxyz: (A - 1, 4) of all joints but the root. joints: A, root first.
+        turns: joint -> rotation vector (3,) in its parent's axes, rad.
+    """
+    mean = np.array(mean_quat_wxyz)
+    for joint, turn in turns.items():
+        j = joints.index(joint) - 1
+        mean[j] = quat.multiply(quat.exp(np.asarray(turn)), mean[j])
+    return mean

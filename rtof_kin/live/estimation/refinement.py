@@ -22,7 +22,6 @@ from rtof_kin.calibration.sequential import (
     SequentialCalibration,
     WindowObservations,
 )
-from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError, UnknownNameError
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
@@ -30,12 +29,8 @@ from rtof_kin.live.estimation.window import Window
 
 _FRAMES: Final = 50
 """Frames of a window of the calibration."""
-
-
 _SETTLED: Final = 30
 """Frames after a beginning that are not used."""
-
-
 _OPEN: Final = {
     "delay": {"sigma_delay": 0.05},
     "heading": {"sigma_heading": np.radians(8.0)},
@@ -121,16 +116,6 @@ class Refinement:
                 self._work = None
         self.corrections = self.calibration.corrections(1 / self._rate_hz)
         return self.corrections
-
-    @property
-    def quat_mean(self) -> Array:
-        """(4, A - 1) means of the pose prior, moved to the person's posture."""
-        mean = np.array(self._window.data.constant["quat_mean"])
-        names = self._window.data.space.names
-        for joint, turn in self.corrections.posture.items():
-            at = names.index(joint) - 1
-            mean[:, at] = quat.multiply(quat.exp(turn), mean[:, at])
-        return mean
 
     def _update(self) -> Generator[None, None, None]:
         """Work on the last frames, slice by slice."""

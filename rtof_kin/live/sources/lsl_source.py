@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -27,7 +28,7 @@ _SILENT_PERIODS: Final = 4
 """Sampling periods without a sample after which a slow stream is reported."""
 
 
-class _LslSource:
+class _LslSource(ABC):
     """One stream; subclasses know what its channels mean."""
 
     def __init__(self, stream: str, timeout_s: float):
@@ -42,12 +43,13 @@ class _LslSource:
         self._search: threading.Thread | None = None
         self._found: Inlet | None = None
 
+    @abstractmethod
     def _understand(self, inlet: Inlet) -> tuple[str, ...]:
         """Take the channels of the stream and return remarks; raises SourceError."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _samples(self, times: Array, values: Array) -> list[Sample]:
-        raise NotImplementedError
+        """Samples of rows of channels."""
 
     @property
     def name(self) -> str:

@@ -127,16 +127,12 @@ class FixedLagSmoother:
         self.x = self.x + moved
         self.prior = replace(self.prior, x=self.prior.x + moved)
 
-    def predicted(self, damping: float = 1.0) -> Array:
-        """Return the state (3 + 4A,) of the next frame at the speed of the last two.
-
-        Args:
-            damping: factor on the speed.
-        """
+    def predicted(self) -> Array:
+        """Return the state (3 + 4A,) of the next frame at the speed of the last two."""
         if not self.inside[-2:].all():
             return np.array(self.x[-1])
         step = self.space.difference(self.x[-2:-1], self.x[-1:])
-        return np.asarray(self.space.retract(self.x[-1:], damping * step)[0])
+        return np.asarray(self.space.retract(self.x[-1:], step)[0])
 
     def iterate(self, iterations: int, tolerance: float | None = None) -> bool:
         """Improve the states; return whether they have converged.
@@ -181,10 +177,6 @@ class FixedLagSmoother:
         except SolverError:
             return np.full((self.frames - first, D, D), np.nan)
         return inverse_diagonal(factor.blocks(D, LAGS)[first:])
-
-    def residuals(self) -> Array:
-        """Return the reprojection residuals (N, L, 2) at the present states, px."""
-        return self._window.value(self.x)[1]
 
     def weighted_first(self) -> dict[str, Array]:
         """Return the observations of the oldest frame with their weights: name -> (...)."""
