@@ -29,6 +29,7 @@ FOLDERS = {
     "clinical": "angles, gait, repetitions, torques",
     "report": "figures, report, audit, export",
     "live": "sources, online estimator, monitoring, outputs",
+    "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",
     "cli": "the command line",
 }
