@@ -15,7 +15,7 @@ from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_npz import SCHEMA_VERSION
 from rtof_kin.view.scene.npz_blocks import NpzBlocks
 
@@ -131,6 +131,19 @@ class MotionBlocks:
             return MotionSequence(self.skeleton, q, poses, self.skeleton.check(q), confidence)
         except (RtofError, ValueError, TypeError) as error:
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
+
+    def root(self, start: int, stop: int, step: int = 1) -> tuple[Array, NDArray[np.uint8]]:
+        """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,).
+
+        Args:
+            start, stop: frames within `available`. step: only every so many.
+
+        Raises:
+            FileFormatError: the file is damaged.
+        """
+        p = self._rows.rows("p_world_joint", start, stop)[::step, 0]
+        provenance = self._rows.rows("provenance", start, stop)[::step, 0]
+        return np.array(p, dtype=float), np.clip(provenance, 0, max(Provenance)).astype(np.uint8)
 
     def wait(self, frames: int, seconds: float = 60.0) -> None:
         """Wait until frames can be read.
