@@ -56,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
         reporting,
         start,
         training,
+        view,
     )
 
     parser = argparse.ArgumentParser(
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         training,
         lifters,
         protocols,
+        view,
     ):
         module.add_commands(commands)
     return parser

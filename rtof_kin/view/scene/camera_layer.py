@@ -115,6 +115,11 @@ class CameraLayer:
         """Vertical angle of view, rad."""
         return 2 * float(np.arctan(self.camera.height_px / 2 / self.camera.K[1, 1]))
 
+    @property
+    def R_world_camera(self) -> Array:
+        """(3, 3) orientation that is shown."""
+        return self._R
+
     def show(self, block: CameraBlock, i: int, depth: float = DEPTH) -> None:
         """Show one frame.
 

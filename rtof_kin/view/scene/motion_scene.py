@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.measurements import Measurements
@@ -152,6 +151,16 @@ class MotionScene:
                 else:
                     handle.set_visible(part, visible)
 
+    def put_beside(self, distance: float) -> None:
+        """Put the truth and the second motion beside the motion, at its left and right as the viewer sees.
+
+        Args:
+            distance: m; 0: in the same place.
+        """
+        for companion, sign in ((self.truth, 1.0), (self.second, -1.0)):
+            if companion is not None:
+                companion.stand(sign * distance * self.stage.sideways)
+
     def close(self) -> None:
         """Stop computing blocks."""
         self._blocks.close()
@@ -262,12 +271,3 @@ class MotionScene:
         if found is not None and found[0] is not self._path_shown:
             self._path_shown = found[0]
             self._path.show(*found[0])
-
-
-def facing(R_world_root: Array) -> float:
-    """Return the heading of a root, rad.
-
-    Args:
-        R_world_root: (3, 3); its x axis is forward.
-    """
-    return float(so3.heading(R_world_root))

@@ -21,8 +21,8 @@ _ASIDE: Final = np.radians(52.0)
 faces."""
 _HIGH: Final = 1.5
 """[m] of the first view above the floor."""
-_MIDDLE: Final = 0.55
-"""Height of the point that is looked at, relative to that of the root above the floor."""
+_MIDDLE: Final = 0.9
+"""[m] of the point that is looked at above the floor."""
 _VIEW: Final = np.radians(50.0)
 """[rad] Vertical angle of the first view."""
 
@@ -33,6 +33,7 @@ class Stage:
     Attributes:
         floor: node of the floor. measured: whether its height was given with the measurements.
         following: whether the scene is moved so that the person stays in its middle.
+        sideways: (3,) unit vector to the right in the first view.
     """
 
     def __init__(
@@ -81,12 +82,13 @@ class Stage:
                 away = measurements.views[0].camera.center_world - poses.p_world_joint[0, 0]
                 direction = float(np.arctan2(away[1], away[0])) - _ASIDE
         camera = self._server.initial_camera
-        middle = np.array([0.0, 0.0, self.height + _MIDDLE * 1.7])
+        middle = np.array([0.0, 0.0, self.height + _MIDDLE])
         camera.fov = _VIEW
         camera.position = distance * np.array([np.cos(direction), np.sin(direction), 0.0]) + np.array(
             [0.0, 0.0, self.height + _HIGH]
         )
         camera.look_at = middle
+        self.sideways = np.array([-np.sin(direction), np.cos(direction), 0.0])
 
     def follow(self, p_root: Array) -> None:
         """Move the scene so that a person stands in its middle, or to where it belongs.
