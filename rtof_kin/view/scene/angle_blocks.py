@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.core.array_types import Array
 from rtof_kin.view.scene.block_cache import BlockCache
 from rtof_kin.view.scene.motion_blocks import MotionBlocks
 
@@ -45,30 +45,21 @@ class AngleBlocks:
         size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
         self._blocks = BlockCache(len(motion), self._available, self._compute, max(size, 1))
 
-    def around(self, frame: int, window: float, seconds: float = 0.0) -> ClinicalAngles | None:
-        """Return the angles of the frames around one; None while they are computed.
+    def part(self, frame: int, seconds: float = 0.0) -> ClinicalAngles | None:
+        """Return the angles of the part of the motion around a frame; None while they are computed.
 
         Args:
-            frame: number. window: half width, at most 8 s. seconds: to wait.
+            frame: number. seconds: to wait.
 
         Raises:
             RtofError: the motion cannot be read.
         """
         found = self._blocks.at(frame, seconds)
-        if found is None:
-            return None
-        angles, now = found[0], self._motion.times[frame]
-        near = slice(
-            int(np.searchsorted(angles.times, now - window)),
-            int(np.searchsorted(angles.times, now + window, side="right")),
-        )
-        arrays = {name: getattr(angles, name)[near] for name in ("times", "values", "provenance", "singular")}
-        sigma = None if angles.sigma is None else angles.sigma[near]
-        values: Array = arrays["values"].copy()
+        if found is None or not self.in_parts:
+            return None if found is None else found[0]
+        values = found[0].values.copy()
         values[:, sorted(self._fixed)] = np.nan
-        return ClinicalAngles(
-            arrays["times"], values, arrays["provenance"], arrays["singular"], angles.rows, (), sigma
-        )
+        return replace(found[0], values=values)
 
     def close(self) -> None:
         """Stop computing."""

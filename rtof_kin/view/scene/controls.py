@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Final
@@ -14,6 +15,7 @@ from rtof_kin.view.scene.words import Verdict, legend_html, sentences_html, verd
 
 _RELATIVE, _WORLD = "relative to the root", "in world"
 _SLIDER_STEP: Final = 0.001
+"""[s]"""
 _HIDDEN: Final = (Layer.CONFIDENCE,)
 """Layers that are hidden at the start."""
 
@@ -23,16 +25,16 @@ class Controls:
 
     def __init__(
         self, server: Any, scene: MotionScene, playback: Playback, rate_hz: float, verdict: Verdict,
-        notes: Sequence[str] = (),
+        notes: Sequence[str] = (), images: bool = False,
     ):  # fmt: skip
         """Build the panel.
 
         Args:
             server: of viser. scene: shown. playback: of it. rate_hz: of its frames. verdict: first line.
-            notes: what is not shown, and why.
+            notes: what is not shown, and why. images: whether there are videos.
         """
         self._server, self._scene, self._playback, self._step = server, scene, playback, 1 / rate_hz
-        self.changed = True
+        self.changed, self._images = True, images
         gui = server.gui
         gui.add_html(verdict_html(verdict))
         if notes:
@@ -40,15 +42,15 @@ class Controls:
         with gui.add_folder("playback"):
             self._add_playback(gui)
         self.status = gui.add_html("")
-        with gui.add_folder("shown"):
-            self._add_layers(gui)
-        with gui.add_folder("view", expand_by_default=False):
-            self._add_views(gui)
         gui.add_html(
             legend_html(
                 cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None
             )
         )
+        with gui.add_folder("shown"):
+            self._add_layers(gui)
+        with gui.add_folder("view", expand_by_default=False):
+            self._add_views(gui)
         self._add_keys(gui)
 
     def tell(self, sentence: str) -> None:
@@ -80,14 +82,14 @@ class Controls:
     def _add_playback(self, gui: Any) -> None:
         playback = self._playback
         self._slider = gui.add_slider(
-            "time [s]", min=float(playback.start), max=float(playback.stop) + 1e-9, step=_SLIDER_STEP,
-            initial_value=float(playback.start),
+            "time [s]", min=_down(playback.start), max=-_down(-playback.stop), step=_SLIDER_STEP,
+            initial_value=_down(playback.start),
         )  # fmt: skip
         self._slider.on_update(self._scrub)
         self._button = gui.add_button("play")
         self._button.on_click(lambda _: self._toggle())
-        steps = gui.add_button_group("step", ("-1 s", "-1 frame", "+1 frame", "+1 s"))
-        moves = {"-1 s": -1.0, "-1 frame": -self._step, "+1 frame": self._step, "+1 s": 1.0}
+        moves = {"-1 frame": -self._step, "+1 frame": self._step}
+        steps = gui.add_button_group("step", tuple(moves))
         steps.on_click(lambda event: self._move(moves[event.target.value]))
         speeds = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
         speeds.on_update(lambda _: playback.set_speed(SPEEDS[speeds.value], time.monotonic()))
@@ -96,6 +98,8 @@ class Controls:
 
     def _add_layers(self, gui: Any) -> None:
         for layer in self._scene.layers:
+            if layer is Layer.IMAGE and not self._images:
+                continue
             shown = layer not in _HIDDEN
             box = gui.add_checkbox(layer.value, shown)
             if not shown:
@@ -197,3 +201,8 @@ class Controls:
 
     def _clients(self, client: Any) -> list[Any]:
         return [client] if client is not None else list(self._server.get_clients().values())
+
+
+def _down(seconds: float) -> float:
+    """Return a time rounded down to the step of the slider."""
+    return round(math.floor(seconds / _SLIDER_STEP + 1e-6) * _SLIDER_STEP, 3)

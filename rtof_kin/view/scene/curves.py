@@ -23,6 +23,8 @@ _FIRST: Final = ("right_knee_flexion", "left_knee_flexion")
 """Angles that are shown at the start."""
 _LEAST_SPAN: Final = 10.0
 """[deg] of the vertical axis."""
+_EMPTY: Final = (0.0, 10.0)
+"""[deg] Range of the vertical axis of no curve."""
 _PER_CURVE: Final = 3
 """Series of a curve: value, lower and upper limit of the 95 % band."""
 
@@ -38,18 +40,20 @@ class Curves:
         """
         self._angles, self.changed = angles, True
         gui = server.gui
+        self._shown_limits = _EMPTY
         panel = gui.add_panel()
         with panel.add_tab("joint angles"):
-            options = (_NONE, *angles.labels)
-            first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
-            self._choices = []
             self._legend = gui.add_html("")
             empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
             self._plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), *empty), _series(), scales={"x": {"time": False}},
+                (np.array([0.0, 1.0]), *empty), _series(), scales={"x": {"time": False}, "y": {"range": _EMPTY}},
                 axes=({"label": "time [s]", "labelSize": 18}, {"label": "angle [deg]", "labelSize": 18}),
-                legend={"show": False}, height=190, padding=(6, 14, 0, 0),
+                legend={"show": False}, height=170, padding=(6, 14, 0, 0),
             )  # fmt: skip
+        options = (_NONE, *angles.labels)
+        first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
+        self._choices = []
+        with panel.add_tab("choose"):
             for number in range(len(COLOURS)):
                 initial = first[number] if number < len(first) else _NONE
                 choice = gui.add_dropdown(f"curve {number + 1}", options, initial_value=initial)
@@ -77,21 +81,33 @@ class Curves:
             RtofError: the motion cannot be read.
         """
         if all(name is None for name in self.chosen):
-            self._plot.data = _data(np.array([time - WINDOW, time + WINDOW]), [], time)
+            none = np.full(2, np.nan)
+            series = [none] * (_PER_CURVE * len(COLOURS))
+            self._plot.data = _data(np.array([time - WINDOW, time + WINDOW]), series, time, _EMPTY)
             return True
-        found = self._angles.around(frame, WINDOW, seconds)
+        found = self._angles.part(frame, seconds)
         if found is None:
             return False
         bands: list[Array] = []
         for name in self.chosen:
             column = None if name is None else self._angles.names.index(name)
-            values = np.full(len(found), np.nan) if column is None else np.degrees(found.values[:, column])
-            half = np.full(len(found), np.nan)
-            if column is not None and found.sigma is not None:
-                half = BAND_95 * np.degrees(found.sigma[:, column])
+            values = half = np.full(len(found), np.nan)
+            if column is not None:
+                values = np.degrees(found.values[:, column])
+                if found.sigma is not None:
+                    half = BAND_95 * np.degrees(found.sigma[:, column])
             bands += [values, values - half, values + half]
-        self._plot.data = _data(found.times, bands, time)
+        limits = _limits(np.array(bands[::_PER_CURVE]))
+        near = slice(*np.searchsorted(found.times, [time - WINDOW, time + WINDOW]).tolist())
+        self._scale(limits)
+        self._plot.data = _data(found.times[near], [band[near] for band in bands], time, limits)
         return True
+
+    def _scale(self, limits: tuple[float, float]) -> None:
+        """Fix the vertical axis; viser draws the plot anew where it changes."""
+        if limits != self._shown_limits:
+            self._shown_limits = limits
+            self._plot.scales = {"x": {"time": False}, "y": {"range": limits}}
 
     def _choose(self) -> None:
         self.changed = True
@@ -101,20 +117,21 @@ class Curves:
         )
 
 
-def _data(times: Array, series: list[Array], now: float) -> tuple[Array, ...]:
-    """Return the columns of the plot: times, series and the cursor, a vertical line at `now`."""
-    missing = np.full(len(times), np.nan)
-    columns = series or [missing] * (_PER_CURVE * len(COLOURS))
-    values = np.stack(columns)
+def _limits(values: Array) -> tuple[float, float]:
+    """Return the range of the vertical axis, deg, for curves of a whole part of the motion."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_SPAN)
-    pad = max(0.05 * (high - low), (_LEAST_SPAN - (high - low)) / 2)
+    pad = max(0.12 * (high - low), (_LEAST_SPAN - (high - low)) / 2, 2.0)
+    return float(np.floor((low - pad) / 5) * 5), float(np.ceil((high + pad) / 5) * 5)
+
+
+def _data(times: Array, series: list[Array], now: float, limits: tuple[float, float]) -> tuple[Array, ...]:
+    """Return the columns of the plot: times, series and the cursor, a vertical line at `now`."""
     place = int(np.searchsorted(times, now))
     x = np.insert(times, [place, place], [now, now])
     cursor = np.full(len(x), np.nan)
-    cursor[place : place + 2] = low - pad, high + pad
-    gap = [np.insert(column, [place, place], np.nan) for column in columns]
-    return (x, *gap, cursor)
+    cursor[place : place + 2] = limits
+    return (x, *(np.insert(column, [place, place], np.nan) for column in series), cursor)
 
 
 def _series() -> tuple[dict[str, Any], ...]:

@@ -103,7 +103,7 @@ class MotionViewer:
         if not self.scene.stage.measured:
             notes += ("The floor was not given: it is drawn at the lowest point of the first second.",)
         self.controls = Controls(
-            server, self.scene, self.playback, motion.rate_hz, files.verdict, notes
+            server, self.scene, self.playback, motion.rate_hz, files.verdict, notes, bool(videos)
         )  # fmt: skip
         self._angles = AngleBlocks(motion)
         self.curves = Curves(server, self._angles)
