@@ -9,6 +9,7 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.core.array_types import Mask
 from rtof_kin.view.scene.block_cache import BlockCache
 from rtof_kin.view.scene.motion_blocks import MotionBlocks
 
@@ -76,7 +77,7 @@ class AngleBlocks:
         found = clinical_angles(
             self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion)))
         )
-        known = found.known.any(axis=0)
+        known: Mask = np.asarray(found.known.any(axis=0))
         for first in self._hinges:  # one that is fixed by the model shows this only while the hinge moves
             if known[first]:
                 self._fixed |= {first + k for k in (1, 2) if not known[first + k]}

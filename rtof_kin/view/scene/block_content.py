@@ -90,8 +90,8 @@ def block_content(
     """
     poses = with_joints_of(poses, skeleton)
     p, R = poses.p_world_joint, poses.R_world_bone
-    finite = np.isfinite(p).all(axis=-1)
-    there = finite & np.isfinite(R).all(axis=(-2, -1))
+    finite: Mask = np.asarray(np.isfinite(p).all(axis=-1))
+    there: Mask = finite & np.asarray(np.isfinite(R).all(axis=(-2, -1)))
     R = np.where(there[..., None, None], R, np.eye(3))
     p = np.where(finite[..., None], p, 0.0)
     levels = segment_levels(poses, skeleton) if poses.provenance.any() else np.full(there.shape, WHOLE)
@@ -142,7 +142,7 @@ def with_joints_of(poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence
     if poses.names != skeleton.names:
         poses = _reordered(poses, skeleton)
     R = poses.R_world_bone
-    missing = np.isnan(R).any(axis=(-2, -1))
+    missing: Mask = np.asarray(np.isnan(R).any(axis=(-2, -1)))
     if not missing.any():
         return poses
     p = poses.p_world_joint
@@ -168,13 +168,13 @@ def _flags(poses: PoseSequence) -> tuple[Mask, Mask, Mask]:
     return poses.valid, poses.orientation_observed, poses.direction_observed
 
 
-def ellipsoids(covariance: Array, finite: NDArray[np.bool_]) -> Ellipsoids:
+def ellipsoids(covariance: Array, finite: Mask) -> Ellipsoids:
     """Return the 95 % ellipsoids of positions.
 
     Args:
         covariance: (n, J, 3, 3) m^2; NaN where unknown. finite: (n, J) whether there is a position.
     """
-    known = np.isfinite(covariance).all(axis=(-2, -1)) & finite
+    known: Mask = np.asarray(np.isfinite(covariance).all(axis=(-2, -1))) & finite
     values, vectors = np.linalg.eigh(np.where(known[..., None, None], covariance, np.eye(3)))
     sizes = QUANTILE_95 * np.sqrt(np.maximum(values, 0.0))
     vectors = vectors * np.sign(np.linalg.det(vectors))[..., None, None]
@@ -187,5 +187,5 @@ def _quaternions(R: Array) -> NDArray[np.float32]:
     return _float(so3.to_quat_wxyz(R))
 
 
-def _float(array: Array | NDArray[np.bool_]) -> NDArray[np.float32]:
+def _float(array: Array | Mask) -> NDArray[np.float32]:
     return np.asarray(array, dtype=np.float32)

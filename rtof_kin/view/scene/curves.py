@@ -25,6 +25,10 @@ _LEAST_SPAN: Final = 10.0
 """[deg] of the vertical axis."""
 _EMPTY: Final = (0.0, 10.0)
 """[deg] Range of the vertical axis of no curve."""
+_AXES: Final = (
+    {"label": "time [s]", "labelSize": 16, "size": 32},
+    {"label": "angle [deg]", "labelSize": 18, "size": 44},
+)
 _PER_CURVE: Final = 3
 """Series of a curve: value, lower and upper limit of the 95 % band."""
 
@@ -46,8 +50,7 @@ class Curves:
             self._legend = gui.add_html("")
             empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
             self._plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), *empty), _series(), scales={"x": {"time": False}, "y": {"range": _EMPTY}},
-                axes=({"label": "time [s]", "labelSize": 18}, {"label": "angle [deg]", "labelSize": 18}),
+                (np.array([0.0, 1.0]), *empty), _series(), scales=_scales(_EMPTY), axes=_AXES,
                 legend={"show": False}, height=170, padding=(6, 14, 0, 0),
             )  # fmt: skip
         options = (_NONE, *angles.labels)
@@ -107,7 +110,7 @@ class Curves:
         """Fix the vertical axis; viser draws the plot anew where it changes."""
         if limits != self._shown_limits:
             self._shown_limits = limits
-            self._plot.scales = {"x": {"time": False}, "y": {"range": limits}}
+            self._plot.scales = _scales(limits)
 
     def _choose(self) -> None:
         self.changed = True
@@ -115,6 +118,10 @@ class Curves:
             [(COLOURS[i], c.value) for i, c in enumerate(self._choices) if c.value != _NONE],
             self._angles.in_parts,
         )
+
+
+def _scales(limits: tuple[float, float]) -> dict[str, Any]:
+    return {"x": {"time": False}, "y": {"range": limits}}
 
 
 def _limits(values: Array) -> tuple[float, float]:

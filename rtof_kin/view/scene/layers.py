@@ -13,6 +13,7 @@ from rtof_kin.view.scene.block_content import AXES_LENGTH, BlockContent, Ellipso
 from rtof_kin.view.scene.solids import SegmentSolids, barrel, box, sphere
 
 _AXES_RADIUS: Final = 0.0035
+_UNKNOWN: Final = (150, 150, 150)
 _ELLIPSOID: Final = (120, 94, 240)
 _ELLIPSOID_OPACITY: Final = 0.25
 _SENSOR: Final = (40, 40, 48)
@@ -45,7 +46,7 @@ class BodyLayer:
         self.handle = server.scene.add_batched_meshes_simple(
             name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
             batched_scales=np.zeros((count, 3)),
-            batched_colors=np.tile(np.uint8(colour or (150, 150, 150)), (count, 1)),
+            batched_colors=np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (count, 1)),
             opacity=None if opacity == 1 else opacity, lod="off", cast_shadow=opacity == 1,
             receive_shadow=False,
         )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -60,9 +61,12 @@ class MeasurementBlocks:
         self._problem: RtofError | None = None
         self._thread = threading.Thread(target=self._pass, name="reading the measurements", daemon=True)
         self._thread.start()
-        while self.available == 0 and self._thread.is_alive():
-            self._thread.join(0.002)
-        self.first = self.frames(0, min(self.available, 1))
+        with ExitStack() as failed:
+            failed.callback(self.close)
+            while self.available == 0 and self._thread.is_alive():
+                self._thread.join(0.002)
+            self.first = self.frames(0, min(self.available, 1))
+            failed.pop_all()
 
     def __enter__(self) -> Self:
         return self

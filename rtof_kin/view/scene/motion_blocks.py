@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -44,6 +45,15 @@ class MotionBlocks:
             FileFormatError: missing, damaged, of a newer schema, or not a motion.
         """
         self.path = path
+        with ExitStack() as failed:
+            self._open(path, failed)
+            failed.pop_all()
+        self._stop = threading.Event()
+        self._problem: RtofError | None = None
+        self._thread = threading.Thread(target=self._pass, name="reading the motion", daemon=True)
+        self._thread.start()
+
+    def _open(self, path: Path, failed: ExitStack) -> None:
         header = read_npz_as_saved(path, _HEADER_BYTES, kinds="iubfU", names=_HEADER)
         try:
             if (version := int(header["schema_version"])) > SCHEMA_VERSION:
@@ -57,6 +67,7 @@ class MotionBlocks:
             pairs = header.get("confidence_pairs", np.empty((0, 2), dtype="U1"))
             self._pairs = tuple((str(parent), str(child)) for parent, child in pairs)
             self._rows = NpzBlocks(path, _ROWS)
+            failed.callback(self._rows.close)
             self.times: Array = checked_times("motion times", self._rows.whole("times"))
         except FileFormatError:
             raise
@@ -66,10 +77,6 @@ class MotionBlocks:
             raise FileFormatError(path, str(error)) from error
         if missing := [name for name in ("q", *_POSES) if name not in self._rows]:
             raise FileFormatError(path, f"the array {missing[0]!r} is missing; reconstruct again")
-        self._stop = threading.Event()
-        self._problem: RtofError | None = None
-        self._thread = threading.Thread(target=self._pass, name="reading the motion", daemon=True)
-        self._thread.start()
 
     def __len__(self) -> int:
         return len(self.times)

@@ -95,7 +95,9 @@ class MotionScene:
         self.stage = Stage(server, start.poses, motion.skeleton, given)
         self.person = Person(server, "/world/motion", motion.skeleton, start.confidence is not None)
         self._path = PathLayer(server, "/world/motion/root path")
-        self.sensors = self.truth = self.second = None
+        self.sensors: Sensors | None = None
+        self.truth: Companion | None = None
+        self.second: Companion | None = None
         self.cameras: list[CameraLayer] = []
         if given is not None:
             self._add_measurements(given)
@@ -245,7 +247,7 @@ class MotionScene:
         found = self._second.frames(first, last + 1)
         content = block_content(found.poses, found.skeleton, self.second.solids, start)
         index = at - first
-        arrays: dict[str, NDArray[Any]] = {
+        arrays: dict[str, Any] = {
             field.name: value[index]
             for field in fields(content)
             if isinstance(value := getattr(content, field.name), np.ndarray)

@@ -12,6 +12,7 @@ import threading
 import zipfile
 import zlib
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -138,17 +139,17 @@ class NpzBlocks:
         self._lock = threading.Lock()
         self._done = 0
         check_file(path, "an NPZ archive")
-        try:
-            self._file = _File(path)
+        self._file = _File(path)
+        with ExitStack() as failed:
+            failed.callback(self.close)
             self._members = self._found(members)
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-            if isinstance(error, FileFormatError):
-                raise
-            raise FileFormatError(path, f"damaged, or no NPZ archive ({error}); reconstruct again") from error
-        lengths = {member.shape[0] for member in self._members.values()}
-        if len(lengths) != 1:
-            raise FileFormatError(path, f"arrays of different lengths {sorted(lengths)}, not one per frame")
-        self.length = lengths.pop()
+            lengths = {member.shape[0] for member in self._members.values()}
+            if len(lengths) != 1:
+                raise FileFormatError(
+                    path, f"arrays of different lengths {sorted(lengths)}, not one per frame"
+                )
+            self.length = lengths.pop()
+            failed.pop_all()
 
     def __contains__(self, name: str) -> bool:
         return name in self._members
@@ -244,9 +245,14 @@ class NpzBlocks:
 
     def _found(self, names: Sequence[str]) -> dict[str, _Member]:
         """Return the members of the archive that are wanted and there."""
-        with zipfile.ZipFile(self._file.stream) as archive:
-            there = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            found = {name: self._member(archive, name, there[name]) for name in names if name in there}
+        try:
+            with zipfile.ZipFile(self._file.stream) as archive:
+                there = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+                found = {name: self._member(archive, name, there[name]) for name in names if name in there}
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError) as error:
+            raise FileFormatError(
+                self.path, f"damaged, or no NPZ archive ({error}); reconstruct again"
+            ) from error
         if not found:
             raise FileFormatError(self.path, f"has none of the arrays {', '.join(names)}")
         return found
