@@ -14,7 +14,6 @@ from typing import Any, Self
 from report_support import BROWSER
 from websockets.sync.client import connect
 
-
 SOFTWARE_3D = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 """Flags for WebGL without a graphics card."""
 
