@@ -24,13 +24,17 @@ SENSORS = {"thigh": "LeftUpLeg", "arm": "RightForeArm"}
 BENT = np.radians(40.0)  # of the right knee at all times
 
 
-def walking(frames: int = 120, start: float = 2.0) -> MotionSequence:
-    """A stiff person who glides along x with a bent knee, each joint observed by camera and IMU."""
+def walking(frames: int = 120, start: float = 2.0, shaking: float = 0.0) -> MotionSequence:
+    """A stiff person who glides along x with a bent knee, each joint observed by camera and IMU.
+
+    All angles are shaken by a standard deviation, rad.
+    """
     skeleton = SkeletonModel.default()
     times = start + np.arange(frames) / RATE
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 0], q[:, 2] = SPEED * (times - start), 0.95
     q[:, 7 + skeleton.dof_names.index("RightLeg_y")] = BENT
+    q[:, 7:] += shaking * np.random.default_rng(0).normal(size=q[:, 7:].shape)
     p, R = skeleton.forward_kinematics(q)
     shape = p.shape[:2]
     observed = np.full(shape, True)
