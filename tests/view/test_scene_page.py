@@ -18,7 +18,15 @@ from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
 
 pytest.importorskip("viser")
 INSIDE = ("data:", "blob:")
-NOISE = ("Detected chrome", "WebGL support", "THREE.Clock", "Connect", "Embedded data loaded", "GPU stall")
+NOISE = (
+    "Detected chrome",
+    "WebGL support",
+    "THREE.Clock",
+    "Connect",
+    "Embedded data loaded",
+    "GPU stall",
+    "Tried to send ViewerCameraMessage",
+)
 """Begins of messages in the console that are no complaint."""
 
 

@@ -24,7 +24,7 @@ DETECTED: Final = (213, 94, 0)
 REPROJECTED: Final = (0, 114, 178)
 """RGB of the motion's joints in the image."""
 _EDGES: Final = (40, 40, 48)
-_POINT: Final = 0.012
+_POINT: Final = 0.009
 """Size of a point relative to the depth."""
 _NO_IMAGE: Final = np.zeros((2, 2, 3), dtype=np.uint8)
 _UNKNOWN_TURN: Final = np.full((3, 3), np.nan)

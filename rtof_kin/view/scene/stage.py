@@ -55,8 +55,8 @@ class Stage:
         self.world = scene.add_frame(WORLD, show_axes=False)
         self.floor = scene.add_grid(
             f"{WORLD}/floor", infinite_grid=True, cell_size=0.25, section_size=1.0, fade_distance=14.0,
-            cell_color=(222, 222, 226), section_color=(186, 186, 194), plane_color=(247, 247, 249),
-            plane_opacity=1.0, shadow_opacity=0.18, position=(0.0, 0.0, self.height),
+            cell_color=(222, 222, 226), section_color=(186, 186, 194),
+            shadow_opacity=0.0, position=(0.0, 0.0, self.height),
         )  # fmt: skip
         scene.add_frame(
             f"{WORLD}/origin", axes_length=0.25, axes_radius=0.006, position=(0.0, 0.0, self.height)
