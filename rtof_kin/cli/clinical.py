@@ -11,6 +11,7 @@ from typing import Any
 from rich.table import Column, Table
 
 from rtof_kin.cli.terminal import add_output, command, out, print_files
+from rtof_kin.data.confidence import BAND_95
 
 
 def add_commands(commands: Any) -> None:
@@ -52,8 +53,10 @@ def add_analysis(parser: argparse.ArgumentParser) -> None:
 def _analyse(options: argparse.Namespace) -> None:
     analysis = analyse_and_write(options)
     _print_ranges(analysis)
+    _print_travel(analysis.travel)
     if analysis.gait.strides:
         _print_gait(analysis.gait)
+    out.print(f"gait: {analysis.gait.why_not or 'yes'}", soft_wrap=True)
     if analysis.repetitions is not None:
         _print_repetitions(analysis.repetitions)
     for part, notes in analysis.notes.items():
@@ -102,14 +105,23 @@ def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | 
 
 
 def _print_ranges(analysis: Any) -> None:
-    columns = ("low", "high", "range", "deg/s", "trusted")
+    columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
     for row in analysis.ranges:
-        if row.known_share > 0:
-            figures = map(math.degrees, (row.low, row.high, row.range, row.peak_velocity))
+        if row.known_share > 0 and not row.about_vertical:
+            half = BAND_95 * row.range_sigma
+            figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
             cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
             table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
+
+
+def _print_travel(travel: Any) -> None:
+    if math.isnan(travel.path_length):
+        return
+    left, right = (math.degrees(turn) for turn in (travel.turned_left, travel.turned_right))
+    way = f"{travel.path_length:.1f} m, {travel.displacement:.1f} m from start to end {travel.way}".rstrip()
+    out.print(f"pelvis: {way}; turned {left:.0f} deg left, {right:.0f} deg right", soft_wrap=True)
 
 
 def _print_gait(gait: Any) -> None:

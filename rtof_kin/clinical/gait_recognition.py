@@ -32,7 +32,7 @@ SPOT_PHASE: Final = (0.42, 0.58)
 FORWARD: Final = np.cos(np.radians(35.0))
 """Least cosine between the way of the pelvis and the direction in which it faces."""
 LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
-LARGEST_SLIP: Final = 0.12  # [m] way of the heel in mid stance over ground
+LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground
 FEWEST: Final = 3  # strides of both feet together
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times
