@@ -53,10 +53,11 @@ def add_analysis(parser: argparse.ArgumentParser) -> None:
 def _analyse(options: argparse.Namespace) -> None:
     analysis = analyse_and_write(options)
     _print_ranges(analysis)
-    _print_travel(analysis.travel)
-    if analysis.gait.strides:
+    out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
+    if analysis.gait.is_gait:
         _print_gait(analysis.gait)
-    out.print(f"gait: {analysis.gait.why_not or 'yes'}", soft_wrap=True)
+    else:
+        out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
     if analysis.repetitions is not None:
         _print_repetitions(analysis.repetitions)
     for part, notes in analysis.notes.items():
@@ -114,14 +115,6 @@ def _print_ranges(analysis: Any) -> None:
             cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
             table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
-
-
-def _print_travel(travel: Any) -> None:
-    if math.isnan(travel.path_length):
-        return
-    left, right = (math.degrees(turn) for turn in (travel.turned_left, travel.turned_right))
-    way = f"{travel.path_length:.1f} m, {travel.displacement:.1f} m from start to end {travel.way}".rstrip()
-    out.print(f"pelvis: {way}; turned {left:.0f} deg left, {right:.0f} deg right", soft_wrap=True)
 
 
 def _print_gait(gait: Any) -> None:

@@ -5,8 +5,8 @@ angles.csv, angles.json         angles over time, degrees, and their standard de
                                 a confidence; the table of their names and signs
 angles_provenance.csv           observation source of each value (`Provenance` by number)
 angles_trusted.csv              1 where a value is reliable (`angle_confidence`), else 0
-range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle; standard
-                                deviations of both ends and of the range; 1 where the angle is a heading
+range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
+                                standard deviations of both ends and of the range; 1 for a heading
 gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
                                 side, symmetry
 travel.json                     way and turning of the pelvis

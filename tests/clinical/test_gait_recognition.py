@@ -17,7 +17,7 @@ from rtof_kin.clinical.gait_recognition import StrideShape, departures, stride_s
 
 BODY = SkeletonModel.default()
 WALKING = StrideShape(0.64, 0.5, swing=0.8, progress=1.3, forward=1.0, turn=0.0, slip=0.01)
-SPOT = replace(WALKING, progress=0.02, forward=0.0, slip=0.5)
+SPOT = replace(WALKING, progress=0.02, forward=0.0, slip=0.45)
 
 
 def analysed(motion: MotionSequence) -> GaitAnalysis:
@@ -86,7 +86,9 @@ def test_other_motions_have_a_reason(motion: object, why: str) -> None:
         (replace(WALKING, forward=-1.0), "backward or sideways"),
         (replace(WALKING, turn=-2.0), "turns by more than 70 deg"),
         (replace(WALKING, slip=0.3), "slides or hops"),
-        (replace(SPOT, swing=0.3), "swings less than 0.35 m"),
+        (replace(SPOT, swing=0.3, slip=0.15), "swings less than 0.35 m"),
+        (replace(SPOT, slip=0.1), "glide back as on a treadmill"),
+        (replace(SPOT, slip=0.9), "glide back as on a treadmill"),
         (replace(SPOT, phase=0.4), "alternate evenly"),
         (replace(WALKING, swing=np.nan), "swings less"),
         (replace(WALKING, turn=np.nan), "turns by more"),
@@ -106,7 +108,7 @@ def test_a_walk_among_other_movements_is_judged_by_its_share_of_strides() -> Non
     gait = analysed(walking(6.0))
     turned = walking(6.0, speed=-1.0)
     walk_poses, back = walking(6.0).poses, turned.poses
-    p = np.concatenate([walk_poses.p_world_joint, back.p_world_joint + [6.6, 0, 0]])
+    p = np.concatenate([walk_poses.p_world_joint, back.p_world_joint + np.array([6.6, 0, 0])])
     R = np.concatenate([walk_poses.R_world_bone, back.R_world_bone])
     both = replace(
         walk_poses, times=np.arange(len(p)) / 60, p_world_joint=p, R_world_bone=R,

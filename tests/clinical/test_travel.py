@@ -58,7 +58,7 @@ def test_two_turns_in_place_are_720_degrees_without_a_way(sign: int) -> None:
     share = np.clip((TIMES - 1) / 6, 0, 1)
     way = turning(sign * 4 * np.pi * share**2 * (3 - 2 * share))
     left, right = np.degrees([way.turned_left, way.turned_right])
-    assert (left, right)[:: sign] == pytest.approx((720, 0), abs=3)
+    assert (left, right)[::sign] == pytest.approx((720, 0), abs=3)
     assert way.path_length == 0
     assert np.isnan(way.direction)
     assert way.way == ""

@@ -89,7 +89,7 @@ def walking(
         for side, shift in (("right", 0.3), ("left", 0.3 + late))
     }
     way = np.zeros_like(times) if treadmill else speed * stride_time * phase
-    return stepping(times, {side: xz + [0.0, -0.78] for side, xz in ahead.items()}, way, heading)
+    return stepping(times, {side: xz + np.array([0.0, -0.78]) for side, xz in ahead.items()}, way, heading)
 
 
 def _foot(phase: Array, stance: float, length: float) -> Array:
