@@ -25,13 +25,13 @@ SHOWN: Final = (
 
 
 def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list[Path]:
-    """Write ``angles.png``, and ``gait_cycles.png`` if there are strides; return their paths.
+    """Write ``angles.png``, and ``gait_cycles.png`` if the motion is gait; return their paths.
 
     Args:
         analysis: of the motion. folder: to write.
     """
     figures = {"angles": angles_over_time(analysis)}
-    if analysis.curves:
+    if analysis.curves and analysis.gait.is_gait:
         figures["gait_cycles"] = gait_cycles(analysis)
     return save_figures(figures, folder)
 
