@@ -9,6 +9,8 @@ function start_player(data, moved) {
   const side = data.joints.map(name => /^(Left|l(?=[A-Z]))/.test(name) ? "left" : /^(Right|r(?=[A-Z]))/.test(name) ? "right" : "middle");
   const unseen = (frame, joint) => data.unseen[joint].some(([first, stop]) => first <= frame && frame < stop);
   const paint_scene = start_scene(canvas, data.height, () => paint());
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)");  // stills, two a second
+  let painted = 0;
   let now = data.times[0], playing = false, before = 0, chosen = false;
   slider.max = T - 1;
 
@@ -41,7 +43,7 @@ function start_player(data, moved) {
     if (before) now += (stamp - before) / 1000 * Number(speed.value);
     before = stamp;
     if (now > data.times[T - 1]) now = data.times[0];
-    paint();
+    if (!calm.matches || stamp - painted >= 500) { painted = stamp; paint(); }
     requestAnimationFrame(tick);
   }
 
