@@ -106,9 +106,11 @@ def cycle_curves_data(analysis: MotionAnalysis) -> Data:
     """Return mean and standard deviation of angles over the gait cycle, in groups of both sides.
 
     Args:
-        analysis: of the motion.
+        analysis: of the motion; without gait there are no curves.
     """
     groups: dict[str, Data] = {}
+    if not analysis.gait.is_gait:
+        return {"phase": [], "stance": {}, "groups": []}
     rows = {row.name: row for row in analysis.angles.rows}
     for curve in analysis.curves:
         _group(groups, rows[curve.name])["series"].append(

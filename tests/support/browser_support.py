@@ -1,4 +1,4 @@
-"""A page in a headless browser, driven by its DevTools protocol: pictures, paper, and faults of its layout."""
+"""A page in a headless browser, driven by its DevTools protocol: pictures, paper, faults of the layout."""
 
 from __future__ import annotations
 
@@ -21,22 +21,25 @@ needs_browser = pytest.mark.skipif(
 )
 _FAULTS: Final = r"""
 (() => {
-  const out = [], width = document.documentElement.clientWidth;
-  if (document.documentElement.scrollWidth > innerWidth) out.push(`page is ${document.documentElement.scrollWidth} px wide`);
+  const out = [], root = document.documentElement, width = root.clientWidth;
+  if (root.scrollWidth > innerWidth) out.push(`the page is ${root.scrollWidth} px wide`);
+  const cut = box => getComputedStyle(box).overflowX !== "visible" && box.scrollWidth > box.clientWidth + 1;
+  const leaves = (inner, outer) =>
+    inner.left < outer.left - 1 || inner.right > outer.right + 1 || inner.bottom > outer.bottom + 1;
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const text = walker.currentNode.textContent.trim(), own = walker.currentNode.parentElement;
     if (!text || own.closest("script, style, option, .skip") || !own.checkVisibility()) continue;
-    const range = document.createRange();
+    const range = document.createRange(), what = text.slice(0, 40);
     range.selectNodeContents(walker.currentNode);
     const boxes = [...range.getClientRects()].filter(box => box.width > 0);
-    const lines = new Set(boxes.map(box => Math.round(box.top))).size, what = text.slice(0, 40);
-    if (boxes.some(box => box.right > width + 1 || box.left < -1)) out.push(`outside: ${what}`);
+    const lines = new Set(boxes.map(box => Math.round(box.top))).size;
+    if (boxes.some(box => box.right > width + 1 || box.left < -1)) out.push(`outside the page: ${what}`);
     if (lines > 2 && text.length / lines < 4) out.push(`${lines} lines: ${what}`);
     for (let box = own; box && box !== document.body; box = box.parentElement)
-      if (getComputedStyle(box).overflowX !== "visible" && box.scrollWidth > box.clientWidth + 1) out.push(`clipped: ${what}`);
-    const picture = own.closest("svg")?.getBoundingClientRect();
-    if (picture && boxes.some(box => box.left < picture.left - 1 || box.right > picture.right + 1 || box.bottom > picture.bottom + 1))
+      if (cut(box)) out.push(`cut: ${what}`);
+    const chart = own.closest("svg");
+    if (chart && boxes.some(box => leaves(box, chart.getBoundingClientRect())))
       out.push(`outside its chart: ${what}`);
   }
   return out;

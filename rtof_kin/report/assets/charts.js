@@ -1,6 +1,6 @@
 
 // Curves with bands as SVG: axes with units, a cursor, and the values under it.
-const SIZE = {width: 460, height: 196, left: 52, right: 8, top: 8, bottom: 38};
+const SIZE = {width: 460, height: 196, left: 54, right: 18, top: 8, bottom: 38};
 
 function svg(name, attributes, parent) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", name);
@@ -77,7 +77,7 @@ function draw_axes(picture, axis, {low, high, first, last, X, Y}) {
     write(+x.toFixed(2), {x: X(x), y: foot + 14, "text-anchor": "middle"});
   }
   write(axis.label, {x: width - right, y: height - 4, "text-anchor": "end"});
-  write("deg", {x: 11, y: middle, "text-anchor": "middle", transform: `rotate(-90 11 ${middle})`});
+  write("deg", {x: 15, y: middle, "text-anchor": "middle", transform: `rotate(-90 15 ${middle})`});
   for (const mark of axis.marks || [])
     svg("line", {x1: X(mark.at), x2: X(mark.at), y1: top, y2: foot, class: "toe " + mark.side}, picture);
 }

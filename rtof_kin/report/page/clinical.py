@@ -1,4 +1,4 @@
-"""Sections of a report with gait and joint torques."""
+"""Sections of a report with the way of the person, gait and joint torques."""
 
 from __future__ import annotations
 
@@ -13,12 +13,43 @@ from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.angle_table import SIDES, clinical_name
 from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
+from rtof_kin.clinical.travel import Travel
 from rtof_kin.report.html import bullets, folded, table
 
+OBSERVED: Final = 0.995
+"""Share of the frames from which on something counts as always observed."""
 _GAIT_UNITS: Final = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
 _URDF: Final = re.compile(
     r" \(\w+\)$"
 )  # the name of a degree of freedom in the URDF, behind the clinical one
+
+
+def way_line(travel: Travel) -> str:
+    """Return how far the person went and turned, as a paragraph.
+
+    Args:
+        travel: of the motion.
+    """
+    if not math.isfinite(travel.path_length):
+        way = "not observed"
+    else:
+        way = f"{travel.path_length:.1f} m along its path"
+        if travel.path_length:
+            way += (
+                f", {travel.displacement:.1f} m {travel.way}".rstrip()
+                + " from its first to its last position"
+            )
+    turns = [
+        f"{math.degrees(turn):.0f} deg to the {side}"
+        for side, turn in (("left", travel.turned_left), ("right", travel.turned_right))
+        if turn > 0
+    ]
+    known = math.isfinite(travel.turned_left)
+    turned = "turned " + " and ".join(turns) if turns else "not turned" if known else "turns not observed"
+    seen = travel.observed_share
+    share = f"; position observed in {100 * seen:.0f} % of the frames" if seen < OBSERVED else ""
+    notes = "".join(f"; {note}" for note in travel.notes)
+    return f"<p><b>Way of the pelvis:</b> {escape(f'{way}; {turned}{share}{notes}.')}</p>"
 
 
 def gait_section(gait: GaitAnalysis) -> str:
@@ -27,8 +58,8 @@ def gait_section(gait: GaitAnalysis) -> str:
     Args:
         gait: of the motion.
     """
-    if not gait.summary:
-        return "<p>No gait cycle was found.</p>" + bullets(gait.notes)
+    if not gait.is_gait:
+        return f"<p>{escape(gait.why_not)}</p>"
 
     def cell(side: str, name: str) -> str:
         if side not in gait.summary:

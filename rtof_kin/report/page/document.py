@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import date
 from html import escape
@@ -18,10 +19,11 @@ from rtof_kin.report.headline import Headline, headline
 from rtof_kin.report.html import badge, fill_template, folded
 from rtof_kin.report.isb import CITATION, isb_items
 from rtof_kin.report.page import quality
-from rtof_kin.report.page.clinical import gait_section, torques_section
+from rtof_kin.report.page.clinical import gait_section, torques_section, way_line
 from rtof_kin.report.page.ranges import ranges_section
 from rtof_kin.report.plot_data import Data, angle_curves, cycle_curves_data, player_data, shown_frames
 from rtof_kin.report.summary_file import SUMMARY, Summary, read_summary
+from rtof_kin.report.summary_lines import SummaryLine, summary_lines
 
 PAGE: Final = "report.html"
 _BANDS: Final = "Bands are 95 % intervals of the motion's confidence."
@@ -70,6 +72,9 @@ def _page(
     inputs = summary.inputs
     clinical = clinical_findings(analysis)
     results = (*(summary.results or ()), *clinical)
+    overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())
+    if summary.results is not None:
+        overall = headline(summary.results)
     checked = [s for s in SECTIONS if s != "truth" or any(result.section == s for result in results)]
     bands = analysis.angles.sigma is not None
     shown = shown_frames(motion.times)
@@ -85,9 +90,9 @@ def _page(
     parts = {
         "title": escape(f"{session.subject or summary.recording}: motion report"),
         "origin": escape(_origin(summary, session, made)),
-        "summary": _summary(summary),
+        "summary": _summary(summary_lines(motion, analysis, summary, overall, session)),
         "contents": _contents(_CONTENTS),
-        "ranges": ranges_section(analysis.ranges, analysis.angles.rows),
+        "ranges": way_line(analysis.travel) + ranges_section(analysis.ranges, analysis.angles.rows),
         "bands": _BANDS if bands else f"There are no bands: {NO_BANDS}.",
         "sampling": _sampling(curves, motion.poses[shown].rate_hz),
         "gait": gait_section(analysis.gait),
@@ -107,11 +112,11 @@ def _page(
     return fill_template(parts, plots, _foot(summary, session))
 
 
-def _summary(summary: Summary) -> str:
-    overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())
-    if summary.results is not None:
-        overall = headline(summary.results)
-    return f"<dt>How good</dt><dd>{badge(overall.grade)} {escape(overall.text)}</dd>"
+def _summary(lines: Iterable[SummaryLine]) -> str:
+    def text(line: SummaryLine) -> str:
+        return f"{badge(line.grade)} {escape(line.text)}" if line.grade else escape(line.text)
+
+    return "\n".join(f"<dt>{escape(line.label)}</dt><dd>{text(line)}</dd>" for line in lines)
 
 
 def _origin(summary: Summary, session: Session, made: str) -> str:

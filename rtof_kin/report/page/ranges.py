@@ -15,26 +15,26 @@ from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import ISB, OPENSIM, XZY, AngleName, angle_name, side_and_name
 from rtof_kin.report.html import table
+from rtof_kin.report.page.clinical import OBSERVED
 
 _SINGLE: Final = ("angle", "range [deg]", "from, to [deg]", "peak [deg/s]")
 _BOTH: Final = (
     "angle", "right: range [deg]", "right: from, to", "left: range [deg]", "left: from, to",
     "right - left", "right: peak [deg/s]", "left: peak [deg/s]",
 )  # fmt: skip
-_OBSERVED: Final = 0.995  # share of the frames from which on an angle counts as always observed
 
 
 def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> str:
     """Return the tables of the ranges of motion.
 
     Args:
-        ranges: of all angles. rows: the angles, of which some are headings, which have no range.
+        ranges: of all angles. rows: the angles; headings among them have no range of motion.
     """
     named = {row.name: row for row in rows}
     found: dict[str, dict[str, RangeOfMotion]] = {}
     for own in ranges:
         side, name = side_and_name(own.name)
-        if own.known_share > 0 and not _is_heading(own.name):
+        if own.known_share > 0 and not named[own.name].about_vertical:
             found.setdefault(name, {})[side] = own
     names = {name: angle_name(named[next(iter(own.values())).name]) for name, own in found.items()}
     single = [_Line(names[name], own[""], None) for name, own in found.items() if "" in own]
@@ -47,11 +47,6 @@ def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) ->
     if both:
         out += _table(_BOTH, both, "ranges", "Right and left")
     return out or "<p>No angle was observed.</p>"
-
-
-def _is_heading(name: str) -> bool:
-    """Whether an angle is a direction in the world, whose range over a walk with turns means nothing."""
-    return name.startswith("pelvis_") and name.endswith("rotation")
 
 
 @dataclass(frozen=True)
@@ -98,10 +93,10 @@ def _range(found: RangeOfMotion | None) -> str:
         return ""
     if not math.isfinite(found.low):
         return "<small>no reliable value</small>"
-    sigma = BAND_95 * math.degrees(getattr(found, "range_sigma", math.nan))
+    sigma = BAND_95 * math.degrees(found.range_sigma)
     within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
     share = f" <small>observed {100 * found.known_share:.0f} %</small>"
-    return f"<b>{_whole(found.range)}</b>{within}{share if found.known_share < _OBSERVED else ''}"
+    return f"<b>{_whole(found.range)}</b>{within}{share if found.known_share < OBSERVED else ''}"
 
 
 def _ends(found: RangeOfMotion | None, name: AngleName) -> str:
