@@ -214,9 +214,9 @@ def _band_cautions(found: Comparison) -> list[str]:
     same = found.a.recording != "" and found.a.recording == found.b.recording
     if all(bands) and same and not found.identical:
         lines.append(
-            f"Both are of a recording {found.a.recording!r}: if it is the same one, they share errors (video, "
-            "sensors, mounting), which cancel; the standard deviations, as of independent errors, are then "
-            "too large rather than too small"
+            f"Both are of a recording {found.a.recording!r}: if it is one, they share errors (of video, "
+            "sensors and mounting), which cancel; the standard deviations, as of independent errors, are "
+            "then too large rather than too small"
         )
     return lines
 
