@@ -76,10 +76,15 @@ class Pair:
 def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
     """Return values and standard deviations (T, A) rad; NaN where unobserved, unreliable or singular.
 
+    Whole turns between two stretches are removed.
+
     Args:
         angles: of a motion.
     """
     values = np.where(angles.singular, np.nan, angles.trusted_values)
+    for column in values.T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
     return values, None if angles.sigma is None else np.where(np.isfinite(values), angles.sigma, np.nan)
 
 
