@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
 
     from rtof_kin.cli import (
         clinical,
+        compare,
         detection,
         inspection,
         lifters,
@@ -70,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
         recordings,
         inspection,
         clinical,
+        compare,
         reporting,
         detection,
         live,
