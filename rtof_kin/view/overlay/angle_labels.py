@@ -11,7 +11,7 @@ import numpy as np
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.view.overlay.projected_motion import Moment
 
@@ -19,8 +19,6 @@ USUAL: Final = tuple(f"{side}_{joint}_flexion" for joint in ("knee", "hip", "elb
 """Angles that are shown unless others are chosen."""
 UNKNOWN: Final = "-"
 """Value of an angle that is not observed, or unreliable."""
-WIDEST: Final = "−188°  ± 88°"
-"""A value as wide as any."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +35,23 @@ class AngleLabels:
     """(T, A) deg; NaN where not observed or unreliable."""
     half_deg: Array
     """(T, A) deg, half width of the 95 % band; NaN where unknown."""
+
+    def widest(self, index: int) -> str:
+        """Return a text as wide as any of an angle.
+
+        Args:
+            index: of the angle.
+        """
+        values, half = self.values_deg[:, index], self.half_deg[:, index]
+        if not np.isfinite(values).any():
+            return f"{self.titles[index]} {UNKNOWN}"
+        digits = [
+            len(str(round(float(np.nanmax(np.abs(x)))))) if np.isfinite(x).any() else 0
+            for x in (values, half)
+        ]
+        sign = "−" if np.nanmin(values) < 0 else ""
+        band = f"  ± {'8' * digits[1]}°" if digits[1] else ""
+        return f"{self.titles[index]} {sign}{'8' * digits[0]}°{band}"
 
     def text(self, index: int, moment: Moment) -> str:
         """Return the title and the value of an angle at an instant.
@@ -85,7 +100,7 @@ def angle_labels(motion: MotionSequence, chosen: Sequence[str] | None = None) ->
 
 def _observed(angles: ClinicalAngles) -> list[str]:
     """Return those of the usual angles that have a reliable value at any time."""
-    known = np.isfinite(angles.trusted_values).any(axis=0)
+    known: Mask = np.asarray(np.isfinite(angles.trusted_values).any(axis=0))
     return [name for name in USUAL if name in angles.names and known[angles.names.index(name)]]
 
 

@@ -6,17 +6,24 @@ asked for, also between pixels. The centre of the first pixel is (0, 0), as in O
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.view.provenance_colours import Rgb
 
 Image = NDArray[np.uint8]
 Coverage = NDArray[np.float32]
+_POINT: Final = 1e-9
+"""Length below which a line is a disc, px."""
+_GAP: Final = 0.9
+"""Gaps between dashes, lengths of a dash."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Stroke:
     edge_width: float = 0.0
     """Width of that edge, px."""
     dash: float | None = None
-    """Length of dashes and half of their gaps, px; None for a solid line."""
+    """Length of dashes, px; None for a solid line."""
 
 
 @dataclass(frozen=True)
@@ -92,27 +99,32 @@ class Canvas:
         """The whole image."""
         return Box(0, 0, self.image.shape[1], self.image.shape[0])
 
-    def line(self, start: ArrayLike, end: ArrayLike, stroke: Stroke) -> None:
+    def line(self, start: Sequence[float] | Array, end: Sequence[float] | Array, stroke: Stroke) -> None:
         """Draw a line with round ends; nothing if an end is not finite.
 
         Args:
             start, end: (2,) px. stroke: how.
         """
-        a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-        grid = self._grid(np.stack([a, b]), stroke.radius + stroke.edge_width + 1)
+        (ax, ay), (bx, by) = map(float, start), map(float, end)
+        margin = stroke.radius + stroke.edge_width + 1
+        grid = self._grid(min(ax, bx), min(ay, by), max(ax, bx), max(ay, by), margin)
         if grid is None:
             return
         x, y, patch = grid
-        length = float(np.hypot(*(b - a)))
-        ux, uy = (b - a) / length if length > 1e-9 else (1.0, 0.0)
-        along = np.float32(ux) * (x - a[0]) + np.float32(uy) * (y - a[1])
-        across = np.float32(ux) * (y - a[1]) - np.float32(uy) * (x - a[0])
-        nearest = np.clip(along, 0, length)
-        if stroke.dash is not None:
+        x, y, length = x - ax, y - ay, math.hypot(bx - ax, by - ay)
+        if length < _POINT:
+            _fill(patch, x * x + y * y, stroke)
+            return
+        ux, uy = (bx - ax) / length, (by - ay) / length
+        along, across = x * ux + y * uy, y * ux - x * uy
+        if stroke.dash is None:
+            nearest = np.minimum(np.maximum(along, 0), length)
+        else:
             nearest = _nearest_dash(along, length, stroke.dash)
-        _fill(patch, np.hypot(along - nearest, across), stroke)
+        along -= nearest
+        _fill(patch, along * along + across * across, stroke)
 
-    def disc(self, centre: ArrayLike, stroke: Stroke) -> None:
+    def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
         """Draw a disc; nothing if its centre is not finite.
 
         Args:
@@ -120,24 +132,24 @@ class Canvas:
         """
         self.line(centre, centre, stroke)
 
-    def cross(self, centre: ArrayLike, arm: float, stroke: Stroke) -> None:
+    def cross(self, centre: Sequence[float] | Array, arm: float, stroke: Stroke) -> None:
         """Draw a diagonal cross.
 
         Args:
             centre: (2,) px. arm: half its width, px. stroke: of its lines.
         """
-        c = np.asarray(centre, dtype=float)
-        for direction in ((arm, arm), (arm, -arm)):
-            self.line(c - direction, c + direction, stroke)
+        x, y = map(float, centre)
+        for rise in (arm, -arm):
+            self.line((x - arm, y - rise), (x + arm, y + rise), stroke)
 
-    def ellipse(self, centre: ArrayLike, shape: Array, stroke: Stroke, fill: float) -> None:
+    def ellipse(self, centre: Sequence[float] | Array, shape: Array, stroke: Stroke, fill: float) -> None:
         """Draw an ellipse with a translucent interior; nothing if it is not finite or larger than the image.
 
         Args:
             centre: (2,) px. shape: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``.
             stroke: of the border. fill: opacity of the interior, 0 to 1.
         """
-        c = np.asarray(centre, dtype=float)
+        cx, cy = map(float, centre)
         if not np.isfinite(shape).all():
             return
         values, vectors = np.linalg.eigh(shape + 0.25 * np.eye(2))  # not thinner than a pixel
@@ -145,14 +157,13 @@ class Canvas:
         if axes.max() > 2 * max(self.image.shape):
             return
         reach = np.sqrt((axes**2 * vectors**2).sum(axis=1))
-        grid = self._grid(np.stack([c - reach, c + reach]), stroke.radius + 1)
+        left, top, right, bottom = cx - reach[0], cy - reach[1], cx + reach[0], cy + reach[1]
+        grid = self._grid(left, top, right, bottom, stroke.radius + 1)
         if grid is None:
             return
         x, y, patch = grid
-        u, v = (
-            (np.float32(vectors[0, k] / axes[k]) * (x - c[0]) + np.float32(vectors[1, k] / axes[k]) * (y - c[1]))
-            for k in (0, 1)
-        )
+        x, y = x - cx, y - cy
+        u, v = (float(vectors[0, k] / axes[k]) * x + float(vectors[1, k] / axes[k]) * y for k in (0, 1))
         level = np.sqrt(u * u + v * v)
         slope = np.sqrt((u / axes[0]) ** 2 + (v / axes[1]) ** 2) / np.maximum(level, 1e-6)
         distance = (level - 1) / np.maximum(slope, 1e-6)
@@ -183,45 +194,52 @@ class Canvas:
         cut = coverage[y - top : y - top + patch.shape[0], x - left : x - left + patch.shape[1]]
         _blend(patch, cut, colour)
 
-    def _grid(self, corners: Array, margin: float) -> tuple[Any, Any, Image] | None:
-        """Return columns (w,), rows (h, 1) and the part of the image around some points; None if empty."""
-        if not np.isfinite(corners).all():
+    def _grid(
+        self, left: float, top: float, right: float, bottom: float, margin: float
+    ) -> tuple[Any, Any, Image] | None:
+        """Return columns (w,), rows (h, 1) and the part of the image around a box; None if empty or NaN."""
+        if not math.isfinite(left + top + right + bottom):
             return None
         height, width = self.image.shape[:2]
-        left, top = np.floor(np.clip(corners.min(axis=0) - margin, 0, (width, height))).astype(int)
-        right, bottom = np.ceil(np.clip(corners.max(axis=0) + margin + 1, 0, (width, height))).astype(int)
-        if right <= left or bottom <= top:
+        x0, y0 = max(math.floor(left - margin), 0), max(math.floor(top - margin), 0)
+        x1, y1 = min(math.ceil(right + margin) + 1, width), min(math.ceil(bottom + margin) + 1, height)
+        if x1 <= x0 or y1 <= y0:
             return None
-        x = np.arange(left, right, dtype=np.float32)
-        y = np.arange(top, bottom, dtype=np.float32)[:, None]
-        return x, y, self.image[top:bottom, left:right]
+        x = np.arange(x0, x1, dtype=np.float32)
+        y = np.arange(y0, y1, dtype=np.float32)[:, None]
+        return x, y, self.image[y0:y1, x0:x1]
 
 
 def _nearest_dash(along: Any, length: float, dash: float) -> Any:
     """Return the coordinate along a line of the nearest point of its dashes."""
-    period = 1.5 * dash
+    period = (1 + _GAP) * dash
     last = max(int((length - dash / 2) // period), 0)
     number = np.clip(np.round((along - dash / 2) / period), 0, last)
-    start = number * np.float32(period)
+    start = number * period
     return np.clip(along, start, np.minimum(start + dash, length))
 
 
-def _fill(patch: Image, distance: Any, stroke: Stroke) -> None:
-    """Blend a stroke by each pixel's distance from its middle, px."""
+def _fill(patch: Image, squared: Any, stroke: Stroke) -> None:
+    """Blend a stroke by each pixel's squared distance from its middle, px^2."""
     edge_width = stroke.edge_width if stroke.edge is not None else 0.0
-    where = np.nonzero(distance < stroke.radius + edge_width + 0.5)
-    near = distance[where][:, None]
-    inner = np.clip(stroke.radius + 0.5 - near, 0, 1)
-    outer = np.clip(stroke.radius + edge_width + 0.5 - near, 0, 1)
+    reach = stroke.radius + edge_width + 0.5
+    where = np.nonzero(squared < reach * reach)
+    near = np.sqrt(squared[where])[:, None]
     pixels = patch[where].astype(np.float32)
-    fill = np.array(stroke.colour[::-1], dtype=np.float32)
-    edge = fill if stroke.edge is None else np.array(stroke.edge[::-1], dtype=np.float32)
-    pixels += outer * (edge - pixels)
-    patch[where] = pixels + inner * (fill - pixels) + 0.5
+    if stroke.edge is not None:
+        pixels += np.minimum(reach - near, 1) * (_bgr(stroke.edge) - pixels)
+    inner = np.minimum(np.maximum(stroke.radius + 0.5 - near, 0), 1)
+    pixels += inner * (_bgr(stroke.colour) - pixels)
+    patch[where] = pixels + 0.5
+
+
+@cache
+def _bgr(colour: Rgb) -> NDArray[np.float32]:
+    return np.array(colour[::-1], dtype=np.float32)
 
 
 def _blend(patch: Image, coverage: Coverage, colour: Rgb) -> None:
     where = np.nonzero(coverage > 0)
     pixels = patch[where].astype(np.float32)
-    pixels += coverage[where][:, None] * (np.array(colour[::-1], dtype=np.float32) - pixels)
+    pixels += coverage[where][:, None] * (_bgr(colour) - pixels)
     patch[where] = pixels + 0.5

@@ -13,14 +13,18 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.view.overlay.canvas import Box, Canvas, Stroke
 from rtof_kin.view.overlay.lettering import Lettering
 from rtof_kin.view.overlay.skeleton_drawing import BLACK, DETECTED, WHITE, SkeletonStyle
-from rtof_kin.view.provenance_colours import COLOURS, WORDS, Rgb
+from rtof_kin.view.provenance_colours import WORDS, Rgb
 
 _SMALLEST_PX: Final = 11
 _SIZE: Final = 0.0165
 """Size of the font over the square root of the picture's area."""
-_OPACITY: Final = 0.65
-_VERDICT_LINES, _FAULT_LINES, _FAULTS: Final = 2, 2, 2
-"""Most lines of the verdict and of a fault, and most faults at a time."""
+_OPACITY: Final = 0.75
+_VERDICT_LINES: Final = 2
+"""Most lines of the verdict."""
+_FAULT_LINES: Final = 2
+"""Most lines of a fault."""
+_FAULTS: Final = 2
+"""Most faults that are named at a time."""
 _GRADES: Final[dict[str, Rgb]] = {"warn": (255, 205, 90), "fail": (255, 130, 120)}
 _FAULT: Final[Rgb] = (255, 205, 90)
 _NOWHERE: Final = "no motion here"
@@ -77,9 +81,8 @@ class Captions:
         self.lettering = Lettering(font_size(width_px, height_px))
         self._pad = max(self.lettering.size_px // 3, 3)
         inner = width_px - 2 * self._pad
-        self._verdict = (
-            self.lettering.wrap(f"{texts.grade}: {texts.verdict}", inner, _VERDICT_LINES) if texts.grade else []
-        )
+        verdict = f"{texts.grade}: {texts.verdict}" if texts.grade else ""
+        self._verdict = self.lettering.wrap(verdict, inner, _VERDICT_LINES) if verdict else []
         self._legend = self._legend_rows(_items(texts, self._style), inner)
 
     def boxes(self, time: float | None) -> tuple[Box, Box]:
@@ -156,8 +159,8 @@ class Captions:
                 stroke = Stroke(DETECTED, self._style.thin, BLACK, self._style.edge / 2)
                 canvas.cross((left + self._swatch / 2, middle), self._style.cross, stroke)
             else:
-                ends = np.array([[left + radius, middle], [left + self._swatch - radius, middle]])
-                canvas.line(*ends, item.stroke)
+                ends = (left + radius, middle), (left + self._swatch - radius, middle)
+                canvas.line(ends[0], ends[1], item.stroke)
             canvas.stamp(left + self._swatch + self._pad, top, self.lettering.mask(item.text), WHITE)
 
 

@@ -19,7 +19,9 @@ from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
 
 _COLOURS: Final[dict[Background, int]] = {"white": 255, "dark": 32}
 _ASPECT: Final = 0.01
-"""Largest relative difference of aspect ratios of one and the same picture."""
+"""Largest relative difference of aspect ratios of the same picture: encoders cut or add some pixels."""
+_ROUNDING_PX: Final = 2.0
+"""Largest difference of a side by rounding."""
 _RATE: Final = 0.02
 """Largest relative difference of frame rates that is not pointed out."""
 
@@ -85,6 +87,11 @@ class PlainSource:
     background: Background
     """Its colour."""
 
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate, Hz; 60 for a single picture."""
+        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
+
     def pictures(self) -> Iterator[Picture]:
         """Generate a picture for each frame of the motion."""
         width, height = self.size
@@ -104,14 +111,42 @@ def open_source(path: str | Path, view: PictureView) -> VideoSource:
     """
     metadata = read_video_metadata(path)
     camera = view.camera
-    aspects = metadata.width_px / metadata.height_px, camera.width_px / camera.height_px
-    if abs(aspects[0] / aspects[1] - 1) > _ASPECT:
+    across, down = metadata.width_px / camera.width_px, metadata.height_px / camera.height_px
+    if abs(across / down - 1) > _ASPECT:
         raise InvalidInputError(
             f"{path}: is {metadata.width_px} x {metadata.height_px} px upright, the camera of this motion "
             f"{camera.width_px} x {camera.height_px}; give the video that the motion was computed from, "
             "uncropped, or --view for another camera"
         )
     return VideoSource(Path(path), metadata)
+
+
+def scale_of(size: tuple[int, int], view: PictureView) -> float:
+    """Return pixels of a picture per pixel of a view's image.
+
+    Where the sides differ, pixels were cut or added at the right or lower edge.
+
+    Args:
+        size: width and height of the picture, px. view: of the motion.
+    """
+    across, down = size[0] / view.camera.width_px, size[1] / view.camera.height_px
+    return min((across, down), key=lambda scale: abs(scale - 1))
+
+
+def check_size(source: VideoSource, view: PictureView) -> tuple[str, ...]:
+    """Return a sentence if some pixels were cut off or added.
+
+    Args:
+        source: the video. view: of the motion.
+    """
+    camera, size, scale = view.camera, source.size, scale_of(source.size, view)
+    wrong = max(abs(size[0] - scale * camera.width_px), abs(size[1] - scale * camera.height_px))
+    if wrong <= _ROUNDING_PX:
+        return ()
+    return (
+        f"{source.path} is {size[0]} x {size[1]} px upright, the camera {camera.width_px} x "
+        f"{camera.height_px}: taken as cut or extended by {wrong:.0f} px at the right or lower edge",
+    )
 
 
 def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[str, ...]:
@@ -132,8 +167,8 @@ def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[s
         begin, end = shift, shift + seconds
         if end < first - step or begin > last + step:
             raise InvalidInputError(
-                f"{path}: with --shift {shift:g} it is from {begin:.2f} to {end:.2f} s, but {span}; give that "
-                "video, or by --shift how much later this one begins, s"
+                f"{path}: with --shift {shift:g} it is from {begin:.2f} to {end:.2f} s, but {span}; give "
+                "that video, or by --shift how much later this one begins, s"
             )
         if end < last - 2 * step or begin > first + 2 * step:
             notes.append(

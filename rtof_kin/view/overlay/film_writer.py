@@ -19,11 +19,13 @@ from rtof_kin.vision.video_file import library
 SUFFIXES: Final = (".mp4", ".gif")
 GIF_WIDTH: Final = 480
 """Largest width of a GIF unless another one is asked for, px."""
+GIF_HEIGHT: Final = 640
+"""Largest height of a GIF unless a width is asked for, px."""
 GIF_RATE_HZ: Final = 15.0
 """Highest frame rate of a GIF."""
 _INSTALL: Final = "pip install 'rtof_kin[view]'"
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
-    "libx264": {"preset": "veryfast", "crf": "20"},
+    "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
     "mpeg4": {},
 }
@@ -48,6 +50,10 @@ class FilmWriter(Protocol):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close it."""
+        ...
+
+    def due(self, stamp: float) -> bool:
+        """Return whether a picture at a time in the file, s, is taken."""
         ...
 
     def write(self, image: Image, stamp: float) -> None:
@@ -83,11 +89,19 @@ class Mp4Writer:
         context.max_b_frames = 0  # the first time stamp stays 0
         if self.encoder == "mpeg4":
             stream.bit_rate = int(width * height * self._rate * 0.15)
-            context.time_base = Fraction(1, 65_535)  # the largest that MPEG-4 allows
+            context.time_base = stream.time_base = Fraction(1, 60_000)  # MPEG-4 allows 65,535 at most
         context.colorspace = context.color_primaries = context.color_trc = _BT709
         context.color_range = 1  # 16 to 235
         self._stream = stream
         return self
+
+    def due(self, stamp: float) -> bool:  # noqa: ARG002
+        """Return True: all pictures are taken.
+
+        Args:
+            stamp: s.
+        """
+        return True
 
     def write(self, image: Image, stamp: float) -> None:
         """Add a picture.
@@ -101,7 +115,7 @@ class Mp4Writer:
         odd = image.shape[0] % 2, image.shape[1] % 2
         if any(odd):
             image = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
-        frame = self._av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
+        frame = self._av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="bgr24")
         frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
         frame.pts, frame.time_base = self._last, base
         self._mux(frame)
@@ -152,17 +166,16 @@ class GifWriter:
         return bool(number > np.floor((self._stamps[-1] - self._stamps[0]) * GIF_RATE_HZ + 1e-6))
 
     def write(self, image: Image, stamp: float) -> None:
-        """Add a picture, unless it follows the last one too soon.
+        """Add a picture.
 
         Args:
             image: (height, width, 3), BGR. stamp: s.
         """
         from PIL import Image as Pictures
 
-        if self.due(stamp):
-            rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
-            self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
-            self._stamps.append(stamp)
+        rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
+        self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
+        self._stamps.append(stamp)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

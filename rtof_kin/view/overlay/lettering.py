@@ -62,7 +62,7 @@ class Lettering:
 
         image = Image.new("L", (max(self.width(text), 1), self.line_height))
         ImageDraw.Draw(image).text((0, 0), text, fill=255, font=self._font)
-        return np.asarray(image, dtype=np.float32) / 255
+        return np.asarray(np.asarray(image) / np.float32(255), dtype=np.float32)
 
     def wrap(self, text: str, width: int, lines: int) -> list[str]:
         """Break a text into lines; what does not fit ends with an ellipsis.

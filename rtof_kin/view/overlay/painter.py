@@ -6,7 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.view.overlay.angle_labels import UNKNOWN, WIDEST, AngleLabels
+from rtof_kin.core.array_types import Array
+from rtof_kin.view.overlay.angle_labels import UNKNOWN, AngleLabels
 from rtof_kin.view.overlay.canvas import Box, Canvas, Image, Stroke
 from rtof_kin.view.overlay.captions import Captions, CaptionTexts
 from rtof_kin.view.overlay.face import FaceFinder, pixelate
@@ -23,6 +24,8 @@ from rtof_kin.view.overlay.skeleton_drawing import (
 )
 
 _LABEL_OPACITY: Final = 0.6
+_ALONG: Final = np.linspace(0, 1, 5)
+"""Points along each bone that labels should not cover, fractions of its length."""
 
 
 class Painter:
@@ -38,6 +41,8 @@ class Painter:
         self._style = SkeletonStyle(*size)
         self._captions = Captions(texts, *size)
         self._layout = LabelLayout()
+        width = self._captions.lettering.width
+        self._widths = {name: width(angles.widest(a)) for a, name in enumerate(angles.names)}
         self._face = FaceFinder(projected) if settings.blur_face else None
 
     def paint(self, image: Image, video_time: float) -> bool:
@@ -77,7 +82,9 @@ class Painter:
         above, below = self._captions.boxes(pose.time)
         free = Box(0, above.bottom, canvas.box.width, below.top - above.bottom)
         labels, joints = self._wanted(pose, free, pad)
-        for name, box in self._layout.place(labels, free).items():
+        ends = pose.uv_px[np.array(self._projected.bones)]
+        avoided = (ends[:, :1] + _ALONG[:, None] * (ends[:, 1:] - ends[:, :1])).reshape(-1, 2)
+        for name, box in self._layout.place(labels, free, avoided).items():
             a = self._angles.names.index(name)
             self._draw_leader(canvas, box, pose.uv_px[joints[name]])
             canvas.shade(box, BLACK, _LABEL_OPACITY)
@@ -90,19 +97,17 @@ class Painter:
         lettering, angles = self._captions.lettering, self._angles
         middle = float(np.nanmean(pose.uv_px[:, 0])) if np.isfinite(pose.uv_px).any() else 0.0
         labels, joints = [], {}
-        for name, title, joint in zip(angles.names, angles.titles, angles.joints, strict=True):
+        for name, joint in zip(angles.names, angles.joints, strict=True):
             u, v = pose.uv_px[joint]
             if not (0 <= u < free.width and free.top <= v < free.bottom):
                 continue
-            width = lettering.width(f"{title} {WIDEST}") + 2 * pad
+            width = self._widths[name] + 2 * pad
             labels.append(Label(name, u, v, width, lettering.line_height + 2 * pad, bool(u < middle)))
             joints[name] = joint
         return labels, joints
 
-    def _draw_leader(self, canvas: Canvas, box: Box, joint: np.ndarray) -> None:
+    def _draw_leader(self, canvas: Canvas, box: Box, joint: Array) -> None:
         """Draw a thin line from a joint to the nearest point of its label."""
         end = np.clip(joint, [box.left, box.top], [box.right, box.bottom])
         end[1] = box.top + box.height / 2 if not box.left < joint[0] < box.right else end[1]
         canvas.line(joint, end, Stroke(WHITE, self._style.thin, BLACK, self._style.edge / 2))
-
-

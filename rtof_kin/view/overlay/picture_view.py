@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 
@@ -88,7 +88,7 @@ def virtual_view(motion: MotionSequence) -> VirtualView:
         InvalidInputError: no frame of the motion has a pose.
     """
     p, R = motion.poses.p_world_joint, motion.poses.R_world_bone[:, 0]
-    known = np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2))
+    known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))
     if not known.any():
         raise InvalidInputError("overlay: no frame of the motion has a pose, so there is nothing to show")
     points = p[known]
@@ -121,14 +121,16 @@ class ScaledView:
     view: PictureView
     """Of the recorded size."""
     scale: float
-    """Size of the picture over that of the view's image."""
+    """Pixels of the picture per pixel of the view's image."""
+    width_px: int
+    """Width of the picture, px."""
+    height_px: int
+    """Height of the picture, px."""
 
     @property
     def camera(self) -> Camera:
         """The camera with the size of the picture; its other fields are unchanged."""
-        camera = self.view.camera
-        width, height = (round(side * self.scale) for side in (camera.width_px, camera.height_px))
-        return replace(camera, width_px=width, height_px=height)
+        return replace(self.view.camera, width_px=self.width_px, height_px=self.height_px)
 
     @property
     def names(self) -> tuple[str, ...]:

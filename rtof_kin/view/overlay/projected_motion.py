@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.observability import observed_landmarks
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.overlay.picture_view import PictureView
 
@@ -87,7 +87,13 @@ class ProjectedMotion:
         self._provenance = np.concatenate([joints, np.where(seen, own, np.minimum(own, _WEAKEST))], axis=1)
         times = view.video_times
         self._step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60
-        self._known = np.isfinite(poses.p_world_joint).all(axis=2).any(axis=1)
+        finite: Mask = np.asarray(np.isfinite(poses.p_world_joint).all(axis=2))
+        self._known: Mask = np.asarray(finite.any(axis=1))
+
+    @property
+    def provenances(self) -> tuple[Provenance, ...]:
+        """Those that occur."""
+        return tuple(Provenance(int(value)) for value in np.unique(self._provenance))
 
     def moment(self, video_time: float) -> Moment | None:
         """Return the frames of the motion at an instant of the video; None where there is no motion.

@@ -32,7 +32,7 @@ class SkeletonStyle:
     def __init__(self, width_px: int, height_px: int):
         """Take the size of the picture."""
         size = float(np.sqrt(width_px * height_px))
-        self.bone = max(size / 600, 1.0)
+        self.bone = max(size / 520, 1.0)
         """Half width of a bone, px."""
         self.edge = max(size / 1400, 0.7)
         """Width of the edge around bones and joints, px."""
