@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         reporting,
         start,
         training,
+        view,
     )
 
     parser = argparse.ArgumentParser(
@@ -80,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
         training,
         lifters,
         protocols,
+        view,
     ):
         module.add_commands(commands)
     return parser

@@ -6,6 +6,7 @@ import base64
 import json
 import subprocess
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, Self
@@ -52,13 +53,20 @@ _TARGETS: Final = """
 """
 
 
+SOFTWARE_3D = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Flags for WebGL without a graphics card."""
+
+
 class BrowserPage:
     """One page; `errors` are what its console and its policy complained about."""
 
-    def __init__(self, profile: Path, width: int, height: int, dark: bool = False):
+    def __init__(
+        self, profile: Path, width: int, height: int, dark: bool = False,
+        flags: Sequence[str] = ("--disable-gpu",),
+    ):  # fmt: skip
         assert BROWSER is not None
         self._process = subprocess.Popen(
-            [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+            [BROWSER, "--headless", "--no-sandbox", *flags, "--disable-quic", "--no-first-run",
              "--disable-background-networking", "--disable-component-update", "--disable-sync",
              "--remote-debugging-port=0", f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
