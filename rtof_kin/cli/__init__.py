@@ -47,10 +47,12 @@ def _parser() -> argparse.ArgumentParser:
 
     from rtof_kin.cli import (
         clinical,
+        compare,
         detection,
         inspection,
         lifters,
         live,
+        overlay,
         protocols,
         recordings,
         reporting,
@@ -71,7 +73,9 @@ def _parser() -> argparse.ArgumentParser:
         recordings,
         inspection,
         clinical,
+        compare,
         reporting,
+        overlay,
         detection,
         live,
         training,
