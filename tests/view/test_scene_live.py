@@ -17,6 +17,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.live.outputs.websocket_server import WebSocketServer
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.view.scene.layers import solid_colours
 from rtof_kin.view.scene.live_client import LiveClient, live_address
 from rtof_kin.view.scene.live_viewer import LiveViewer
 from rtof_kin.view.scene.local_server import local_server
@@ -89,8 +90,9 @@ def test_estimates_are_shown_where_they_are() -> None:
             np.testing.assert_allclose(R, poses.R_world_bone[-1], atol=1e-5)
             body = viewer.person.body.handle
             arm, leg = skeleton.index("LeftArm", "LeftLeg")
-            assert tuple(body.batched_colors[arm]) == COLOURS[Provenance.BRIDGED]
-            assert tuple(body.batched_colors[leg]) == COLOURS[Provenance.CAMERA_AND_IMU]
+            kinds = (Provenance.BRIDGED, Provenance.CAMERA_AND_IMU)
+            wanted = solid_colours(np.array([COLOURS[kind] for kind in kinds], dtype=np.uint8))
+            np.testing.assert_array_equal(body.batched_colors[[arm, leg]], wanted)
             assert viewer.shown > 1
             source.close()
             viewer.update(time.monotonic() + 5.0)

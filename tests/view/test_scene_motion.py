@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scene_support import BENT, RATE, camera, measured, walking, with_provenance, written
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.poses import Provenance
-from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.view.provenance_colours import COLOURS, Rgb
 from rtof_kin.view.scene.angle_blocks import AngleBlocks
 from rtof_kin.view.scene.camera_layer import camera_block
 from rtof_kin.view.scene.curves import Curves
+from rtof_kin.view.scene.layers import solid_colours
 from rtof_kin.view.scene.local_server import local_server
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer, Opened
@@ -26,6 +28,10 @@ from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer, Opened
 pytest.importorskip("viser")
 FRAMES = 120
 KINDS = [Provenance.CAMERA, Provenance.IMU, Provenance.BRIDGED, Provenance.PRIOR]
+
+
+def shown(colour: Rgb) -> NDArray[np.uint8]:
+    return solid_colours(np.array(colour, dtype=np.uint8))
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +74,12 @@ def test_all_parts_are_there_and_can_be_hidden(scene: MotionScene) -> None:
     assert scene.stage.height == pytest.approx(0.02)
 
 
+def test_colours_of_solids_stay_apart() -> None:
+    found = [tuple(shown(colour).tolist()) for colour in dict.fromkeys(COLOURS.values())]
+    assert len(set(found)) == 5
+    assert shown((255, 255, 255)).tolist() == [255] * 3
+
+
 def test_person_stands_where_the_motion_says(scene: MotionScene, files: Opened) -> None:
     for frame in (0, 77):
         assert scene.show(frame, 10.0) is not None
@@ -83,10 +95,11 @@ def test_person_stands_where_the_motion_says(scene: MotionScene, files: Opened) 
 
 def test_colour_of_a_segment_is_that_of_its_provenance(scene: MotionScene, files: Opened) -> None:
     head = files.motion.skeleton.index("Head")[0]
-    expected = [*[COLOURS[Provenance.PRIOR]] * 4, COLOURS[Provenance.CAMERA_AND_IMU]]  # its end is not seen
-    for frame, colour in enumerate(expected):
+    grey, bridged = Provenance.PRIOR, Provenance.BRIDGED
+    expected = [grey, grey, bridged, grey, Provenance.CAMERA_AND_IMU]  # its direction is not seen at first
+    for frame, kind in enumerate(expected):
         scene.show(frame, 10.0)
-        assert tuple(scene.person.body.handle.batched_colors[head]) == colour
+        np.testing.assert_array_equal(scene.person.body.handle.batched_colors[head], shown(COLOURS[kind]))
 
 
 def test_truth_and_second_motion_are_beside_it(scene: MotionScene, files: Opened) -> None:
