@@ -79,6 +79,7 @@ def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) ->
         (("--live",), "give the address that rtof-kin live printed"),
         (("--live", "ws://10.1.2.3:80"), "not an address of this machine"),
         (("--live", "9", "--html", "a.html"), "leave out --html"),
+        ((out, "--html", tmp_path / "a.html", "--video", "a.mp4"), "the file has no video"),
         ((tmp_path,), "no such file; name the output folder"),
         ((out, "--second", tmp_path), "no such file; name the output folder"),
         ((out, "--no-browser", "--video", "a", "--video", "b"), "2 videos, but the motion has 1 camera"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -242,3 +243,40 @@ def test_first_line_of_the_panel_is_the_verdict_and_files_cannot_add_markup(
     first = next(text for text in texts if "FAIL" in text)
     assert "planted &amp; bad" in first
     assert "glide &lt;b&gt;" in first
+
+
+def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    path = tmp_path / "grey.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 320, 180, "yuv420p"
+        for level in range(0, 200, 2):
+            image = np.full((180, 320, 3), level, dtype=np.uint8)
+            for packet in stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    with MotionViewer(server, files, [path]) as viewer:
+        viewer.controls._seek(3.0)
+        layer = viewer.scene.cameras[0]
+        deadline = time.monotonic() + 20
+        while layer.image is None or not 145 < np.median(layer.image.image) < 155:  # 25 * 3 s * 2
+            viewer.update(time.monotonic())
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        half = np.array([layer.image.render_width, layer.image.render_height, 0]) / 2 * layer.image.scale
+        signs = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+        corners = layer.image.position + (signs * half) @ so3.from_quat_wxyz(np.array(layer.image.wxyz)).T
+        uv = camera().project(corners)
+        np.testing.assert_allclose(uv, [(0, 0), (1280, 0), (1280, 720), (0, 720)], atol=3.0)
+    square = tmp_path / "square.mp4"
+    with av.open(str(square), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width = stream.height = 128
+        stream.pix_fmt = "yuv420p"
+        image = np.zeros((128, 128, 3), dtype=np.uint8)
+        for packet in (*stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")), *stream.encode()):
+            container.mux(packet)
+    with pytest.raises(InvalidInputError, match="of another shape"):
+        MotionViewer(server, files, [square])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -87,6 +88,12 @@ def test_served_page_shows_the_motion_and_asks_its_own_server_only(out: Path, pa
         viewer.update(0.0)
         page.until("document.body.innerText.includes('frame 0 of 60')", 60)
         assert len(server.get_clients()) == 1
+        for kind in ("keyDown", "keyUp"):
+            page.call("Input.dispatchKeyEvent", type=kind, key=" ", code="Space")
+        deadline = time.monotonic() + 20
+        while not viewer.playback.playing and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert viewer.playback.playing
         assert complaints(page) == []
         own = re.compile(rf"(http|ws|blob:http)://127\.0\.0\.1:{server.get_port()}(/.*)?")
         assert [url for url in page.requests if not (own.fullmatch(url) or url.startswith("data:"))] == []
