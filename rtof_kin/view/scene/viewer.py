@@ -12,7 +12,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.measurements_npz import MEASUREMENTS
 from rtof_kin.formats.motion_npz import motion_path
 from rtof_kin.view.scene.angle_blocks import AngleBlocks
