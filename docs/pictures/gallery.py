@@ -42,8 +42,8 @@ def text_of(studio: Studio, *arguments: str | Path) -> str:
 ENTRIES = (
     Entry(
         "rtof-kin run walk.mp4 dots/ --height 1.72 -o out/walk",
-        "From a video and sensor files to a report in one command ([how](phone.md)); `demo` does the last steps "
-        "on the recording of the package. The first lines say how good it is and what to be careful about:",
+        "From a video and sensor files to a report in one command ([how](phone.md)); `demo` does the last "
+        "steps on the recording of the package. The first lines say how good it is and what to be careful of:",
         printed=lambda studio: text_of(studio, "demo", "-o", studio.folder / "printed", "--no-figures"),
     ),
     Entry(
