@@ -26,8 +26,8 @@ SECOND_SHOULDER: Final = "_shoulder_xzy_"
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
 LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
-_ASYMMETRIES: Final = {"stance_share": ("stance", 100.0, "% of the stride", 0)}
-"""Measure -> name, factor, unit and digits."""
+EVENT_SIGMA: Final = 0.015
+"""Standard deviation of a side's mean stance, share of the stride, that more strides do not reduce."""
 
 
 @dataclass(frozen=True)
@@ -167,19 +167,21 @@ def anatomical_limits(skeleton: SkeletonTable) -> dict[str, tuple[float, float]]
 
 
 def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
-    """Measures of gait whose means differ between the sides by more than their band."""
-    if not gait.is_gait or len(gait.summary) < 2:
+    """Stance of the two sides, if its means differ by more than their band."""
+    by_ankle = {foot.by_ankle for foot in gait.events.feet.values()}
+    if not gait.is_gait or len(gait.summary) < 2 or len(by_ankle) > 1:
         return
-    for measure, (name, factor, unit, digits) in _ASYMMETRIES.items():
-        (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s][measure] for s in SIDES)
-        if min(n_right, n_left) < FEWEST_STRIDES:
-            continue
-        errors = [factor * sd_right / np.sqrt(n_right), factor * sd_left / np.sqrt(n_left)]
-        difference, sigma = factor * (right - left), float(np.hypot(*errors))
-        if abs(difference) > BAND_95 * sigma:
-            ends = [
-                f"{factor * mean:.{digits}f} ± {BAND_95 * error:.{digits}f}"
-                for mean, error in zip((right, left), errors, strict=True)
-            ]
-            text = f"{name}: {ends[0]} {unit} right, {ends[1]} {unit} left"
-            yield Finding(name, text, abs(difference) / max(sigma, 1e-9))
+    (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s]["stance_share"] for s in SIDES)
+    if min(n_right, n_left) < FEWEST_STRIDES:
+        return
+    errors = [
+        float(np.hypot(sd / np.sqrt(n), EVENT_SIGMA)) for sd, n in ((sd_right, n_right), (sd_left, n_left))
+    ]
+    sigma = float(np.hypot(errors[0], errors[1]))
+    if abs(right - left) > BAND_95 * sigma:
+        ends = [
+            f"{100 * mean:.0f} ± {100 * BAND_95 * error:.0f} %"
+            for mean, error in zip((right, left), errors, strict=True)
+        ]
+        text = f"stance: {ends[0]} of the stride right, {ends[1]} left"
+        yield Finding("stance", text, abs(right - left) / sigma)

@@ -20,7 +20,7 @@ from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import AuditResult, Grade
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import anatomical_limits, findings
+from rtof_kin.report.summary_findings import EVENT_SIGMA, anatomical_limits, findings
 from rtof_kin.report.summary_lines import SummaryLine, summary_lines
 
 BODY = SkeletonModel.default()
@@ -186,8 +186,14 @@ def test_asymmetric_stance_of_gait_is_a_finding_only_if_it_is_gait() -> None:
         return replace(analysis, gait=replace(gait, summary=sides))
 
     (stance,) = findings(limping(analysis), BODY.table)
-    assert stance.text == "stance: 60 ± 1 % of the stride right, 70 ± 2 % of the stride left"
-    assert stance.size == pytest.approx(0.10 / (np.hypot(0.01, 0.02) / 2))
+    right, left = (np.hypot(sd / 2, EVENT_SIGMA) for sd in (0.01, 0.02))
+    bands = [f"{100 * BAND_95 * sigma:.0f}" for sigma in (right, left)]
+    assert stance.text == f"stance: 60 ± {bands[0]} % of the stride right, 70 ± {bands[1]} % left"
+    assert stance.size == pytest.approx(0.10 / np.hypot(right, left))
+    feet = dict(analysis.gait.events.feet)
+    feet["left"] = replace(feet["left"], by_ankle=True)  # events of another kind are not compared
+    unlike = replace(limping(analysis).gait, events=replace(analysis.gait.events, feet=feet))
+    assert findings(replace(analysis, gait=unlike), BODY.table) == ()
     gait = limping(analysis).gait
     other = replace(gait, verdict=replace(gait.verdict, why_not="It is a dance."))
     assert findings(replace(analysis, gait=other), BODY.table) == ()
