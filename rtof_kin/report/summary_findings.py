@@ -48,7 +48,7 @@ def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding
     Args:
         analysis: of the motion. skeleton: of the motion, with its anatomical limits.
     """
-    rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
+    rows = {row.name: row for row in comparable_ranges(analysis)}
     found = [
         *_side_differences(rows, analysis.table), *_beyond_limits(rows, analysis.table, skeleton),
         *_asymmetries(analysis.gait),
@@ -57,6 +57,19 @@ def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding
     for finding in sorted(found, key=lambda finding: -finding.size):
         out.setdefault(finding.subject, finding)
     return tuple(out.values())
+
+
+def comparable_ranges(analysis: MotionAnalysis) -> list[RangeOfMotion]:
+    """Return the ranges that findings compare: `is_comparable`, and without whole turns.
+
+    Args:
+        analysis: of the motion.
+    """
+    return [
+        row
+        for row, angle in zip(analysis.ranges, analysis.table.rows, strict=True)
+        if is_comparable(row) and angle.range[0] <= row.low and row.high <= angle.range[1]
+    ]
 
 
 def is_comparable(row: RangeOfMotion) -> bool:
@@ -86,7 +99,7 @@ def compared_pairs(analysis: MotionAnalysis) -> int:
     Args:
         analysis: of the motion.
     """
-    names = {row.name for row in analysis.ranges if is_comparable(row)}
+    names = {row.name for row in comparable_ranges(analysis)}
     return sum(name.replace("right", "left", 1) in names for name in names if name.startswith("right_"))
 
 

@@ -76,6 +76,11 @@ def test_who_names_what_is_known_and_what_is_not() -> None:
         (walking(6.0, speed=1.1), "Walking: 8 strides, 6.6 m forward, without turns."),
         (walking(6.0, treadmill=True), "Walking on the spot or on a treadmill: 8 strides."),
         (squatting(4), "4 bends of both knees (squats); no walking; staying in place, without turns."),
+        (walking(2.4), "Only 2 complete strides of walking; 2.6 m forward, without turns."),
+        (
+            walking(6.0, speed=-1.0),
+            "Neither walking nor squats were recognised; 6.0 m backward, without turns.",
+        ),
         (knees(40, 40), "Neither walking nor squats were recognised; staying in place, without turns."),
     ],
 )
@@ -102,6 +107,25 @@ def test_turning_in_place_is_told_in_degrees() -> None:
 )
 def test_only_what_a_mode_uses_is_named_as_its_source(mode: str, camera: bool, text: str) -> None:
     assert lines(squatting(), mode=mode, camera=camera)["What"].text.endswith(text)
+
+
+def test_segments_with_sensors_are_named_in_words() -> None:
+    own = summary()
+    names = ("Hips", "Head", "LeftShoulder", "LeftFoot", "RightFoot")
+    own = replace(own, inputs=own.inputs | {"sensors": [{"segment": name} for name in names]})
+    motion = squatting()
+    what = summary_lines(motion, analyse_motion(motion), own, FINE, Session())[1].text
+    assert what.endswith("and 5 sensors (pelvis, head, left shoulder, both feet).")
+
+
+def test_angles_that_turned_on_beyond_their_interval_have_no_finding() -> None:
+    motion = certain(knees(60, 60), 2.0)
+    analysis = analyse_motion(motion)
+    rows = [
+        replace(row, low=row.low - 2 * np.pi) if row.name == "left_knee_flexion" else row
+        for row in analysis.ranges
+    ]
+    assert findings(replace(analysis, ranges=tuple(rows)), BODY.table) == ()
 
 
 def test_expected_accuracy_is_the_half_width_of_bands() -> None:
@@ -214,6 +238,8 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
     assert widest.startswith("The most uncertain angle is ")
     forearm = Headline(Grade.FAIL, "LeftForeArm: share of frames unseen 30 %", ())
     assert lines(knees(60, 60), overall=forearm)["Careful"].text.startswith("Left forearm: share")
+    ear = Headline(Grade.FAIL, "LeftEar: share of frames unseen 30 %", ())
+    assert lines(knees(60, 60), overall=ear)["Careful"].text.startswith("Left ear: share")
 
 
 def test_careful_names_unobserved_joints_and_bridged_gaps() -> None:
