@@ -216,12 +216,12 @@ class SelfCalibration:
             if name in keypoints.names:
                 uv[:, keypoints.names.index(name)] -= bias
         camera = self._camera(keypoints.camera)
-        return replace(keypoints, uv_px=uv, times=self._times(keypoints.times), camera=camera)
+        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self._times(keypoints.times))
 
     def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
         """A further camera's keypoints; its pose relative to the first one stays."""
         camera = view.camera.carried(first, self._camera(first))
-        return replace(view, times=self._times(view.times), camera=camera)
+        return replace(view, camera=camera).on_clock(self._times(view.times))
 
     def _times(self, times: Array) -> Array:
         for delay in self.of_kind("delay").values():

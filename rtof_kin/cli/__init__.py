@@ -47,15 +47,18 @@ def _parser() -> argparse.ArgumentParser:
 
     from rtof_kin.cli import (
         clinical,
+        compare,
         detection,
         inspection,
         lifters,
         live,
+        overlay,
         protocols,
         recordings,
         reporting,
         start,
         training,
+        view,
     )
 
     parser = argparse.ArgumentParser(
@@ -70,12 +73,15 @@ def _parser() -> argparse.ArgumentParser:
         recordings,
         inspection,
         clinical,
+        compare,
         reporting,
+        overlay,
         detection,
         live,
         training,
         lifters,
         protocols,
+        view,
     ):
         module.add_commands(commands)
     return parser

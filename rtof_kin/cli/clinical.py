@@ -75,11 +75,10 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.formats.motion_npz import read_motion_npz
+    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
 
     check_replaceable(options.output, MARKER, options.overwrite)
-    path = Path(options.motion)
-    path = path / "motion.npz" if path.is_dir() else path
+    path = motion_path(options.motion)
     motion = read_motion_npz(path).motion()
     weight_kg, sex = _weight_and_sex(options, path.parent)
     analysis = analyse_motion(

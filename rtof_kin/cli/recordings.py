@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
@@ -178,11 +177,10 @@ def _reconstruct_to(recording: Recording, mode: Mode, options: argparse.Namespac
 def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.body.metrics import comparable, evaluate
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.formats.motion_npz import read_motion_npz
+    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
     from rtof_kin.recording.recording import Recording
 
-    path = Path(options.motion)
-    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path)
+    motion = read_motion_npz(motion_path(options.motion))
     recording = Recording.load(options.truth)
     if recording.truth is None:
         raise InvalidInputError(f"{options.truth}: the recording has no truth to compare with")
@@ -230,15 +228,14 @@ def _export(options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.formats.motion_npz import read_motion_npz
+    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
 
     if options.output and options.folder:
         raise InvalidInputError("export: name one folder to write, as OUT or with -o OUT")
     output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
-    path = Path(options.motion)
-    motion = read_motion_npz(path / "motion.npz" if path.is_dir() else path).motion()
+    motion = read_motion_npz(motion_path(options.motion)).motion()
     with new_folder(output, URDF, options.overwrite) as folder:
         write_motion_files(folder, motion, formats)
     print_files(output)

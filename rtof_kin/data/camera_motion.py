@@ -18,6 +18,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_rotations, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera_turning import CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 
 _LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
@@ -139,9 +140,14 @@ def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) ->
     near = rays[..., 2] > np.cos(_WIDEST) * np.linalg.norm(rays, axis=-1)  # False for NaN
     with np.errstate(divide="ignore", invalid="ignore"):
         uv = rays[..., :2] / rays[..., 2:] @ camera.K[:2, :2].T + camera.K[:2, 2]
+    turning = keypoints.turning
+    if turning is not None:
+        turning = turning.followed_by(R_camera_seen, camera.K)
+    elif not keypoints.camera.stabilised:  # else the camera of the video is unknown
+        turning = CameraTurning(keypoints.camera, camera.K, R_camera_seen)
     return replace(
         keypoints, camera=camera, uv_px=np.where(near[..., None], uv, np.nan),
-        confidence=np.where(near, keypoints.confidence, 0.0),
+        confidence=np.where(near, keypoints.confidence, 0.0), turning=turning,
     )  # fmt: skip
 
 

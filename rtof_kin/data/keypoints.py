@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import checked_names, checked_times, freeze
+from rtof_kin.core.checks import checked_names, checked_times, freeze, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera_turning import CameraTurning
 
 _OF: Final = ":"
 """Between a layout and its point."""
@@ -58,6 +59,10 @@ class KeypointSequence:
     """(T, L) in [0, 1]; 0 where not detected."""
     names: tuple[str, ...]
     """L names of landmarks and of the detector's own points."""
+    own_times: Array | None = None
+    """(T,) seconds since the first frame of the video, where `times` are those of another clock."""
+    turning: CameraTurning | None = None
+    """Of the handheld camera that `camera` stands for; None if `camera` itself made the video, or unknown."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -65,6 +70,10 @@ class KeypointSequence:
         set_(self, "times", checked_times("keypoint times", self.times))
         T, L = len(self.times), len(self.names)
         freeze(self, "keypoints", uv_px=(T, L, 2), confidence=(T, L))
+        if self.own_times is not None:
+            freeze(self, "keypoints", own_times=(T,))
+        if self.turning is not None:
+            readonly("keypoints turning", self.turning.R_still_camera, (T, 3, 3))
         uv, confidence = self.uv_px.copy(), self.confidence.copy()
         if np.any((confidence < 0) | (confidence > 1)):
             raise InvalidInputError("keypoints confidence: outside [0, 1]; divide by the detector's maximum")
@@ -80,9 +89,34 @@ class KeypointSequence:
         return len(self.times)
 
     def __getitem__(self, frames: slice) -> Self:
+        return self.at(frames, self.uv_px[frames], self.confidence[frames])
+
+    def at(self, frames: Any, uv_px: Array, confidence: Array) -> Self:
+        """Return some of the frames with other points.
+
+        Args:
+            frames: T' of them, as an index of arrays. uv_px: (T', L, 2). confidence: (T', L).
+        """
+        turning = None if self.turning is None else self.turning[frames]
+        own_times = None if self.own_times is None else self.own_times[frames]
         return replace(
-            self, times=self.times[frames], uv_px=self.uv_px[frames], confidence=self.confidence[frames]
-        )
+            self, times=self.times[frames], uv_px=uv_px, confidence=confidence, turning=turning,
+            own_times=own_times,
+        )  # fmt: skip
+
+    def on_clock(self, times: Array) -> Self:
+        """Return the frames at their times on another clock; `video_times` stay.
+
+        Args:
+            times: (T,) s.
+        """
+        same = np.array_equal(times, self.times)
+        return self if same else replace(self, times=times, own_times=self.video_times)
+
+    @property
+    def video_times(self) -> Array:
+        """(T,) seconds since the first frame of the video."""
+        return self.times if self.own_times is None else self.own_times
 
     def resample(self, times: Array) -> Self:
         """Return the landmarks interpolated linearly to other times; missing frames stay missing.
@@ -93,9 +127,40 @@ class KeypointSequence:
         if np.array_equal(times, self.times):
             return self
         max_gap = _LONGEST_GAP * float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
-        uv = signals.interpolate(self.times, self.uv_px, times, max_gap)
-        confidence = signals.interpolate(self.times, self.confidence, times, max_gap)
-        return replace(self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1))
+        return self.interpolated(times, times, max_gap)
+
+    def interpolated(self, times: Array, at: Array, max_gap: float) -> Self:
+        """Return the landmarks interpolated linearly.
+
+        Args:
+            times: (T',) s, of the result. at: (T',) s, where to interpolate; may differ by rounding.
+            max_gap: longest gap that is interpolated, s.
+        """
+        uv = signals.interpolate(self.times, self.uv_px, at, max_gap)
+        confidence = signals.interpolate(self.times, self.confidence, at, max_gap)
+        turning = None if self.turning is None else self.turning.resample(self.times, at)
+        return replace(
+            self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1), turning=turning,
+            own_times=None if self.own_times is None else np.interp(at, self.times, self.own_times),
+        )  # fmt: skip
+
+    def project(self, p_world: Array, frames: Any) -> Array:
+        """Project points to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight.
+
+        Args:
+            p_world: (n, ..., 3) m. frames: n of the T frames, as an index of arrays.
+        """
+        uv = self.camera.project(p_world)
+        return uv if self.turning is None else self.turning.in_video(uv, frames)
+
+    def in_video(self, frames: Any) -> Array:
+        """Return the detected points (n, L, 2) in pixels of the upright video.
+
+        Args:
+            frames: n of the T frames, as an index of arrays.
+        """
+        uv = self.uv_px[frames]
+        return uv if self.turning is None else self.turning.in_video(uv, frames)
 
     @property
     def seen(self) -> Mask:

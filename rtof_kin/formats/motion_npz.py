@@ -19,7 +19,10 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, measurable
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 
+MOTION: Final = "motion.npz"
 SCHEMA_VERSION: Final = 1
+_OF_RUN: Final = "motion"
+"""Folder of the motion in the output of `run`."""
 _LARGEST_BYTES: Final = 8 * 2**30
 _POSES: Final = ("times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed")
 """Required fields of `PoseSequence` in the file."""
@@ -54,6 +57,29 @@ class MotionFile:
         """Return the motion on the subject's skeleton."""
         skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
         return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
+
+
+def motion_path(path: str | Path) -> Path:
+    """Return the motion's file in an output folder.
+
+    Args:
+        path: output of `reconstruct` or `run`, or the file itself.
+
+    Raises:
+        FileFormatError: a folder without a motion.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    for found in (path / MOTION, path / _OF_RUN / MOTION):
+        if found.is_file():
+            return found
+    raise FileFormatError(path / MOTION, "no such file; name the output folder of reconstruct or run")
+
+
+def motion_folder(path: str | Path) -> Path:
+    """Return the folder of the motion's file; arguments and errors as for `motion_path`."""
+    return motion_path(path).parent
 
 
 def write_motion_npz(

@@ -124,7 +124,7 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
         starts = np.linspace(0, len(frames) - PIECE, PIECES).astype(int)
         frames = frames[(starts[:, None] + np.arange(PIECE)).ravel()]
     uv, confidence = keypoints.uv_px[frames], keypoints.confidence[frames]
-    return replace(keypoints, times=keypoints.times[frames], uv_px=uv, confidence=confidence)
+    return keypoints.at(frames, uv, confidence)
 
 
 def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
@@ -222,14 +221,11 @@ def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
     frames = max(int(np.round(steps / usual).sum()), 1)
     times_even, step = np.linspace(times[0], times[-1], frames + 1, retstep=True)
     even = _snapped(times_even, times, 0.01 * step)
-    uv = signals.interpolate(times, keypoints.uv_px, even, max_gap=1.5 * step)
-    confidence = signals.interpolate(times, keypoints.confidence, even, max_gap=1.5 * step)
     _log.warning(
         "keypoint times are uneven: %d samples resampled to %d even frames of %.1f ms",
         len(times), len(even), 1000 * step,
     )  # fmt: skip
-    confidence = np.clip(np.nan_to_num(confidence), 0, 1)
-    return replace(keypoints, times=times_even, uv_px=uv, confidence=confidence)
+    return keypoints.interpolated(times_even, even, 1.5 * step)
 
 
 def _snapped(at: Array, times: Array, tolerance: float) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +26,7 @@ from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, with_video
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table, is_detector_point
 
@@ -135,8 +137,10 @@ def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     with naming(path):
         uv, confidence = keypoint_arrays(arrays)
         times, named = times_of(section, path, arrays, len(uv)), tuple(names[i] for i in kept)
+        start = section.number("start_s", 0.0)
         section.close()
-        return KeypointSequence(camera, times, uv[:, kept], confidence[:, kept], named)
+        keypoints = KeypointSequence(camera, times, uv[:, kept], confidence[:, kept], named)
+        return with_video(_on_video(keypoints, start), arrays)
 
 
 def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
@@ -157,7 +161,7 @@ def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
 def _keypoint_npz(
     section: Section, path: Path, skeleton: SkeletonModel
 ) -> tuple[tuple[str, ...], dict[str, Array]]:
-    arrays = read_arrays(path, ("uv_px", "confidence", "times"))
+    arrays = read_arrays(path, ("uv_px", "confidence", "times", *VIDEO_ARRAYS))
     uv = needed(path, arrays, "uv_px", "(T, L, 2)")
     names = section.optional_names("landmarks")
     if section.has("layout"):
@@ -192,7 +196,7 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
         camera,
         layout=None if layout == RECOGNISE else layout,
         rate_hz=section.optional_number("rate_hz"),
-        start=section.number("start_s", 0.0),
+        start=(start := section.number("start_s", 0.0)),
         person=section.integer("person") if section.has("person") else None,
         frame=section.integer("frame") if section.has("frame") else None,
     )
@@ -201,7 +205,12 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
     several = found.track.people > 1 and not chosen
     doubtful = several or bool(np.any(found.track.ambiguous | found.track.lost))
     _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", section.path, found.summary)
-    return found.keypoints
+    return _on_video(found.keypoints, start)
+
+
+def _on_video(keypoints: KeypointSequence, start: float) -> KeypointSequence:
+    """Return keypoints whose times are those of the video, s, and `start`."""
+    return replace(keypoints, own_times=keypoints.times - start) if start else keypoints
 
 
 def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:

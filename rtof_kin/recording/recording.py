@@ -29,6 +29,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
+from rtof_kin.formats.video_arrays import video_arrays
 from rtof_kin.recording import files
 from rtof_kin.recording.camera_motion_files import read_filmed
 from rtof_kin.recording.sensor_files import IMUS, read_imus, write_imus
@@ -262,8 +263,8 @@ class Recording:
         keypoints, imus = self.keypoints, self.imus
         with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
             for i, seen in enumerate((keypoints, *self.views) if keypoints is not None else ()):
-                arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence}
-                write_npz(fresh / keypoint_file(i), {**arrays, "times": seen.times})
+                arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence, "times": seen.times}
+                write_npz(fresh / keypoint_file(i), arrays | video_arrays(seen))
             if imus is not None:
                 write_imus(fresh / IMUS, imus)
             if self.truth is not None:

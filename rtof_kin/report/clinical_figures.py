@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.figures import save_figures
-from rtof_kin.report.plot_data import side_and_name
 
 SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
 SHOWN: Final = (

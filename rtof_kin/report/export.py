@@ -2,6 +2,7 @@
 
 ============================  ==================================================================
 motion.npz                    the motion with validity and provenance (`formats.motion_npz`)
+measurements.npz              what it was computed from, and the reference (`formats.measurements_npz`)
 skeleton.urdf                 the subject's skeleton
 files.json                    convention and names of all files (`formats.motion_files`)
 joint_trajectory.csv, .json   configurations with named columns, and their units
@@ -27,15 +28,17 @@ import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.formats.measurements_npz import MEASUREMENTS, write_measurements_npz
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_npz import MOTION, write_motion_npz
 from rtof_kin.formats.motion_views import dofs_from_prior
+from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
 from rtof_kin.report.provenance import input_provenance
 
-MARKER: Final = "motion.npz"
+MARKER: Final = MOTION
 
 
 def export(
@@ -66,6 +69,7 @@ def export(
     with new_folder(folder, MARKER, overwrite, inputs) as temporary:
         first_frame = result.recording.first_frame
         write_motion_npz(temporary / MARKER, result.motion, first_frame=first_frame, mode=result.mode)
+        write_measurements_npz(temporary / MEASUREMENTS, measurements_of(result))
         write_motion_files(temporary, result.motion, formats)
         text = json.dumps(summary(result), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")

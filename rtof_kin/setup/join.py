@@ -57,7 +57,7 @@ def join_recordings(
             poses, others = (lift(k, first.skeleton, lifter).poses for k in (first.video, second.video))
             clock = find_video_offset(poses, others)
             offset, sigma, doubt = clock.offset, clock.sigma, clock.doubt
-        view = replace(second.video, times=second.video.times + offset)
+        view = second.video.on_clock(second.video.times + offset)
         joined, pose = replace(first, views=(*first.views, view)), "as calibrated"
     else:
         camera = find_second_camera(first, second.video, lifter, around=0.0 if synchronised else None)

@@ -121,7 +121,7 @@ def find_second_camera(
     second, _ = reject_keypoint_outliers(second)
     own = lift(second, skeleton, lifter).poses
     clock = find_video_offset(poses, own, around)
-    view = replace(second, times=second.times + clock.offset)
+    view = second.on_clock(second.times + clock.offset)
     camera, own = _placed(second.camera, poses, replace(own, times=view.times))
     view, frames = replace(view, camera=camera), _frames(first, view.resample(first.times))
     found = adjust(
@@ -148,7 +148,7 @@ def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> Seco
         first = replace(first, uncertainty=left)
     return SecondCamera(
         first=first,
-        view=replace(view, camera=camera, times=view.times + delay),
+        view=replace(view, camera=camera).on_clock(view.times + delay),
         offset=clock.offset + delay,
         sigma_offset=float(sigma[DELAY]),
         sigma_position=sigma[MOVE],

@@ -12,9 +12,10 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import OutputExistsError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.measurements_npz import read_measurements_npz
+from rtof_kin.formats.motion_npz import motion_folder, motion_path, read_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -28,7 +29,7 @@ T = 16
 FILES = {
     "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
     "ros_joint_trajectory.json", "ros_base_trajectory.json", "summary.json", "files.json",
-    "motion.csv", MANIFEST,
+    "motion.csv", "measurements.npz", MANIFEST,
 }  # fmt: skip
 
 
@@ -82,6 +83,32 @@ def test_motion_file_contains_the_motion(result: Reconstruction, folder: Path) -
     assert not read.poses.valid[4:8].any()
     np.testing.assert_array_equal(read.poses.provenance, result.motion.poses.provenance)
     assert SkeletonModel.from_urdf(folder / "skeleton.urdf").height == pytest.approx(1.66, abs=1e-6)
+
+
+def test_measurements_are_those_that_were_used(result: Reconstruction, folder: Path) -> None:
+    found, poses = read_measurements_npz(folder / "measurements.npz"), result.motion.poses
+    np.testing.assert_array_equal(found.times, poses.times)
+    (view,) = found.views
+    assert result.keypoints is not None
+    assert result.bone_imus is not None
+    np.testing.assert_allclose(view.uv_px, result.keypoints.landmarks.uv_px, atol=1e-3)
+    np.testing.assert_array_equal(view.video_times, result.recording.video.video_times)
+    assert found.segments == result.bone_imus.joints
+    R_world_bone = found.R_world_sensor @ np.swapaxes(found.R_bone_sensor, -1, -2)
+    np.testing.assert_allclose(R_world_bone, result.bone_imus.R_world_bone, atol=1e-6)
+    assert found.truth is not None
+    assert result.recording.truth is not None
+    np.testing.assert_allclose(found.truth.p_world_joint, result.recording.truth.p_world_joint, atol=1e-5)
+
+
+def test_the_motion_is_found_in_the_output_of_reconstruct_and_run(folder: Path, tmp_path: Path) -> None:
+    of_run = tmp_path / "run"
+    (of_run / "motion").mkdir(parents=True)
+    (of_run / "motion" / "motion.npz").touch()
+    assert motion_path(folder) == motion_path(folder / "motion.npz") == folder / "motion.npz"
+    assert motion_folder(of_run) == of_run / "motion"
+    with pytest.raises(FileFormatError, match="output folder of reconstruct or run"):
+        motion_path(tmp_path)
 
 
 def test_summary_of_a_reconstruction(result: Reconstruction, folder: Path) -> None:

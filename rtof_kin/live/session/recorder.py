@@ -21,6 +21,7 @@ from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.samples import FrameSample, OnlineEstimate
 from rtof_kin.live.session.clock_map import Arrived
 from rtof_kin.live.session.recorded_session import CHUNK, LIVE, SETUP, finish
@@ -236,7 +237,7 @@ def _bare(setup: Recording, name: str) -> Recording:
     video, imus = setup.keypoints, setup.imus
     if video is not None:
         empty = np.full((1, *video.uv_px.shape[1:]), np.nan)
-        video = replace(video, times=np.zeros(1), uv_px=empty, confidence=np.zeros(empty.shape[:2]))
+        video = KeypointSequence(video.camera, np.zeros(1), empty, np.zeros(empty.shape[:2]), video.names)
     worn = setup.calibration.sensors if setup.calibration is not None else imus.names if imus else ()
     if worn:
         R, f = np.full((1, len(worn), 3, 3), np.nan), np.full((1, len(worn), 3), np.nan)
