@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis
-from rtof_kin.clinical.angle_table import SIDES, AngleTable, both_directions
+from rtof_kin.clinical.angle_table import SIDES, AngleTable
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
@@ -104,12 +104,12 @@ def compared_pairs(analysis: MotionAnalysis) -> int:
 
 
 def shown_name(name: str) -> str:
-    """Return the name of an angle in words with both directions, e.g. 'right hip flexion/extension'.
+    """Return the name of an angle in words, as in the table of a report.
 
     Args:
         name: as in files.
     """
-    return both_directions(name.replace("_", " "))
+    return name.replace("_", " ")
 
 
 def with_band(value: float, sigma: float) -> str:
@@ -133,11 +133,10 @@ def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iter
             if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 less = "left" if difference > 0 else "right"
                 name = shown_name(angle.name.removeprefix("right_"))
-                degrees = abs(round(np.degrees(right.range)) - round(np.degrees(left.range)))
                 text = (
                     f"{name}: range {with_band(right.range, right.range_sigma)} right, "
                     f"{with_band(left.range, left.range_sigma)} left, that is "
-                    f"{degrees} ± {np.degrees(BAND_95 * sigma):.0f}° less on the {less}"
+                    f"{with_band(abs(difference), sigma)} less on the {less}"
                 )
                 yield Finding(name.split()[0], text, abs(difference) / sigma)
 

@@ -150,8 +150,7 @@ def test_findings_are_differences_that_exceed_their_bands() -> None:
     found = lines(certain(knees(90, 60), 2.0))["Findings"].text
     one, both = (round(BAND_95 * 2 * root) for root in (np.sqrt(2), 2))
     assert found.startswith(
-        f"Knee flexion/extension: range 90 ± {one}° right, 60 ± {one}° left, that is 30 ± {both}° less on "
-        "the left."
+        f"Knee flexion: range 90 ± {one}° right, 60 ± {one}° left, that is 30 ± {both}° less on the left."
     )
     assert "No other difference exceeds its 95 % band" in found
 
