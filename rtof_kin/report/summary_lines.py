@@ -201,8 +201,8 @@ def _joint(angle: str) -> str:
 
 
 def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
-    """Headline of the audit if it warns or fails, and what is unobserved, bridged or drifting."""
-    warned = overall.grade in (Grade.WARN, Grade.FAIL)
+    """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
+    warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
     parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [

@@ -237,6 +237,10 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
     assert widest.startswith("The most uncertain angle is ")
     forearm = Headline(Grade.FAIL, "LeftForeArm: share of frames unseen 30 %", ())
     assert lines(knees(60, 60), overall=forearm)["Careful"].text.startswith("Left forearm: share")
+    unaudited = Headline(Grade.NOT_CHECKED, "written without an audit: reconstruct again", ())
+    assert lines(knees(60, 60), overall=unaudited)["Careful"] == SummaryLine(
+        "Careful", "Written without an audit: reconstruct again.", Grade.NOT_CHECKED
+    )
     ear = Headline(Grade.FAIL, "LeftEar: share of frames unseen 30 %", ())
     assert lines(knees(60, 60), overall=ear)["Careful"].text.startswith("Left ear: share")
 
