@@ -23,7 +23,7 @@ pytestmark = needs_browser
 READY = "document.documentElement.dataset.state === 'ready'"
 PICTURE = "document.getElementById('scene').toDataURL()"
 LONG = "Anderson-Featherstonehaugh" * 3
-CAUSE = "a long reason that goes on and on, " * 12
+CAUSE = "a long reason that goes on and on, " * 8
 SENSORS = [
     {"name": f"S{i}", "segment": name, "lever_arm_m": [0.01, 0.02, 0.03], "rate_hz": 100.0}
     for i, name in enumerate(
@@ -44,7 +44,7 @@ INPUTS = {
 def url(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Address of the page of a walk with bands, torques and long texts."""
     motion = replace(walk(), confidence=certain_to(2.0, walk()))
-    results = [AuditResult("image", f"error {i}", "Head", 7.0, "px", 2.0, 5.0, note=CAUSE) for i in range(40)]
+    results = [AuditResult("image", f"error {i}", "Head", 7.0, "px", 2.0, 5.0, note=CAUSE) for i in range(24)]
     folder = folder_of(
         motion, tmp_path_factory.mktemp("page") / "out", inputs=INPUTS, audit=[r.plain() for r in results]
     )
