@@ -21,7 +21,13 @@ from rtof_kin.report.angle_names import angle_name, side_and_name
 from rtof_kin.report.html import asset, css_string, table
 from rtof_kin.report.page.clinical import way_line
 from rtof_kin.report.page.ranges import ranges_section
-from rtof_kin.report.plot_data import angle_curves, envelope, player_data, shown_frames
+from rtof_kin.report.plot_data import (
+    angle_curves,
+    envelope_frames,
+    player_data,
+    shown_frames,
+    widest_bands,
+)  # fmt: skip
 
 ROWS = {row.name: row for row in angle_table(SkeletonModel.default().table).rows}
 
@@ -60,20 +66,16 @@ def test_every_convention_shows_each_name_once() -> None:
 )
 def test_the_envelope_of_a_curve_has_its_extremes_in_order(values: np.ndarray, step: int) -> None:
     half = np.where(np.isfinite(values), np.abs(values), np.nan)
-    thin, bands = envelope(values, half, step)
-    assert bands is not None
-    assert len(thin) == len(bands) == 2 * -(-len(values) // step)
-    for i in range(0, len(values), step):
-        own, (first, second) = values[i : i + step], thin[2 * i // step : 2 * i // step + 2]
-        known = own[np.isfinite(own)]
-        if not len(known):
-            assert np.isnan([first, second, *bands[2 * i // step : 2 * i // step + 2]]).all()
+    frames, bands = envelope_frames(values, step), widest_bands(half, values, step)
+    assert len(frames) == len(bands) == 2 * -(-len(values) // step)
+    assert (np.diff(frames) >= 0).all()
+    for first, own in enumerate(np.split(values, range(step, len(values), step))):
+        pair = slice(2 * first, 2 * first + 2)
+        if not np.isfinite(own).any():
+            assert np.isnan([*values[frames[pair]], *bands[pair]]).all()
             continue
-        low, high = known.min(), known.max()
-        assert {first, second} == {low, high}
-        where = [np.flatnonzero(own == value) for value in (first, second)]
-        assert where[0].min() <= where[1].max()
-        assert (bands[2 * i // step : 2 * i // step + 2] == np.abs(known).max()).all()
+        assert set(values[frames[pair]]) == {np.nanmin(own), np.nanmax(own)}
+        assert (bands[pair] == np.nanmax(np.abs(own))).all()
 
 
 def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,6 +97,23 @@ def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.Monke
     assert (np.diff(found["times"]) > 0).all()
     peak = found["times"][int(unpacked(right["y"], 10).argmax())]
     assert peak == pytest.approx(motion.times[analysis.angles.values[:, a].argmax()], abs=found["interval"])
+
+
+def test_unreliable_samples_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analyse_motion(walk())
+    a = analysis.angles.names.index("right_knee_flexion")
+    trusted = np.ones(analysis.angles.values.shape, dtype=bool)
+    trusted[20:30, a] = False
+    analysis = replace(analysis, angles=replace(analysis.angles, trusted=trusted))
+
+    def marked() -> dict[tuple[str, str], list[tuple[int, int]]]:
+        groups = angle_curves(analysis, slice(None))["groups"]
+        series = ((group["name"], one) for group in groups for one in group["series"])
+        return {(name, one["side"]): one["doubtful"] for name, one in series if "doubtful" in one}
+
+    assert marked() == {("knee flexion", "right"): [(20, 30)]}
+    monkeypatch.setattr(plot_data, "MOST_SAMPLES", 68)  # intervals of five frames, two samples of each
+    assert marked() == {("knee flexion", "right"): [(8, 12)]}
 
 
 def test_a_long_way_is_played_without_gaps() -> None:
