@@ -19,10 +19,11 @@ from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.report import plot_data
 from rtof_kin.report.angle_names import angle_name, side_and_name
 from rtof_kin.report.html import asset, css_string, table
-from rtof_kin.report.page.clinical import way_line
+from rtof_kin.report.page.clinical import gait_section, way_line
 from rtof_kin.report.page.ranges import ranges_section
 from rtof_kin.report.plot_data import (
     angle_curves,
+    cycle_curves_data,
     envelope_frames,
     player_data,
     shown_frames,
@@ -192,3 +193,15 @@ def test_texts_have_enough_contrast_in_light_and_dark() -> None:
             for ground in ("paper", "panel"):
                 light, dark = sorted((_luminance(colours[text]), _luminance(colours[ground])), reverse=True)
                 assert (light + 0.05) / (dark + 0.05) >= 4.5, (text, ground)
+
+
+def test_gait_is_shown_only_where_it_is_gait() -> None:
+    analysis = analyse_motion(walk())
+    assert analysis.gait.is_gait
+    html = gait_section(analysis.gait)
+    mean, spread, strides = analysis.gait.summary["right"]["stride_time"]
+    assert f'<td data-label="right">{mean:.2f} &plusmn; {spread:.2f} ({strides})</td>' in html
+    assert len(cycle_curves_data(analysis)["groups"]) > 10
+    short = analyse_motion(walk()[:60])
+    assert gait_section(short.gait) == f"<p>{short.gait.why_not}</p>"
+    assert cycle_curves_data(short)["groups"] == []
