@@ -19,7 +19,7 @@ from rtof_kin.report.html import bullets, folded, table
 OBSERVED: Final = 0.995
 """Share of the frames from which on something counts as always observed."""
 _GAIT_UNITS: Final = {
-    "stride_time": ("s", 2), "cadence": ("steps/min", 0), "stride_length": ("m", 2), "speed": ("m/s", 2),
+    "stride_time": ("s", 2), "cadence": ("steps/min", 1), "stride_length": ("m", 2), "speed": ("m/s", 2),
     "stance_share": ("of the stride", 2),
 }  # fmt: skip
 """Measure -> unit, decimals."""
