@@ -43,7 +43,7 @@ ENTRIES = (
     Entry(
         "rtof-kin run walk.mp4 dots/ --height 1.72 -o out/walk",
         "From a video and sensor files to a report in one command ([how](phone.md)); `demo` does the last "
-        "steps on the recording of the package. The first lines say how good it is and what to be careful of:",
+        "steps on the recording of the package. The first lines say how good it is, and cautions:",
         printed=lambda studio: text_of(studio, "demo", "-o", studio.folder / "printed", "--no-figures"),
     ),
     Entry(
