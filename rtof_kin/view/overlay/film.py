@@ -217,7 +217,7 @@ def _title(result: ResultFiles) -> str:
 def _output_size(size: tuple[int, int], width_px: int | None, gif: bool) -> tuple[int, int]:
     """Return width and height of the output, px."""
     fits = min(1.0, GIF_WIDTH / size[0], GIF_HEIGHT / size[1]) if gif else 1.0
-    width = width_px or round(size[0] * fits)
+    width = width_px or int(size[0] * fits)
     return width, max(round(size[1] * width / size[0]), 1)
 
 
