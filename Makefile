@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench harness accuracy clean
+.PHONY: demo test lint bench harness accuracy pictures clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,6 +37,10 @@ harness: $(STAMP)
 
 accuracy: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.accuracy --corpus $(CORPUS)
+
+# Pictures of README and docs, with the package as it is; needs a Chromium. About ten minutes.
+pictures: $(STAMP)
+	$(BIN)/python -m docs.pictures $(if $(DATA),--data $(DATA))
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
 
     from rtof_kin.cli import (
         clinical,
+        compare,
         detection,
         inspection,
         lifters,
@@ -57,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         reporting,
         start,
         training,
+        view,
     )
 
     parser = argparse.ArgumentParser(
@@ -71,6 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         recordings,
         inspection,
         clinical,
+        compare,
         reporting,
         overlay,
         detection,
@@ -78,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
         training,
         lifters,
         protocols,
+        view,
     ):
         module.add_commands(commands)
     return parser

@@ -13,6 +13,7 @@ from rtof_kin.clinical.neutral import relative_to_standing
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques, single_support
+from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.errors import InvalidInputError
 
 
@@ -24,7 +25,9 @@ class MotionAnalysis:
     angles: ClinicalAngles
     ranges: tuple[RangeOfMotion, ...]
     gait: GaitAnalysis
-    """Has no strides if none were detected."""
+    """Has no strides if none were detected; `GaitAnalysis.is_gait` says whether they are those of walking."""
+    travel: Travel
+    """Way and turning of the pelvis."""
     curves: tuple[CycleCurves, ...]
     repetitions: RepetitionAnalysis | None
     """None if not requested."""
@@ -34,7 +37,7 @@ class MotionAnalysis:
     @property
     def notes(self) -> dict[str, tuple[str, ...]]:
         """Part of the analysis -> what could not be determined, and why."""
-        out = {"angles": self.angles.notes, "gait": self.gait.notes}
+        out = {"angles": self.angles.notes, "gait": self.gait.notes, "travel": self.travel.notes}
         if self.repetitions is not None:
             out["repetitions"] = self.repetitions.notes
         return out | {"torques": (NO_WEIGHT,) if self.torques is None else self.torques.notes}
@@ -73,6 +76,6 @@ def analyse_motion(
         support = single_support(gait) if gait.strides else None
         torques = joint_torques(motion, weight_kg, height, sex, support)
     return MotionAnalysis(
-        angle_table(skeleton.table), angles, ranges_of_motion(angles), gait, cycle_curves(angles, gait),
-        counted, torques,
+        angle_table(skeleton.table), angles, ranges_of_motion(angles), gait,
+        travel(motion, gait.verdict), cycle_curves(angles, gait), counted, torques,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from rtof_kin.data.confidence import WORLD
 from rtof_kin.formats.joint_trajectory import BASE_TURN
 
 SIDES: Final = ("right", "left")
+_VERTICAL: Final = "y"  # axis of the ISB frames that points up
 _MOVEMENTS: Final = (
     "dorsiflexion/plantarflexion", "flexion/extension", "adduction/abduction", "internal/external rotation",
     "inversion/eversion", "pronation/supination", "ulnar/radial deviation", "left/right bending",
@@ -33,13 +34,20 @@ def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
     if dof == BASE_TURN:
         return f"pelvis orientation ({dof})"
     names = {own.urdf: own.clinical.lstrip("-") for joint in skeleton.joints for own in joint.dofs}
-    if not (name := names.get(dof)):
-        return dof
+    return f"{both_directions(name)} ({dof})" if (name := names.get(dof)) else dof
+
+
+def both_directions(name: str) -> str:
+    """Return the name of an angle with both of its movements, e.g. 'left hip flexion/extension'.
+
+    Args:
+        name: with the positive movement alone, in words. Other names are unchanged.
+    """
     for both in _MOVEMENTS:
         positive = re.sub(r"/\w+", "", both)
         if name.endswith(positive):
-            return f"{name.removesuffix(positive)}{both} ({dof})"
-    return f"{name} ({dof})"
+            return f"{name.removesuffix(positive)}{both}"
+    return name
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,8 @@ class AngleRow:
     """[rad] interval into which whole turns are wrapped."""
     opensim: str
     """OpenSim coordinate, a leading '-' for the opposite sign; '' if there is none."""
+    about_vertical: bool = False
+    """Whether it is a heading, the angle of a segment about the vertical of world: no range of motion."""
 
     @property
     def label(self) -> str:
@@ -162,8 +172,9 @@ def _joint(
             sign=angle["sign"],
             range=(float(np.radians(angle["range_deg"][0])), float(np.radians(angle["range_deg"][1]))),
             opensim=angle["opensim"].format(x=side[:1]),
+            about_vertical=parent == WORLD and axis == _VERTICAL,
         )
-        for angle in entry["angle"]
+        for angle, axis in zip(entry["angle"], entry["sequence"], strict=True)
     )
     return JointCoordinateSystem(
         name=name, side=side, parent=parent, child=child, sequence=entry["sequence"],

@@ -10,10 +10,11 @@ import numpy as np
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
+from rtof_kin.clinical.gait_recognition import GaitVerdict, recognise_gait
+from rtof_kin.clinical.strides import LONGEST_STRIDE, Stride, find_strides
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
-LONGEST_STRIDE: Final = 2.5  # [s] between two strikes; longer ones contain a pause or a gap
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times above which a note is given
 LEAST_STANCE: Final = 0.55  # median stance share below which a note is given: walking has a double support
 PHASES: Final = np.linspace(0.0, 1.0, 101)
@@ -21,40 +22,6 @@ PHASES: Final = np.linspace(0.0, 1.0, 101)
 MEASURES: Final = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
 """Fields of `Stride` that are averaged and compared between the sides."""
 Summary = dict[str, dict[str, tuple[float, float, int]]]
-
-
-@dataclass(frozen=True)
-class Stride:
-    """A heel strike to the next of the same foot."""
-
-    side: str
-    start: float
-    """[s] first strike."""
-    toe_off: float
-    stop: float
-    """[s] next strike."""
-    stride_length: float
-    """[m] horizontal distance of the heel between the two strikes; 0 on a treadmill."""
-
-    @property
-    def stride_time(self) -> float:
-        """Seconds."""
-        return self.stop - self.start
-
-    @property
-    def cadence(self) -> float:
-        """Steps per minute; a stride has two steps."""
-        return 120.0 / self.stride_time
-
-    @property
-    def speed(self) -> float:
-        """m/s."""
-        return self.stride_length / self.stride_time
-
-    @property
-    def stance_share(self) -> float:
-        """Stance time divided by stride time."""
-        return (self.toe_off - self.start) / self.stride_time
 
 
 @dataclass(frozen=True)
@@ -69,6 +36,17 @@ class GaitAnalysis:
     symmetry: dict[str, float]
     """Measure -> (right - left) / mean of both; 0 is symmetric. Empty if a side has no stride."""
     notes: tuple[str, ...]
+    verdict: GaitVerdict
+
+    @property
+    def is_gait(self) -> bool:
+        """Whether the strides are those of walking (`recognise_gait`); measures of others mean little."""
+        return self.verdict.is_gait
+
+    @property
+    def why_not(self) -> str:
+        """One sentence on why the motion is no gait; '' if it is."""
+        return self.verdict.why_not
 
 
 @dataclass(frozen=True)
@@ -100,7 +78,7 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
         events: of both feet.
         angles: of the same motion; strides with unreliable knee flexion are excluded, with a note.
     """
-    found = [stride for side in events.feet for stride in _strides(side, events)]
+    found = [stride for side in events.feet for stride in find_strides(side, events)]
     strides = sorted((s for s in found if _trusted(s, angles)), key=lambda stride: stride.start)
     summary: Summary = {}
     notes = list(events.notes)
@@ -128,7 +106,8 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
         for name in MEASURES:
             right, left = (summary[side][name][0] for side in SIDES)
             symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
-    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes))
+    verdict = recognise_gait(strides, events)
+    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
 
 
 def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
@@ -138,22 +117,6 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
     knee = angles.select([f"{stride.side}_knee_flexion"])
     inside = (knee.times >= stride.start) & (knee.times <= stride.stop)
     return bool((np.isfinite(knee.trusted_values) | ~knee.known)[inside].all())
-
-
-def _strides(side: str, events: GaitEvents) -> list[Stride]:
-    """Pairs of strikes with one toe off, one strike of the other foot (if observed) and no gap."""
-    foot, times = events.feet[side], events.times
-    others = [other.strikes for name, other in events.feet.items() if name != side]
-    out = []
-    for start, stop in zip(foot.strikes[:-1], foot.strikes[1:], strict=True):
-        offs, *strikes = (t[(t > start) & (t < stop)] for t in (foot.offs, *others))
-        alternates = all(len(own) == 1 for own in strikes)
-        seen = np.isfinite(foot.heel[(times >= start) & (times <= stop)]).all()
-        if len(offs) == 1 and alternates and seen and stop - start <= LONGEST_STRIDE:
-            ends = signals.interpolate(times, foot.heel, [start, stop])
-            length = float(np.linalg.norm((ends[1] - ends[0])[:2]))
-            out.append(Stride(side, float(start), float(offs[0]), float(stop), length))
-    return out
 
 
 def _warnings(side: str, strides: list[Stride]) -> list[str]:

@@ -50,6 +50,10 @@ class GaitEvents:
     feet: dict[str, FootEvents]
     """'right' and 'left', if observed."""
     notes: tuple[str, ...]
+    pelvis: Array
+    """(T, 3) m, path of the pelvis in world; NaN where unobserved."""
+    forward: Array
+    """(T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown."""
 
 
 def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
@@ -69,7 +73,8 @@ def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
     table = angle_table(skeleton.table)
     if round(poses.rate_hz, 6) < LEAST_RATE_HZ:
         note = f"{poses.rate_hz:.3g} Hz is too low a rate for gait events; record {LEAST_RATE_HZ:g} Hz"
-        return GaitEvents(poses.times, {}, (note,))
+        nowhere = np.full((len(poses), 3), np.nan)
+        return GaitEvents(poses.times, {}, (note,), nowhere, nowhere)
     notes: list[str] = []
     (pelvis,) = skeleton.index(table.segments["pelvis"])
     forward = _forward(poses, pelvis)
@@ -88,7 +93,7 @@ def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
                 f"{side} foot: no heel strike in {poses.times[-1] - poses.times[0]:.1f} s; no swing of "
                 f"{LEAST_SWING:g} m relative to the pelvis, or less than a step"
             )
-    return GaitEvents(poses.times, feet, tuple(notes))
+    return GaitEvents(poses.times, feet, tuple(notes), p_pelvis, forward)
 
 
 def _forward(poses: PoseSequence, pelvis: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -35,11 +35,32 @@ class RangeOfMotion:
     """Share of those near a singular posture; NaN for none."""
     trusted_share: float = 1.0
     """Share of those with a reliable value (`angle_confidence`); NaN for none."""
+    low_sigma: float = float("nan")
+    """[rad] standard deviation of `low`; NaN if the motion has no confidence."""
+    high_sigma: float = float("nan")
+    """[rad] standard deviation of `high`; NaN if the motion has no confidence."""
+    range_sigma: float = float("nan")
+    """[rad] standard deviation of `range` (`range_deviation`); NaN if the motion has no confidence."""
+    about_vertical: bool = False
+    """Whether the angle is a heading (see `Travel`) and its range no range of motion."""
 
     @property
     def range(self) -> float:
         """High minus low."""
         return self.high - self.low
+
+
+def range_deviation(low_sigma: float, high_sigma: float) -> float:
+    """Return the standard deviation of a range, rad.
+
+    The errors of its two ends count as independent. A constant bias cancels in a range, and errors are
+    correlated over time, which makes this too large; the extremum of a noisy curve lies outward, which makes
+    it too small. ``python -m benchmarks.range_bands`` measures the balance.
+
+    Args:
+        low_sigma, high_sigma: standard deviations of the two ends, rad.
+    """
+    return float(np.hypot(low_sigma, high_sigma))
 
 
 def angular_velocity(angles: ClinicalAngles) -> Array:
@@ -83,15 +104,19 @@ def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
     name, known = angles.names[column], angles.known[:, column]
     trusted, singular = angles.trusted_values[:, column], angles.singular[:, column]
     values, nan = np.where(singular, np.nan, trusted), float("nan")
-    shares = [
-        float(known.mean()),
-        *(float(flag[known].mean()) if known.any() else nan for flag in (singular, np.isfinite(trusted))),
-    ]
+    shares: dict[str, Any] = {
+        "known_share": float(known.mean()),
+        "about_vertical": angles.rows[column].about_vertical,
+    }
+    for share, flag in (("singular_share", singular), ("trusted_share", np.isfinite(trusted))):
+        shares[share] = float(flag[known].mean()) if known.any() else nan
     if not np.isfinite(values).any():
-        return RangeOfMotion(name, nan, nan, nan, nan, nan, nan, *shares)
+        return RangeOfMotion(name, nan, nan, nan, nan, nan, nan, **shares)
     low, high = int(np.nanargmin(values)), int(np.nanargmax(values))
     peak = float(np.nanmax(speed)) if np.isfinite(speed).any() else nan
+    ends = (nan, nan) if angles.sigma is None else angles.sigma[[low, high], column].tolist()
     return RangeOfMotion(
         name, float(values[low]), float(values[high]), float(np.nanmean(values)), float(angles.times[low]),
-        float(angles.times[high]), peak, *shares,
+        float(angles.times[high]), peak, **shares, low_sigma=ends[0], high_sigma=ends[1],
+        range_sigma=range_deviation(*ends),
     )  # fmt: skip

@@ -150,7 +150,7 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert names_in(reconstructed) == {
         "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
         "ros_joint_trajectory.json", "ros_base_trajectory.json", "motion.csv", "files.json", "summary.json",
-        MANIFEST,
+        "measurements.npz", MANIFEST,
     }  # fmt: skip
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert summary["mode"] == "rtof"

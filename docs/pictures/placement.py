@@ -1,7 +1,4 @@
-"""Draw where the sensors sit: the T-pose from the front and from the left, `docs/placement.png`.
-
-python docs/placement_picture.py
-"""
+"""``placement.png``: where the sensors sit, on the T-pose from the front and from the left."""
 
 from __future__ import annotations
 
@@ -13,16 +10,16 @@ import numpy as np
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
+from docs.pictures.studio import DOCS, Studio
 from rtof_kin import SkeletonModel
 
-PICTURE = Path(__file__).parent / "placement.png"
 EIGHT = ("L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg")
 TEN = (*EIGHT, "Pelvis", "Sternum")
 COLOURS = {"eight limb sensors": "#d62728", "ten: + trunk": "#1f77b4", "thirteen: + head, feet": "#7f7f7f"}
 
 
-def main() -> None:
-    """Write the picture."""
+def make(studio: Studio) -> list[Path]:
+    path = DOCS / "placement.png"
     skeleton = SkeletonModel.default()
     p, R = skeleton.forward_kinematics(skeleton.t_pose()[None])
     p, R = p[0], R[0]
@@ -60,8 +57,6 @@ def main() -> None:
         axes[0].scatter([], [], s=60, marker="s", color=colour, label=label)
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     figure.tight_layout(rect=(0, 0.06, 1, 1))
-    figure.savefig(PICTURE, dpi=120)
-
-
-if __name__ == "__main__":
-    main()
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+    return [path]

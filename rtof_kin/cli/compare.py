@@ -1,0 +1,146 @@
+"""The command compare: two motions, or both sides of one, angle by angle."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Column, Table
+
+from rtof_kin.cli.terminal import command, out, print_files
+
+if TYPE_CHECKING:
+    from rtof_kin.clinical.comparison import AngleComparison, Comparison
+    from rtof_kin.clinical.comparison_alignment import Alignment
+
+_SHOWN = 12
+"""Angles in the printed table, unless they are chosen."""
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the commands of this module.
+
+    Args:
+        commands: subparsers of the command line.
+    """
+    parser = command(
+        commands, "compare", _compare, "two motions, or the left and right side of one, angle by angle",
+        "A and B are outputs of reconstruct or run, a motion.npz, or a .mot or .sto of another system. "
+        "Prints what is compared and how, which angles have changed, and differences B - A with standard "
+        "deviations and errors; -o writes a page with the curves, a table and JSON.",
+    )  # fmt: skip
+    parser.add_argument("a", metavar="OUT_A", help="the first motion; its clock is used")
+    parser.add_argument("b", metavar="OUT_B", nargs="?", help="the second motion")
+    parser.add_argument("--sides", action="store_true", help="compare left (A) and right (B) of OUT_A")
+    parser.add_argument(
+        "--by", choices=["time", "cycle", "repetition", "range"],
+        help="the same instants, phases of the gait cycle, phases of repetitions, or ranges of motion alone; "
+        "default: chosen from the data, and said",
+    )  # fmt: skip
+    clocks = parser.add_mutually_exclusive_group()
+    clocks.add_argument("--shift", type=float, metavar="S", help="seconds to add to the times of B")
+    clocks.add_argument(
+        "--align", action="store_true", help="estimate that shift from the angular velocities of both"
+    )
+    parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what is repeated")
+    parser.add_argument(
+        "--angles",
+        metavar="NAMES",
+        help="angles to compare, separated by commas; fewer are tested more sharply",
+    )
+    parser.add_argument("-o", "--output", metavar="DIR", help="folder to write")
+    parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
+
+
+def _compare(options: argparse.Namespace) -> None:
+    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.report.comparison.files import MARKER, write_comparison
+    from rtof_kin.report.comparison.sentences import cautions, opening
+
+    if options.output:
+        check_replaceable(options.output, MARKER, options.overwrite)
+    found, why = _compared(options)
+    for line in opening(found, why):
+        out.print(line, style="bold", soft_wrap=True)
+    for line in cautions(found):
+        out.print(f"caution: {line}", style="yellow", soft_wrap=True)
+    _print_angles(found, all_of_them=bool(options.angles))
+    if options.output:
+        with new_folder(options.output, MARKER, options.overwrite) as folder:
+            write_comparison(found, folder, why)
+        print_files(options.output)
+
+
+def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
+    """Comparison as the options ask for it, and why its axis was chosen."""
+    from rtof_kin.clinical.comparison import compare, sides_of
+    from rtof_kin.clinical.comparison_axis import agreement, choose_axis, choose_sides
+    from rtof_kin.core.errors import InvalidInputError
+    from rtof_kin.report.comparison.inputs import distinct, read_compared
+
+    names = [name.strip() for name in (options.angles or "").split(",") if name.strip()]
+    if options.sides == (options.b is not None):
+        raise InvalidInputError("compare: give two motions, or one with --sides")
+    shifted = options.align or options.shift is not None
+    if shifted and (options.sides or options.by not in (None, "time")):
+        raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
+    if options.sides:
+        a, b = sides_of(read_compared(options.a))
+        choice = choose_sides(a, b, options.by)
+    else:
+        a, b = read_compared(options.a), read_compared(options.b)
+        first, second = distinct(a, b, (options.a, options.b))
+        a, b = replace(a, name=first), replace(b, name=second)
+        choice = choose_axis(a, b, agreement(a, b), "time" if shifted else options.by)
+    shift, clocks = options.shift or 0.0, None
+    if choice.by == "time" and not options.sides:
+        if options.align:
+            shift = _found_shift(agreement(a, b))
+        clocks = agreement(a, b, shift)
+    kind = options.repetitions or choice.kind
+    return compare(a, b, choice.by, names=names, shift=shift, alignment=clocks, kind=kind), choice.why
+
+
+def _found_shift(clocks: Alignment | None) -> float:
+    from rtof_kin.core.errors import InvalidInputError
+
+    if clocks is None:
+        raise InvalidInputError(
+            "compare: no common angle moves, so that --align finds no shift; give --shift"
+        )
+    return clocks.shift
+
+
+def _print_angles(found: Comparison, all_of_them: bool) -> None:
+    """Table of the largest differences; errors only where there are curves."""
+    from rtof_kin.report.comparison.sentences import degrees, difference_text, label
+
+    shown = found.angles if all_of_them else found.angles[:_SHOWN]
+    curves = found.axis is not None
+    columns = ("B - A,\nmean", "B - A,\nrange") if curves else ("A,\nrange", "B,\nrange", "B - A,\nrange")
+    errors = ("RMSE", "MAE", "me-\ndian", "no\noffset") if curves else ()
+    headers = (*columns, *errors, "changed")
+    figures = [Column(header, justify="right", no_wrap=True) for header in headers]
+    table = Table(Column("angle [deg]"), *figures, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for one in shown:
+        changes = [difference_text(change) for change in one.changes]
+        if one.errors is None:
+            cells = [degrees(one.changes[0].a), degrees(one.changes[0].b), *changes]
+        else:
+            e = one.errors
+            cells = [*changes, *map(degrees, (e.rmse, e.mae, e.median, e.offset_removed))]
+        table.add_row(label(one.name), *cells, _verdict(one))
+    out.print(table)
+    if len(shown) < len(found.angles):
+        out.print(f"and {len(found.angles) - len(shown)} smaller ones: -o DIR, or --angles", soft_wrap=True)
+
+
+def _verdict(one: AngleComparison) -> str:
+    from rtof_kin.clinical.comparison_change import Verdict
+
+    changed = [change.measure for change in one.changes if change.verdict is Verdict.CHANGED]
+    if len(changed) > 1:
+        return "both"
+    return changed[0] if changed else {Verdict.NOT_TESTED: "not tested"}.get(one.verdict, "not shown")

@@ -1,0 +1,282 @@
+"""Comparison of the clinical angles of two motions, or of the left and right side of one.
+
+How the two are put on one axis (`By`):
+
+==========  =====================================================================================
+time        the same instants: two methods, or another system, on the same take
+cycle       phases of the gait cycle, mean over strides
+repetition  phases of a squat or a rise from a seat, mean over repetitions
+range       no common axis: ranges of motion of the whole recordings alone
+==========  =====================================================================================
+
+`comparison_change` has the mathematics of the differences, `comparison_alignment` that of clocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.clinical.comparison_alignment import Alignment
+from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
+from rtof_kin.clinical.comparison_samples import Pair, Spans, in_time, over_phases, whole
+from rtof_kin.clinical.gait import PHASES, analyse_gait
+from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.repetitions import KINDS, find_repetitions
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
+
+By = Literal["time", "cycle", "repetition", "range"]
+BYS: Final[tuple[By, ...]] = get_args(By)
+LEAST_SHARE: Final = 0.1
+"""Smallest share of the common frames, or of all repeats, with which an angle is compared."""
+HEADINGS: Final = ("pelvis_rotation", "pelvis_opensim_tilt", "pelvis_opensim_list", "pelvis_opensim_rotation")
+"""Angles that depend on the direction of the world's axes, which two recordings do not share."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One side of a comparison."""
+
+    name: str
+    """How it is called in all output."""
+    angles: ClinicalAngles
+    strides: Spans = field(default_factory=dict)
+    """Of the gait cycles, by side."""
+    repetitions: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
+    """Kind ('squat', 'sit_to_stand') -> start and stop of each, s."""
+    recording: str = ""
+    """Name of the recording it was computed from; '' if unknown."""
+    other_system: bool = False
+    """Whether it is a table of coordinates: without bands, strides and, maybe, with a clock of its own."""
+    own_export: bool = False
+    """Whether such a table is of this package's own model, so that its zeros are the same."""
+    notes: tuple[str, ...] = ()
+    """What its gait cycles and angles do not show, and why."""
+
+
+@dataclass(frozen=True)
+class AngleComparison:
+    """One angle of A against B."""
+
+    name: str
+    positive: str
+    """The movement that is positive."""
+    changes: tuple[Change, ...]
+    """Of the mean angle and of the range of motion; of the range alone without a common axis."""
+    share: float
+    """Share of the common frames, or of all repeats, that are compared."""
+    repeats: tuple[int, int]
+    """Strides or repetitions of A and B that are compared; 1 for other axes."""
+    errors: CurveErrors | None
+    """Of the curves; None without a common axis."""
+    curves: tuple[Array, Array] | None
+    """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
+    sigmas: tuple[Array | None, Array | None] = (None, None)
+    """(P,) rad, standard deviations of the curves; None without bands."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Changed if the mean or the range has."""
+        verdicts = [found.verdict for found in self.changes]
+        return next((v for v in Verdict if v in verdicts), Verdict.NOT_TESTED)
+
+    @property
+    def largest(self) -> Change:
+        """The larger change among those with the verdict of the angle."""
+        own = [found for found in self.changes if found.verdict is self.verdict]
+        return max(own, key=lambda found: abs(found.difference))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of two motions."""
+
+    a: Compared
+    b: Compared
+    by: By
+    axis: Array | None
+    """(P,) s or share of the cycle; None for ranges."""
+    angles: tuple[AngleComparison, ...]
+    """Compared angles, the largest difference first."""
+    left_out: Mapping[str, str]
+    """Angles that are not compared -> why."""
+    shift: float = 0.0
+    """[s] added to the times of B."""
+    alignment: Alignment | None = None
+    """Agreement of the two clocks; None without a common clock."""
+    kind: str = ""
+    """Kind of the repetitions."""
+
+    @property
+    def changed(self) -> tuple[AngleComparison, ...]:
+        """Angles that have changed."""
+        return tuple(found for found in self.angles if found.verdict is Verdict.CHANGED)
+
+    @property
+    def identical(self) -> bool:
+        """Whether all angles of both are the same numbers at the same times."""
+        a, b = self.a.angles, self.b.angles
+        return (
+            a.names == b.names
+            and np.array_equal(a.times, b.times)
+            and np.array_equal(a.values, b.values, equal_nan=True)
+        )
+
+
+def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared:
+    """Return a motion with its angles, strides and repetitions.
+
+    Args:
+        name: for the output. motion: reconstructed. recording: name of what it was computed from.
+    """
+    angles = clinical_angles(motion)
+    gait = analyse_gait(gait_events(motion.poses, motion.skeleton), angles)
+    strides = {side: [(s.start, s.stop) for s in gait.strides if s.side == side] for side in SIDES}
+    repetitions: dict[str, list[tuple[float, float]]] = {}
+    for kind in KINDS:
+        found = find_repetitions(motion.poses, motion.skeleton, angles, kind).repetitions
+        ways = [(r.descent if kind == "squat" else r.ascent, r.ascent) for r in found]
+        repetitions[kind] = [(first[0], last[1]) for first, last in ways if first and last]
+    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes)
+
+
+def sides_of(one: Compared) -> tuple[Compared, Compared]:
+    """Return the left and the right side of a motion, with the names of angles without the side.
+
+    Args:
+        one: both sides of a motion.
+    """
+
+    def side(name: str) -> Compared:
+        own = one.angles.select([angle for angle in one.angles.names if angle.startswith(f"{name}_")])
+        rows = tuple(replace(row, name=row.name.removeprefix(f"{name}_")) for row in own.rows)
+        strides = {"": one.strides.get(name, [])}
+        return replace(one, name=name, angles=replace(own, rows=rows), strides=strides)
+
+    return side("left"), side("right")
+
+
+def compare(
+    a: Compared, b: Compared, by: By, *, names: Sequence[str] = (), shift: float = 0.0,
+    alignment: Alignment | None = None, kind: str = "squat",
+) -> Comparison:  # fmt: skip
+    """Compare two motions on one axis.
+
+    Args:
+        a, b: the motions. by: the axis. names: angles to compare; none for all that both have.
+        shift: s, added to the times of B; of a comparison in time. alignment: to be kept with the result.
+        kind: of the repetitions.
+
+    Raises:
+        InvalidInputError: the motions have no such axis, or no angle in common on it.
+        UnknownNameError: a name that is none of an angle.
+    """
+    left_out = _left_out(a, b, by, names)
+    chosen = [n for n in (names or a.angles.names) if n in common_angles(a, b) and n not in left_out]
+    axis, pairs = _pairs(a, b, by, chosen, shift, kind)
+    for name in chosen:
+        found = next((pair for pair in pairs if pair.name == name), None)
+        if found is None or found.share < LEAST_SHARE:
+            left_out[name] = "hardly any common sample is observed and reliable in both"
+    pairs = [pair for pair in pairs if pair.share >= LEAST_SHARE]
+    if not pairs:
+        why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
+        raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
+    positive = {row.name: row.positive for row in a.angles.rows}
+    angles = [replace(one, positive=positive[one.name]) for one in _tested(pairs, by, axis)]
+    ordered = tuple(sorted(angles, key=lambda one: -abs(one.changes[0].difference)))
+    return Comparison(a, b, by, axis, ordered, left_out, shift, alignment, kind if by == "repetition" else "")
+
+
+def common_angles(a: Compared, b: Compared) -> tuple[str, ...]:
+    """Return the angles that both have a value of.
+
+    Args:
+        a, b: the motions.
+    """
+    known = []
+    for angles in (a.angles, b.angles):
+        known.append({angles.names[i] for i in np.flatnonzero(angles.known.any(axis=0))})
+    return tuple(name for name in a.angles.names if name in known[0] & known[1])
+
+
+def _left_out(a: Compared, b: Compared, by: By, names: Sequence[str]) -> dict[str, str]:
+    """Angles that are not compared, and why; those that neither has are not mentioned."""
+    for one in (a, b):
+        one.angles.select(names)  # raises for an unknown name
+    out = {}
+    for name in names or a.angles.names:
+        has = [bool(np.isfinite(x.angles[name]).any()) if name in x.angles.names else False for x in (a, b)]
+        if has[0] != has[1] or (names and not all(has)):
+            missing = " and ".join(x.name for x, own in zip((a, b), has, strict=True) if not own)
+            out[name] = f"not observed in {missing}"
+        elif all(has) and not names and name in HEADINGS:
+            if name.startswith("pelvis_opensim") and not (a.other_system or b.other_system):
+                continue  # the same orientation as the pelvis angles
+            if by != "time" or a.other_system or b.other_system:
+                out[name] = "depends on the direction of the world's axes; name it in --angles to compare it"
+    if not names:
+        second = [n for n in a.angles.names if n.startswith("pelvis_opensim") and n not in out]
+        out |= dict.fromkeys(second, "the same orientation as the other pelvis angles, in another order")
+    return out
+
+
+def _pairs(
+    a: Compared, b: Compared, by: By, names: Sequence[str], shift: float, kind: str
+) -> tuple[Array | None, list[Pair]]:
+    """Common axis and samples of the angles that have any."""
+    if by == "time":
+        times, pairs = in_time(a.angles, b.angles, names, shift)
+        if not len(times):
+            raise InvalidInputError(
+                f"compare: {a.name} ({_span(a)}) and {b.name} ({_span(b)}) have no instant in common; "
+                "give --shift or --align, or compare by cycle, repetition or range"
+            )
+        return times, pairs
+    if by == "range":
+        out = []
+        for name in names:
+            (first, share), (second, other) = (whole(x.angles, name) for x in (a, b))
+            if share > 0 and other > 0:
+                out.append(Pair(name, first, second, min(share, other)))
+        return None, out
+    spans = [x.strides if by == "cycle" else {"": x.repetitions.get(kind, ())} for x in (a, b)]
+    for one, own in zip((a, b), spans, strict=True):
+        if not any(own.values()):
+            what = "complete gait cycle" if by == "cycle" else f"{kind.replace('_', ' ')}"
+            raise InvalidInputError(f"compare: {one.name} has no {what}; compare by another axis (--by)")
+    return PHASES, over_phases(a.angles, b.angles, names, *spans)
+
+
+def _span(one: Compared) -> str:
+    return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
+
+
+def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComparison]:
+    """Differences of all angles, tested together; the movement that is positive is not filled in."""
+    repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
+    changes = adjusted([
+        change(measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), repeated)
+        for pair in pairs for measure in measures
+    ])  # fmt: skip
+    out, count = [], len(measures)
+    for number, pair in enumerate(pairs):
+        own = changes[count * number : count * (number + 1)]
+        repeats = (len(pair.a.values), len(pair.b.values))
+        one = AngleComparison(pair.name, "", own, pair.share, repeats, None, None)
+        if axis is not None:
+            curves = pair.a.curve, pair.b.curve
+            one = replace(
+                one, errors=curve_errors(axis, *curves), curves=curves,
+                sigmas=(pair.a.curve_sigma, pair.b.curve_sigma),
+            )  # fmt: skip
+        out.append(one)
+    return out

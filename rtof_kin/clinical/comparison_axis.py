@@ -1,0 +1,115 @@
+"""Choice of the axis of a comparison from the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from rtof_kin.clinical.comparison import By, Compared, common_angles
+from rtof_kin.clinical.comparison_alignment import Alignment, align
+from rtof_kin.clinical.repetitions import KINDS
+from rtof_kin.core.errors import InvalidInputError
+
+_LEAST_REPEATS: Final = 2  # strides of one side, or repetitions, of each motion
+_SAME_ENDS: Final = 0.25  # [s] by which the ends of two results of one take may differ
+_ALIKE: Final = 0.8  # agreement of motions of unknown recordings that count as one take
+_LEAST_COMMON: Final = 0.5  # share of the shorter motion that overlaps with another system's
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An axis, and why it was chosen."""
+
+    by: By
+    why: str
+    kind: str = "squat"
+    """Of the repetitions."""
+
+
+def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
+    """Return the best shift of B beyond a given one; None if no common angle moves.
+
+    Args:
+        a, b: the motions. shift: s, added to the times of B before.
+    """
+    moved = replace(b.angles, times=b.angles.times + shift)
+    try:
+        return align(a.angles, moved, common_angles(a, b))
+    except InvalidInputError:
+        return None
+
+
+def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | None = None) -> Choice:
+    """Return the axis on which two motions are compared; the reason is empty if it was asked for.
+
+    Args:
+        a, b: the motions. clocks: their `agreement`. asked: the axis that the user asks for.
+    """
+    if asked is not None:
+        return _asked(a, b, asked)
+    if a.other_system or b.other_system:
+        if _overlap(a, b) >= _LEAST_COMMON:
+            return Choice("time", "another system's result is compared at the same instants")
+        return Choice("range", "the time spans hardly overlap; --align finds a shift")
+    if (reason := _one_take(a, b, clocks)) is not None:
+        return Choice("time", reason)
+    return repeated_axis(a, b) or Choice(
+        "range", "they are different recordings without gait cycles or repetitions in both"
+    )
+
+
+def choose_sides(left: Compared, right: Compared, asked: By | None = None) -> Choice:
+    """Return the axis on which the sides of one motion are compared; no reason if it was asked for.
+
+    Args:
+        left, right: the sides. asked: the axis that the user asks for.
+    """
+    if asked is not None:
+        return _asked(left, right, asked)
+    return repeated_axis(left, right) or Choice(
+        "range", "there are no gait cycles or repetitions of both sides"
+    )
+
+
+def repeated_axis(a: Compared, b: Compared) -> Choice | None:
+    """Return the axis of the repeats that both have at least two of; None if there are none.
+
+    Args:
+        a, b: the motions.
+    """
+    cycles = [min(len(own), len(b.strides.get(side, ()))) for side, own in a.strides.items()]
+    if max(cycles, default=0) >= _LEAST_REPEATS:
+        return Choice("cycle", "both have complete gait cycles")
+    for kind in KINDS:
+        if min(len(x.repetitions.get(kind, ())) for x in (a, b)) >= _LEAST_REPEATS:
+            return Choice("repetition", f"both have repetitions ({kind.replace('_', ' ')})", kind)
+    return None
+
+
+def _asked(a: Compared, b: Compared, by: By) -> Choice:
+    """Axis that was asked for; of repetitions the kind that both have most of."""
+    least = {kind: min(len(x.repetitions.get(kind, ())) for x in (a, b)) for kind in KINDS}
+    return Choice(by, "", max(KINDS, key=lambda kind: least[kind]))
+
+
+def _one_take(a: Compared, b: Compared, clocks: Alignment | None) -> str | None:
+    """Why two motions count as results of the same take; None if they do not."""
+    ends = zip(_ends(a), _ends(b), strict=True)
+    if clocks is None or not max(abs(x - y) for x, y in ends) <= _SAME_ENDS:
+        return None
+    if a.recording and a.recording == b.recording and not clocks.poor:
+        return f"both are results of a recording {a.recording!r} of the same length that agree"
+    if not (a.recording and b.recording) and clocks.unshifted >= _ALIKE:
+        return "both have the same length and move alike at the same instants"
+    return None
+
+
+def _ends(one: Compared) -> tuple[float, float]:
+    return float(one.angles.times[0]), float(one.angles.times[-1])
+
+
+def _overlap(a: Compared, b: Compared) -> float:
+    """Share of the shorter one that overlaps."""
+    (start_a, stop_a), (start_b, stop_b) = _ends(a), _ends(b)
+    shorter = max(min(stop_a - start_a, stop_b - start_b), 1e-9)
+    return (min(stop_a, stop_b) - max(start_a, start_b)) / shorter

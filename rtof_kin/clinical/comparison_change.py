@@ -1,0 +1,158 @@
+"""Test of a difference B - A between two motions with stated errors.
+
+**Error of a mean.** The error e(t) of an angle has the standard deviation s(t) of the motion's confidence. It
+is autocorrelated, partly constant over a recording (a sensor askew, a neutral posture). By Cauchy and Schwarz
+
+::
+
+    Var(mean of e) = (1/T^2) sum_t sum_u Cov(e(t), e(u))  <=  ((1/T) sum_t s(t))^2
+
+with equality for an error that is constant up to its size. So the mean of the standard deviations is used,
+which never claims too little, whatever the correlation; T frames or strides do not make it smaller.
+
+**Error of a range** x(t1) - x(t2) between the highest and the lowest sample: s(t1)^2 + s(t2)^2, as for
+independent errors. A constant error cancels, so this is too much for all errors that are not opposite.
+
+**Spread.** Where a movement is repeated (n strides, repetitions) with the standard deviation d between
+repeats, d^2 / n is added: another day's mean would differ by that. A single repeat takes d from the other
+motion.
+
+**Variance** V of the difference: the sum of these four parts, as if the errors of A and B were independent.
+Of one recording they are not; those that both share cancel, and V is too large.
+
+**Test.** B - A over sqrt(V) against Student's t, two-sided, with the degrees of freedom of Welch and
+Satterthwaite, in which stated standard deviations count as known:
+
+::
+
+    nu = V^2 / ((d_A^2/n_A)^2 / (n_A - 1) + (d_B^2/n_B)^2 / (n_B - 1))
+
+The p-values of all angles are adjusted by Holm (Scandinavian Journal of Statistics 6, 1979), so that the
+chance of even one false "changed" among them is at most `LEVEL`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from scipy import stats
+
+from rtof_kin.core.array_types import Array
+
+LEVEL: Final = 0.05
+"""Chance of a false "changed" among all tests of a comparison."""
+_NO_SIZE: Final = 1e-9  # [rad] differences below are rounding
+
+
+class Verdict(StrEnum):
+    """Outcome of a test; its value is its name in words."""
+
+    CHANGED = "changed"
+    NOT_SHOWN = "not shown to have changed"
+    NOT_TESTED = "not tested"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One measure of one angle of one motion, from all its repeats."""
+
+    values: Array
+    """(n,) rad, one for each repeat."""
+    band_sigma: float
+    """[rad] standard deviation of the error that all repeats share; 0 if the values count as exact."""
+
+    @property
+    def mean(self) -> float:
+        """[rad] over repeats; NaN for none."""
+        return float(np.mean(self.values)) if len(self.values) else float("nan")
+
+    @property
+    def spread(self) -> float:
+        """[rad] standard deviation between repeats; NaN for fewer than two."""
+        return float(np.std(self.values, ddof=1)) if len(self.values) > 1 else float("nan")
+
+
+@dataclass(frozen=True)
+class Change:
+    """A difference B - A, its uncertainty and its test."""
+
+    measure: str
+    """'mean' or 'range'."""
+    a: float
+    """[rad] of motion A."""
+    b: float
+    """[rad] of motion B."""
+    sigma: float
+    """[rad] standard deviation of the difference; NaN if unknown."""
+    dof: float
+    """Degrees of freedom of `sigma`; infinite if it is from bands alone."""
+    p: float
+    """Two-sided p-value of this test alone; NaN if not tested."""
+    p_adjusted: float = float("nan")
+    """Holm's, over all tests of the comparison."""
+    detectable: float = float("nan")
+    """[rad] a difference of this size is called changed whatever the other angles show."""
+
+    @property
+    def difference(self) -> float:
+        """B - A, rad."""
+        return self.b - self.a
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of the difference, rad, of this angle alone (without Holm's correction)."""
+        half = float(stats.t.ppf(1 - LEVEL / 2, self.dof)) * self.sigma
+        return self.difference - half, self.difference + half
+
+    @property
+    def verdict(self) -> Verdict:
+        """Outcome after Holm's correction."""
+        if np.isnan(self.p_adjusted):
+            return Verdict.NOT_TESTED
+        return Verdict.CHANGED if self.p_adjusted <= LEVEL else Verdict.NOT_SHOWN
+
+
+def change(measure: str, a: Measured, b: Measured, repeated: bool) -> Change:
+    """Return a difference with its test, not yet adjusted for others.
+
+    Args:
+        measure: its name. a, b: of both motions. repeated: whether values are of repeats of a movement, so
+            that their spread counts; else each motion has one value.
+    """
+    bands = a.band_sigma**2 + b.band_sigma**2
+    spreads = [_of_spread(a, b), _of_spread(b, a)] if repeated else []
+    variance = bands + sum(part for part, _ in spreads)
+    weight = sum(part**2 / dof for part, dof in spreads)
+    dof = variance**2 / weight if weight > 0 else np.inf
+    difference, sigma = b.mean - a.mean, float(np.sqrt(variance))
+    p = float("nan")
+    if sigma > _NO_SIZE and np.isfinite(difference):
+        p = float(2 * stats.t.sf(abs(difference) / sigma, dof))
+    return Change(measure, a.mean, b.mean, sigma if sigma > _NO_SIZE else float("nan"), float(dof), p)
+
+
+def _of_spread(own: Measured, other: Measured) -> tuple[float, float]:
+    """Variance, rad^2, of the mean over repeats, and its degrees of freedom; (0, inf) if it is unknown."""
+    known = own if len(own.values) > 1 else other
+    if len(known.values) < 2:
+        return 0.0, np.inf
+    return known.spread**2 / len(own.values), len(known.values) - 1.0
+
+
+def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
+    """Return the changes of one comparison with Holm's p-values and the detectable differences.
+
+    Args:
+        changes: of all angles and measures that are tested together.
+    """
+    tested = [i for i, found in enumerate(changes) if np.isfinite(found.p)]
+    out, largest = list(changes), 0.0
+    for rank, i in enumerate(sorted(tested, key=lambda i: changes[i].p)):
+        largest = max(largest, min(1.0, (len(tested) - rank) * changes[i].p))
+        quantile = float(stats.t.ppf(1 - LEVEL / (2 * len(tested)), changes[i].dof))
+        out[i] = replace(changes[i], p_adjusted=largest, detectable=quantile * changes[i].sigma)
+    return tuple(out)

@@ -1,0 +1,178 @@
+"""Samples of two motions on one common axis: the same instants, or the phases of repeated movements.
+
+A sample is usable if its angle is observed and reliable and its posture not singular. Values of B are taken
+modulo whole turns, nearest to those of A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angles import ClinicalAngles
+from rtof_kin.clinical.comparison_change import Measured
+from rtof_kin.clinical.gait import PHASES
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
+
+Spans = Mapping[str, Sequence[tuple[float, float]]]
+"""Side, or '' for both -> start and stop of each repeat, s."""
+_GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
+_TURN: Final = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class Samples:
+    """One angle of one motion on the common axis."""
+
+    values: Array
+    """(n, P) rad, a row for each repeat; NaN where unusable."""
+    sigma: Array | None
+    """(n, P) rad, stated standard deviations; None if the motion has no bands."""
+
+    @property
+    def curve(self) -> Array:
+        """(P,) rad, mean over repeats."""
+        return np.asarray(self.values.mean(axis=0))
+
+    @property
+    def curve_sigma(self) -> Array | None:
+        """(P,) rad, standard deviation of `curve`: the mean band, and the spread between repeats."""
+        band = np.zeros(self.values.shape[1]) if self.sigma is None else self.sigma.mean(axis=0)
+        if len(self.values) > 1:
+            return np.asarray(np.sqrt(band**2 + self.values.var(axis=0, ddof=1) / len(self.values)))
+        return None if self.sigma is None else np.asarray(band)
+
+    def mean(self) -> Measured:
+        """Return the mean angle of each repeat."""
+        band = 0.0 if self.sigma is None else float(np.nanmean(self.sigma))
+        return Measured(np.nanmean(self.values, axis=1), band)
+
+    def range(self) -> Measured:
+        """Return the range of motion of each repeat."""
+        rows = np.arange(len(self.values))
+        high, low = np.nanargmax(self.values, axis=1), np.nanargmin(self.values, axis=1)
+        band = 0.0
+        if self.sigma is not None:
+            band = float(np.mean(np.hypot(self.sigma[rows, high], self.sigma[rows, low])))
+        return Measured(self.values[rows, high] - self.values[rows, low], band)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One angle of both motions."""
+
+    name: str
+    a: Samples
+    b: Samples
+    share: float
+    """Share of the common frames, or of all repeats, that are compared."""
+
+
+def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
+    """Return values and standard deviations (T, A) rad; NaN where unobserved, unreliable or singular.
+
+    Whole turns between two stretches are removed.
+
+    Args:
+        angles: of a motion.
+    """
+    values = np.where(angles.singular, np.nan, angles.trusted_values)
+    for column in values.T:
+        known = np.isfinite(column)
+        column[known] = np.unwrap(column[known])
+    return values, None if angles.sigma is None else np.where(np.isfinite(values), angles.sigma, np.nan)
+
+
+def in_time(
+    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: float
+) -> tuple[Array, list[Pair]]:
+    """Return the common instants (P,) s on the clock of A, and the angles at them.
+
+    Args:
+        a, b: both motions. names: angles that both have. shift: s, added to the times of B.
+    """
+    a, b = a.select(names), b.select(names)
+    inside = (a.times >= b.times[0] + shift - 1e-9) & (a.times <= b.times[-1] + shift + 1e-9)
+    times, at = a.times[inside], np.clip(a.times[inside] - shift, b.times[0], b.times[-1])
+    values_a, sigma_a = (None if x is None else x[inside] for x in usable(a))
+    values_b, sigma_b = (
+        None if x is None else signals.interpolate(b.times, x, at, _GAP / b.rate_hz) for x in usable(b)
+    )
+    assert values_a is not None
+    assert values_b is not None
+    values_b = values_b - _TURN * np.round((values_b - values_a) / _TURN)
+    both = np.isfinite(values_a) & np.isfinite(values_b)
+
+    def samples(values: Array, sigma: Array | None, column: int) -> Samples:
+        known = both[:, column]
+        own = None if sigma is None else np.where(known, sigma[:, column], np.nan)[None]
+        return Samples(np.where(known, values[:, column], np.nan)[None], own)
+
+    pairs = [
+        Pair(name, samples(values_a, sigma_a, k), samples(values_b, sigma_b, k), float(both[:, k].mean()))
+        for k, name in enumerate(names)
+        if both[:, k].any()
+    ]
+    return times, pairs
+
+
+def over_phases(
+    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], spans_a: Spans, spans_b: Spans
+) -> list[Pair]:
+    """Return the angles at `PHASES` of all repeats in which they are usable throughout.
+
+    Args:
+        a, b: both motions. names: angles that both have. spans_a, spans_b: repeats; angles of one side are
+            taken over those of that side, angles of the trunk over those of the first side that both have.
+    """
+    pairs = []
+    for name in names:
+        side = _side(name, spans_a, spans_b)
+        if side is None:
+            continue
+        first, second = _repeats(a, name, spans_a[side]), _repeats(b, name, spans_b[side])
+        if len(first.values) and len(second.values):
+            middle = np.median(first.values)
+            turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)
+            total = len(spans_a[side]) + len(spans_b[side])
+            share = (len(first.values) + len(second.values)) / total
+            pairs.append(Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share))
+    return pairs
+
+
+def _side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
+    """Side whose repeats an angle is taken over; None without repeats."""
+    own = next((side for side in SIDES if name.startswith(f"{side}_")), None)
+    wanted = ("", own) if own else ("", *SIDES)
+    return next((side for side in wanted if spans_a.get(side) and spans_b.get(side)), None)
+
+
+def _repeats(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
+    """Complete repeats of one angle, on one turn."""
+    values, sigma = usable(angles.select([name]))
+    at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
+    gap, shape = _GAP / angles.rate_hz, (len(spans), len(PHASES))
+    rows = signals.interpolate(angles.times, values, at, gap).reshape(shape)
+    complete = np.isfinite(rows).all(axis=1)
+    rows = rows[complete]
+    if len(rows):
+        rows = rows - _TURN * np.round((np.median(rows, axis=1, keepdims=True) - np.median(rows[0])) / _TURN)
+    bands = None
+    if sigma is not None:
+        bands = signals.interpolate(angles.times, sigma, at, gap).reshape(shape)[complete]
+    return Samples(rows, bands)
+
+
+def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:
+    """Return all usable samples of one angle, and their share.
+
+    Args:
+        angles: of a motion. name: of the angle.
+    """
+    values, sigma = usable(angles.select([name]))
+    return Samples(values.T, None if sigma is None else sigma.T), float(np.isfinite(values).mean())

@@ -1,0 +1,177 @@
+"""Recognition of walking among the strides of a motion.
+
+Every alternation of the feet relative to the pelvis has strikes, offs and strides: dances, exercises and
+kicks too. A stride is one of walking if its shape is (`StrideShape`, `is_walking`); a motion is gait if
+enough of its strides are, and if these are steady. The limits were chosen on free motion and are measured on
+other people by ``python -m benchmarks.gait_recognition``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.gait_events import GaitEvents
+from rtof_kin.clinical.strides import Stride
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
+
+STANCE: Final = (0.55, 0.82)
+"""Stance shares of walking, of the stride time; slow walking has up to four fifths."""
+PHASE: Final = (0.32, 0.68)
+"""Strike of the other foot, share of the stride time."""
+LEAST_SWING: Final = 0.20  # [m] excursion of a heel relative to the pelvis within a stride
+LEAST_PROGRESS: Final = 0.30  # [m] way of the pelvis in one stride over ground
+ON_THE_SPOT: Final = 0.20  # [m] largest way of the pelvis in one stride on a treadmill
+SPOT_SWING: Final = 0.35  # [m] least excursion of a heel on a treadmill: a knee lifted in place has less
+SPOT_PHASE: Final = (0.42, 0.58)
+"""Strike of the other foot on a treadmill, where no way over ground confirms the stride."""
+BELT: Final = (0.35, 0.75)
+"""Way of the heel in mid stance on a treadmill, share of its swing: half of the stance is half of the way."""
+FORWARD: Final = np.cos(np.radians(35.0))
+"""Least cosine between the way of the pelvis and the direction in which it faces."""
+LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
+LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noise has a decimetre
+FEWEST: Final = 3  # strides of both feet together
+LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
+UNSTEADY: Final = 0.15  # coefficient of variation of stride times
+
+
+@dataclass(frozen=True)
+class StrideShape:
+    """Shape of one stride, from which walking is told; NaN where unknown."""
+
+    stance_share: float
+    """Stance time divided by stride time."""
+    phase: float
+    """Strike of the other foot, share of the stride time."""
+    swing: float
+    """[m] excursion of the heel relative to the pelvis, along its heading."""
+    progress: float
+    """[m] horizontal way of the pelvis from start to stop."""
+    forward: float
+    """Cosine between that way and the mean heading."""
+    turn: float
+    """[rad] change of the heading from start to stop."""
+    slip: float
+    """[m] horizontal way of the heel in world from 20 to 70 % of stance."""
+
+
+@dataclass(frozen=True)
+class GaitVerdict:
+    """Whether a motion is gait, and which of its strides are those of walking."""
+
+    walking: tuple[Stride, ...]
+    """Strides of walking, by their start."""
+    on_the_spot: bool
+    """Whether the pelvis stays where it is: a treadmill, or walking on the spot."""
+    why_not: str
+    """One sentence on why the motion is no gait; '' if it is."""
+
+    @property
+    def is_gait(self) -> bool:
+        """Whether the motion is gait."""
+        return not self.why_not
+
+
+def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
+    """Return the shape of a stride.
+
+    Args:
+        stride: one of the events. events: of both feet.
+    """
+    heel = events.feet[stride.side].heel
+    inside = (events.times >= stride.start) & (events.times <= stride.stop)
+    ahead = np.sum((heel - events.pelvis) * events.forward, axis=-1)[inside]
+    stance = stride.start + (stride.toe_off - stride.start) * np.array([0.2, 0.7])
+    way = _way(events.times, events.pelvis, np.array([stride.start, stride.stop]))
+    facing = np.nanmean(events.forward[inside], axis=0)
+    heading = np.unwrap(np.arctan2(events.forward[inside, 1], events.forward[inside, 0]))
+    progress = float(np.linalg.norm(way))
+    others = [foot.strikes for side, foot in events.feet.items() if side != stride.side]
+    between = [t for strikes in others for t in strikes if stride.start < t < stride.stop]
+    return StrideShape(
+        stance_share=stride.stance_share,
+        phase=(between[0] - stride.start) / stride.stride_time if between else float("nan"),
+        swing=float(np.ptp(ahead)) if np.isfinite(ahead).all() else float("nan"),
+        progress=progress,
+        forward=float(way @ facing[:2] / max(progress * np.linalg.norm(facing[:2]), 1e-9)),
+        turn=float(heading[-1] - heading[0]),
+        slip=float(np.linalg.norm(_way(events.times, heel, stance))),
+    )
+
+
+def _way(times: Array, path: Array, at: Array) -> Array:
+    """(2,) horizontal displacement of a path between two instants, m."""
+    ends = signals.interpolate(times, path, at)
+    return np.asarray((ends[1] - ends[0])[:2])
+
+
+def recognise_gait(strides: Sequence[Stride], events: GaitEvents) -> GaitVerdict:
+    """Decide whether strides are those of walking.
+
+    Args:
+        strides: found in the events, of both feet. events: of both feet.
+    """
+    shapes = [stride_shape(stride, events) for stride in strides]
+    against = [departures(shape) for shape in shapes]
+    walking = tuple(stride for stride, reasons in zip(strides, against, strict=True) if not reasons)
+    progress = [shape.progress for shape, reasons in zip(shapes, against, strict=True) if not reasons]
+    on_the_spot = bool(progress) and float(np.median(progress)) < ON_THE_SPOT
+    return GaitVerdict(walking, on_the_spot, _why_not(strides, walking, against))
+
+
+def departures(shape: StrideShape) -> tuple[str, ...]:
+    """Return phrases on what a stride has that walking has not; empty for a stride of walking.
+
+    Args:
+        shape: of the stride.
+    """
+    spot = shape.progress < ON_THE_SPOT
+    low, high = SPOT_PHASE if spot else PHASE
+    swing = SPOT_SWING if spot else LEAST_SWING
+    one_foot = np.isnan(shape.phase)  # the other foot was not observed
+    wrong = {
+        f"stance takes less than {100 * STANCE[0]:.0f} % of the stride, as in running and jumping":
+            shape.stance_share < STANCE[0],
+        f"stance takes more than {100 * STANCE[1]:.0f} % of the stride": shape.stance_share > STANCE[1],
+        "the feet do not alternate evenly": not (one_foot or low <= shape.phase <= high),
+        f"the foot swings less than {swing:.2f} m past the pelvis": not shape.swing >= swing,
+        f"the pelvis advances by {ON_THE_SPOT:.1f} to {LEAST_PROGRESS:.1f} m in a stride":
+            not (spot or shape.progress >= LEAST_PROGRESS),
+        "the person moves backward or sideways": not (spot or shape.forward >= FORWARD),
+        f"the person turns by more than {np.degrees(LARGEST_TURN):.0f} deg within a stride":
+            not abs(shape.turn) <= LARGEST_TURN,
+        "the foot slides or hops during stance": not (spot or shape.slip <= LARGEST_SLIP),
+        "in place, the feet do not glide back as on a treadmill":
+            spot and not BELT[0] <= shape.slip / max(shape.swing, 1e-9) <= BELT[1],
+    }  # fmt: skip
+    return tuple(text for text, flag in wrong.items() if flag)
+
+
+def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequence[tuple[str, ...]]) -> str:
+    """Sentence on why strides are no gait; '' if they are."""
+    count = len(strides)
+    if not count:
+        return "No complete stride was found: the feet do not pass each other in turn as in walking."
+    if len(walking) < LEAST_SHARE * count:
+        reasons = [text for own in against for text in own]
+        most = max(dict.fromkeys(reasons), key=reasons.count)
+        have = "has" if len(walking) == 1 else "have"
+        share = f"only {len(walking)} of {count} stride-like movements {have} the shape of walking"
+        if not walking:
+            share = f"none of {count} stride-like movements has the shape of walking"
+        return f"This is not steady walking: {share}; most often, {most}."
+    if len(walking) < FEWEST:
+        strides_of = "stride" if len(walking) == 1 else "strides"
+        return f"Only {len(walking)} complete {strides_of} of walking: at least {FEWEST} are needed."
+    times = np.array([stride.stride_time for stride in walking])
+    if (spread := float(times.std(ddof=1) / times.mean())) > UNSTEADY:
+        return (
+            f"The strides are not steady: their times vary by {100 * spread:.0f} %, more than "
+            f"{100 * UNSTEADY:.0f} %."
+        )
+    return ""

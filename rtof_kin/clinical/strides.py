@@ -1,0 +1,67 @@
+"""Strides: pairs of heel strikes of one foot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.gait_events import GaitEvents
+from rtof_kin.core import signals
+
+LONGEST_STRIDE: Final = 2.5  # [s] between two strikes; longer ones contain a pause or a gap
+
+
+@dataclass(frozen=True)
+class Stride:
+    """A heel strike to the next of the same foot."""
+
+    side: str
+    start: float
+    """[s] first strike."""
+    toe_off: float
+    stop: float
+    """[s] next strike."""
+    stride_length: float
+    """[m] horizontal distance of the heel between the two strikes; 0 on a treadmill."""
+
+    @property
+    def stride_time(self) -> float:
+        """Seconds."""
+        return self.stop - self.start
+
+    @property
+    def cadence(self) -> float:
+        """Steps per minute; a stride has two steps."""
+        return 120.0 / self.stride_time
+
+    @property
+    def speed(self) -> float:
+        """m/s."""
+        return self.stride_length / self.stride_time
+
+    @property
+    def stance_share(self) -> float:
+        """Stance time divided by stride time."""
+        return (self.toe_off - self.start) / self.stride_time
+
+
+def find_strides(side: str, events: GaitEvents) -> list[Stride]:
+    """Return pairs of strikes with one toe off, one strike of the other foot (if observed) and no gap.
+
+    Args:
+        side: of the foot. events: of both feet.
+    """
+    foot, times = events.feet[side], events.times
+    others = [other.strikes for name, other in events.feet.items() if name != side]
+    out = []
+    for start, stop in zip(foot.strikes[:-1], foot.strikes[1:], strict=True):
+        offs, *strikes = (t[(t > start) & (t < stop)] for t in (foot.offs, *others))
+        alternates = all(len(own) == 1 for own in strikes)
+        seen = np.isfinite(foot.heel[(times >= start) & (times <= stop)]).all()
+        if len(offs) == 1 and alternates and seen and stop - start <= LONGEST_STRIDE:
+            ends = signals.interpolate(times, foot.heel, [start, stop])
+            length = float(np.linalg.norm((ends[1] - ends[0])[:2]))
+            out.append(Stride(side, float(start), float(offs[0]), float(stop), length))
+    return out

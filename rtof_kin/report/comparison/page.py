@@ -1,0 +1,105 @@
+"""Page of a comparison: sentences, tables and charts in one HTML file that opens offline."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from html import escape
+from typing import Final
+
+from rtof_kin.clinical.comparison import AngleComparison, Comparison
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
+from rtof_kin.report.comparison.plot_data import comparison_data
+from rtof_kin.report.comparison.sentences import cautions, degrees, label, opening, place
+from rtof_kin.report.html import asset, bullets, fill, source_hash, table
+
+_SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
+_STYLES: Final = ("page.css", "comparison.css")
+_DIFFERENCES: Final = (
+    "angle", "measure", "A", "B", "B - A", "95 % interval", "detectable", "p (Holm)", "verdict",
+)  # fmt: skip
+_ERRORS: Final = (
+    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "compared"
+)  # fmt: skip
+_MARKS: Final = {Verdict.CHANGED: "warn", Verdict.NOT_SHOWN: "not-checked", Verdict.NOT_TESTED: "not-checked"}
+_RANGES: Final = "The two have no common axis, so there are no curves: see the ranges above."
+
+
+def page(found: Comparison, why: str = "") -> str:
+    """Return the self-contained HTML page of a comparison.
+
+    Args:
+        found: the comparison. why: of the choice of the axis.
+    """
+    style, script = ("".join(asset(name) for name in names) for names in (_STYLES, _SCRIPTS))
+    data = json.dumps(comparison_data(found), separators=(",", ":"), allow_nan=False)
+    for character in "<>&":
+        data = data.replace(character, f"\\u{ord(character):04x}")
+    careful = cautions(found)
+    parts = {
+        "title": escape(f"{found.a.name} and {found.b.name}: comparison of joint angles"),
+        "opening": "\n".join(f"<p>{escape(line)}</p>" for line in opening(found, why)),
+        "cautions": f"<h2>What to be careful about</h2>{bullets(careful)}" if careful else "",
+        "name_a": escape(found.a.name),
+        "name_b": escape(found.b.name),
+        "differences": table(_DIFFERENCES, _difference_rows(found), "differences"),
+        "level": f"{100 * LEVEL:.0f} %",
+        "errors": _errors(found),
+        "curves": "" if found.axis is not None else f"<p>{_RANGES}</p>",
+        "left_out": _left_out(found),
+        "style": style,
+        "style_hash": source_hash(style),
+        "script": script,
+        "script_hash": source_hash(script),
+        "data": data,
+    }
+    return fill(asset("comparison.html"), parts)
+
+
+def _difference_rows(found: Comparison) -> Iterator[tuple[str, ...]]:
+    for one in found.angles:
+        for number, change in enumerate(one.changes):
+            name = f"{escape(label(one.name))} <small>{escape(one.positive)}</small>" if number == 0 else ""
+            yield name, *_change_cells(change)
+
+
+def _change_cells(change: Change) -> tuple[str, ...]:
+    sd = f" &plusmn; {degrees(change.sigma)}" if degrees(change.sigma) else ""
+    low, high = (degrees(end, True) for end in change.interval)
+    p = f"{change.p_adjusted:.3f}" if change.p_adjusted == change.p_adjusted else ""
+    difference = f"<b>{degrees(change.difference, True)}</b>{sd}"
+    return (
+        change.measure, degrees(change.a), degrees(change.b), difference,
+        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
+        f'<span class="grade {_MARKS[change.verdict]}">{change.verdict.value}</span>',
+    )  # fmt: skip
+
+
+def _errors(found: Comparison) -> str:
+    rows = [_error_cells(found, one) for one in found.angles if one.errors is not None]
+    if not rows:
+        return f"<p>{_RANGES}</p>"
+    return table(_ERRORS, rows, "errors")
+
+
+def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
+    errors = one.errors
+    assert errors is not None
+    sizes = (errors.rmse, errors.mae, errors.median, errors.offset_removed)
+    r = f"{errors.correlation:.2f}" if errors.correlation == errors.correlation else ""
+    share = f"{100 * one.share:.0f} %"
+    if found.by != "time":
+        share += f" ({one.repeats[0]} and {one.repeats[1]})"
+    return (
+        escape(label(one.name)), *map(degrees, sizes), degrees(errors.largest, True), place(found, errors.at),
+        r, share,
+    )  # fmt: skip
+
+
+def _left_out(found: Comparison) -> str:
+    if not found.left_out:
+        return "<p>Every angle that is observed in either is compared.</p>"
+    reasons: dict[str, list[str]] = {}
+    for name, reason in found.left_out.items():
+        reasons.setdefault(reason, []).append(label(name))
+    return bullets(f"{reason}: {', '.join(names)}" for reason, names in reasons.items())

@@ -1,0 +1,56 @@
+"""Plot data of a comparison: each angle of A over B, and their difference, with 95 % bands."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.clinical.comparison import AngleComparison, Comparison
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.comparison.sentences import label
+from rtof_kin.report.plot_data import Data, packed, shown_frames
+
+DIFFERENCE: Final = "difference"
+"""Kind of a difference curve, and its class in the style sheet."""
+_SCALE: Final = 10  # packed numbers are tenths of a degree
+
+
+def comparison_data(found: Comparison) -> Data:
+    """Return the charts of a comparison; none without a common axis.
+
+    Args:
+        found: the comparison.
+    """
+    if found.axis is None:
+        return {"x": [], "groups": [], "by": found.by}
+    shown = shown_frames(found.axis) if found.by == "time" else slice(None)
+    groups = [chart for one in found.angles for chart in _charts(one, shown)]
+    scale = 1.0 if found.by == "time" else 100.0
+    return {"x": [round(scale * float(x), 4) for x in found.axis[shown]], "groups": groups, "by": found.by}
+
+
+def _charts(one: AngleComparison, shown: slice) -> list[Data]:
+    """The curves of A and B, and their difference."""
+    assert one.curves is not None
+    a, b = one.curves
+    sigma_a, sigma_b = one.sigmas
+    known = [sigma for sigma in (sigma_a, sigma_b) if sigma is not None]
+    of_difference = np.sqrt(np.sum([sigma**2 for sigma in known], axis=0)) if known else None
+    counts = one.repeats if max(one.repeats) > 1 else (0, 0)
+    curves = [
+        _series("A", a[shown], sigma_a, shown, counts[0]), _series("B", b[shown], sigma_b, shown, counts[1])
+    ]  # fmt: skip
+    name = label(one.name)
+    return [
+        {"name": name, "positive": one.positive, "series": curves},
+        {"name": f"{name}: B - A", "series": [_series(DIFFERENCE, (b - a)[shown], of_difference, shown, 0)]},
+    ]
+
+
+def _series(kind: str, values: Array, sigma: Array | None, shown: slice, count: int) -> Data:
+    out: dict[str, Any] = {"side": kind, "y": packed(np.degrees(values), _SCALE)}
+    if sigma is not None:
+        out["half"] = packed(BAND_95 * np.degrees(sigma[shown]), _SCALE)
+    return out | ({"n": count} if count else {})

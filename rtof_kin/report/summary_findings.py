@@ -1,0 +1,185 @@
+"""Findings of a summary: differences that exceed their 95 % bands, by their size in standard deviations.
+
+Compared are the ranges of the two sides, the ends of ranges with anatomical limits, and the measures of gait
+of the two sides. Angles that were unobserved, unreliable or near a singular posture for a part of the
+recording have no findings. A finding names a difference, never its cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton_table import SkeletonTable
+from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import SIDES, AngleTable, both_directions
+from rtof_kin.clinical.gait import GaitAnalysis
+from rtof_kin.clinical.range_of_motion import RangeOfMotion
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.clinical_findings import SECOND_PELVIS
+
+SECOND_SHOULDER: Final = "_shoulder_xzy_"
+"""Part of the names of the shoulder angles in the sequence for hanging arms."""
+LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
+LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
+FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
+_ASYMMETRIES: Final = {"stance_share": ("stance", 100.0, "% of the stride", 0)}
+"""Measure -> name, factor, unit and digits."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A difference that exceeds its 95 % band."""
+
+    subject: str
+    """Joint or measure; of one subject only the largest finding is shown."""
+    text: str
+    """Sentence with the figures and their 95 % bands."""
+    size: float
+    """Difference divided by its standard deviation."""
+
+
+def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding, ...]:
+    """Return the findings of an analysis, the largest first, at most one for each joint and measure.
+
+    Args:
+        analysis: of the motion. skeleton: of the motion, with its anatomical limits.
+    """
+    rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
+    found = [
+        *_side_differences(rows, analysis.table), *_beyond_limits(rows, analysis.table, skeleton),
+        *_asymmetries(analysis.gait),
+    ]  # fmt: skip
+    out: dict[str, Finding] = {}
+    for finding in sorted(found, key=lambda finding: -finding.size):
+        out.setdefault(finding.subject, finding)
+    return tuple(out.values())
+
+
+def is_comparable(row: RangeOfMotion) -> bool:
+    """Return whether a range has a band and was observed, reliable and regular almost throughout.
+
+    Args:
+        row: the range.
+    """
+    shares = (row.known_share, row.trusted_share, 1 - row.singular_share)
+    regular = bool(np.all(np.array(shares) >= LEAST_RELIABLE))
+    known = bool(np.isfinite(row.range_sigma))
+    return regular and known and not (row.about_vertical or is_second_sequence(row.name))
+
+
+def is_second_sequence(name: str) -> bool:
+    """Return whether an angle is one of another sequence of the same rotation, which a summary omits.
+
+    Args:
+        name: of the angle, as in files.
+    """
+    return name.startswith(SECOND_PELVIS) or SECOND_SHOULDER in name
+
+
+def compared_pairs(analysis: MotionAnalysis) -> int:
+    """Return how many angles could be compared between the sides.
+
+    Args:
+        analysis: of the motion.
+    """
+    names = {row.name for row in analysis.ranges if is_comparable(row)}
+    return sum(name.replace("right", "left", 1) in names for name in names if name.startswith("right_"))
+
+
+def shown_name(name: str) -> str:
+    """Return the name of an angle in words with both directions, e.g. 'right hip flexion/extension'.
+
+    Args:
+        name: as in files.
+    """
+    return both_directions(name.replace("_", " "))
+
+
+def with_band(value: float, sigma: float) -> str:
+    """Return an angle with the half width of its 95 % band, in degrees.
+
+    Args:
+        value, sigma: rad.
+    """
+    return f"{np.degrees(value):.0f} ± {np.degrees(BAND_95 * sigma):.0f}°"
+
+
+def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iterator[Finding]:
+    """Ranges of the two sides that differ by more than their band."""
+    for joint in table.joints:
+        for angle in joint.angles if joint.side == "right" else ():
+            right, left = (rows.get(angle.name.replace("right", side, 1)) for side in SIDES)
+            if right is None or left is None:
+                continue
+            difference = right.range - left.range
+            sigma = float(np.hypot(right.range_sigma, left.range_sigma))
+            if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
+                less = "left" if difference > 0 else "right"
+                name = shown_name(angle.name.removeprefix("right_"))
+                degrees = abs(round(np.degrees(right.range)) - round(np.degrees(left.range)))
+                text = (
+                    f"{name}: range {with_band(right.range, right.range_sigma)} right, "
+                    f"{with_band(left.range, left.range_sigma)} left, that is "
+                    f"{degrees} ± {np.degrees(BAND_95 * sigma):.0f}° less on the {less}"
+                )
+                yield Finding(name.split()[0], text, abs(difference) / sigma)
+
+
+def _beyond_limits(
+    rows: dict[str, RangeOfMotion], table: AngleTable, skeleton: SkeletonTable
+) -> Iterator[Finding]:
+    """Ends of ranges beyond the anatomical limits of the skeleton by more than their band."""
+    limits = anatomical_limits(skeleton)
+    joints = {angle.name: joint for joint in table.joints for angle in joint.angles}
+    for name, row in rows.items():
+        if name not in limits:
+            continue
+        low, high = limits[name]
+        for end, sigma, excess, limit in (
+            (row.low, row.low_sigma, low - row.low, low), (row.high, row.high_sigma, row.high - high, high),
+        ):  # fmt: skip
+            if excess > max(LEAST_DIFFERENCE, BAND_95 * sigma):
+                text = (
+                    f"{shown_name(name)}: {'lowest' if end == row.low else 'highest'} angle "
+                    f"{with_band(end, sigma)}, beyond the anatomical limit of {np.degrees(limit):.0f}°"
+                )
+                yield Finding(joints[name].name.removeprefix(f"{joints[name].side}_"), text, excess / sigma)
+
+
+def anatomical_limits(skeleton: SkeletonTable) -> dict[str, tuple[float, float]]:
+    """Return the limits, rad, of those clinical angles that are single revolutes of the skeleton.
+
+    Args:
+        skeleton: with the limits of its revolutes.
+    """
+    out = {}
+    for joint in skeleton.joints:
+        for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
+            if not dof.clinical.startswith(tuple(f"{sign}{side}" for sign in ("", "-") for side in SIDES)):
+                continue
+            ends = (-high, -low) if dof.clinical.startswith("-") else (low, high)
+            out[dof.clinical.removeprefix("-").replace(" ", "_")] = (float(ends[0]), float(ends[1]))
+    return out
+
+
+def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
+    """Measures of gait whose means differ between the sides by more than their band."""
+    if not gait.is_gait or len(gait.summary) < 2:
+        return
+    for measure, (name, factor, unit, digits) in _ASYMMETRIES.items():
+        (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s][measure] for s in SIDES)
+        if min(n_right, n_left) < FEWEST_STRIDES:
+            continue
+        errors = [factor * sd_right / np.sqrt(n_right), factor * sd_left / np.sqrt(n_left)]
+        difference, sigma = factor * (right - left), float(np.hypot(*errors))
+        if abs(difference) > BAND_95 * sigma:
+            ends = [
+                f"{factor * mean:.{digits}f} ± {BAND_95 * error:.{digits}f}"
+                for mean, error in zip((right, left), errors, strict=True)
+            ]
+            text = f"{name}: {ends[0]} {unit} right, {ends[1]} {unit} left"
+            yield Finding(name, text, abs(difference) / max(sigma, 1e-9))

@@ -1,0 +1,97 @@
+"""The test of a difference: coverage and false alarms by Monte Carlo, Holm, and what is not tested."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from rtof_kin.clinical.comparison_change import Change, Measured, Verdict, adjusted, change
+
+RNG = np.random.default_rng(0)
+
+
+def one(value: float, sigma: float = 0.0) -> Measured:
+    return Measured(np.array([value]), sigma)
+
+
+def with_p(p: float, dof: float = np.inf) -> Change:
+    return Change("mean", 0.0, 1.0, 1.0, dof, p)
+
+
+def test_bands_of_both_add_as_independent_errors() -> None:
+    found = change("mean", one(0.1, 0.03), one(0.2, 0.04), repeated=False)
+    assert (found.difference, found.sigma) == pytest.approx((0.1, 0.05))
+    assert found.p == pytest.approx(2 * stats.norm.sf(2.0))
+    assert found.interval == pytest.approx((0.1 - 0.05 * 1.959964, 0.1 + 0.05 * 1.959964))
+
+
+def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
+    errors = RNG.normal(0, [0.03, 0.05], (2000, 2))
+    found = [adjusted([change("mean", one(a, 0.03), one(b, 0.05), repeated=False)])[0] for a, b in errors]
+    alarms = np.mean([one.verdict is Verdict.CHANGED for one in found])
+    assert alarms == pytest.approx(0.05, abs=0.015)
+    covered = np.mean([low <= 0 <= high for low, high in (one.interval for one in found)])
+    assert covered == pytest.approx(0.95, abs=0.015)
+
+
+def test_repeats_without_bands_are_tested_as_by_welch() -> None:
+    a, b = RNG.normal(0, 1, 5), RNG.normal(1, 3, 8)
+    found = change("mean", Measured(a, 0.0), Measured(b, 0.0), repeated=True)
+    expected = stats.ttest_ind(b, a, equal_var=False)
+    assert found.p == pytest.approx(expected.pvalue)
+    assert found.dof == pytest.approx(expected.df)
+    interval = expected.confidence_interval(0.95)
+    assert found.interval == pytest.approx((interval.low, interval.high))
+
+
+def test_coverage_holds_with_a_constant_error_and_few_repeats() -> None:
+    covered = 0
+    for _ in range(1500):
+        means = RNG.normal(0, [0.04, 0.02])
+        a = Measured(means[0] + RNG.normal(0, 0.05, 3), 0.04)
+        b = Measured(means[1] + RNG.normal(0, 0.05, 4), 0.02)
+        low, high = change("mean", a, b, repeated=True).interval
+        covered += low <= 0 <= high
+    assert 0.94 <= covered / 1500 <= 0.98
+
+
+def test_a_single_repeat_takes_the_spread_of_the_other() -> None:
+    many = Measured(np.array([1.0, 1.2, 1.4]), 0.0)
+    found = change("mean", Measured(np.array([0.9]), 0.0), many, repeated=True)
+    assert found.sigma == pytest.approx(0.2 * np.sqrt(1 + 1 / 3))
+    assert found.dof == pytest.approx((4 / 3) ** 2 / ((1 + 1 / 9) / 2))
+
+
+def test_without_any_stated_error_nothing_is_tested() -> None:
+    found = adjusted([change("mean", one(0.0), one(0.5), repeated=False), with_p(0.03)])
+    assert [c.verdict for c in found] == [Verdict.NOT_TESTED, Verdict.CHANGED]
+    assert np.isnan(found[0].sigma)
+    assert np.isnan(found[0].detectable)
+
+
+def test_p_values_are_holms() -> None:
+    found = adjusted([with_p(p) for p in (0.04, 0.001, 0.03, 0.015, 0.8)])
+    assert [c.p_adjusted for c in found] == pytest.approx([0.09, 0.005, 0.09, 0.06, 0.8])
+    assert [c.verdict is Verdict.CHANGED for c in found] == [False, True, False, False, False]
+
+
+def test_family_of_equal_angles_alarms_at_most_as_often_as_the_level() -> None:
+    alarms = 0
+    for z in RNG.normal(0, np.sqrt(2), (600, 10)):
+        found = adjusted([change("mean", one(0.0, 1.0), one(b, 1.0), repeated=False) for b in z])
+        alarms += any(c.verdict is Verdict.CHANGED for c in found)
+    assert 0.025 <= alarms / 600 <= 0.07
+
+
+def test_a_difference_of_the_detectable_size_is_changed_whatever_the_others_show() -> None:
+    still = [change("mean", one(0.0, 0.1), one(0.0, 0.1), repeated=False) for _ in range(9)]
+    detectable = adjusted(still)[0].detectable
+    for size, verdict in ((1.001, Verdict.CHANGED), (0.999, Verdict.NOT_SHOWN)):
+        moved = change("mean", one(0.0, 0.1), one(size * detectable, 0.1), repeated=False)
+        assert adjusted([*still[1:], moved])[-1].verdict is verdict
+        changed = [replace(other, p=1e-9) for other in still[1:]]
+        if verdict is Verdict.CHANGED:
+            assert adjusted([*changed, moved])[-1].verdict is verdict
