@@ -33,10 +33,10 @@ def test_line_has_the_area_and_middle_of_a_capsule(
     canvas.line((ax, ay), (bx, by), Stroke(WHITE, radius))
     cover = coverage(canvas)
     area = 2 * radius * np.hypot(bx - ax, by - ay) + np.pi * radius**2
-    assert cover.sum() == pytest.approx(area, rel=0.06, abs=0.6)
+    assert cover.sum() == pytest.approx(area, rel=0.12, abs=1.0)
     y, x = np.indices(cover.shape)
     middle = np.array([(cover * x).sum(), (cover * y).sum()]) / cover.sum()
-    np.testing.assert_allclose(middle, [(ax + bx) / 2, (ay + by) / 2], atol=0.15)
+    np.testing.assert_allclose(middle, [(ax + bx) / 2, (ay + by) / 2], atol=0.3)
 
 
 def test_edge_surrounds_a_line_and_both_have_their_colours() -> None:

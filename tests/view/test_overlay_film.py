@@ -317,6 +317,13 @@ def test_gif_is_small_slow_and_in_time(out: Path, video: Path, tmp_path: Path) -
     assert np.linalg.norm(image[200, 330].astype(float) - GREEN) < 20
 
 
+def test_a_long_gif_is_refused(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(film_writer, "_MOST_OF_GIF", 3)
+    with pytest.raises(InvalidInputError, match=r"--from and --to, or write an \.mp4"):
+        write_overlay(out, tmp_path / "o.gif", settings=NO_LABELS)
+    assert not list(tmp_path.iterdir())
+
+
 def test_odd_sizes_are_written(out: Path, tmp_path: Path) -> None:
     result = write_overlay(out, tmp_path / "o.mp4", settings=replace(NO_LABELS, width_px=241, stop=0.1))
     assert (result.width_px, result.height_px) == (241, 428)

@@ -9,7 +9,9 @@ import pytest
 from overlay_support import motion_with, upright_camera
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera_turning import CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.overlay.picture_view import ScaledView, virtual_view
@@ -123,12 +125,27 @@ def test_covariance_in_the_picture_is_that_of_projected_samples(
 
 def test_a_view_of_another_size_keeps_pixel_centres(motion: MotionSequence, camera: Camera) -> None:
     view = view_of(motion, camera)
-    half = ScaledView(view, 0.5, 320, 240)
+    half = ScaledView(view, 0.5, 320, 240, view.video_times)
     frames = np.array([0, 3])
     p = motion.poses.p_world_joint[frames]
     np.testing.assert_allclose(half.project(p, frames), (view.project(p, frames) + 0.5) / 2 - 0.5)
     np.testing.assert_allclose(half.in_video(frames), (view.in_video(frames) + 0.5) / 2 - 0.5)
     assert (half.camera.width_px, half.camera.height_px) == (320, 240)
+
+
+def test_the_pose_follows_a_camera_that_turned(motion: MotionSequence, camera: Camera) -> None:
+    """Seen by the turned camera itself, with its lens, instead of through the still one's pixels."""
+    still = replace(camera.undistorted(), stabilised=True)
+    angles = np.linspace(-0.2, 0.3, len(motion.times))
+    R_still_camera = so3.about_axis("y", angles) @ so3.about_axis("z", np.full(len(angles), 0.1))
+    turning = CameraTurning(replace(camera, stabilised=False), still.K, R_still_camera)
+    view = replace(view_of(motion, still), turning=turning)
+    pose = ProjectedMotion(motion, view).pose(Moment(20, 20, 0.0))
+    R = R_still_camera[20].T @ still.R_camera_world
+    turned = replace(camera, R_camera_world=R, t_camera_world=-R @ still.center_world)
+    truth = turned.project(motion.poses.p_world_joint[20])
+    np.testing.assert_allclose(pose.uv_px[:21], truth, atol=1e-6)
+    assert np.abs(truth - still.project(motion.poses.p_world_joint[20])).max() > 20
 
 
 @pytest.mark.parametrize("way", [0.0, 8.0])
