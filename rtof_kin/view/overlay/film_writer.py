@@ -129,7 +129,8 @@ class Mp4Writer:
             raise self._failed(error) from error
 
     def _failed(self, error: Exception) -> WritingError:
-        return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({error})")
+        reason = getattr(error, "strerror", None) or error
+        return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({reason})")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
