@@ -60,6 +60,8 @@ class Compared:
     """Whether such a table is of this package's own model, so that its zeros are the same."""
     notes: tuple[str, ...] = ()
     """What its gait cycles and angles do not show, and why."""
+    not_gait: str = ""
+    """Why its strides are not those of walking; '' if they are."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared
         found = find_repetitions(motion.poses, motion.skeleton, angles, kind).repetitions
         ways = [(r.descent if kind == "squat" else r.ascent, r.ascent) for r in found]
         repetitions[kind] = [(first[0], last[1]) for first, last in ways if first and last]
-    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes)
+    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes, not_gait=gait.why_not)
 
 
 def sides_of(one: Compared) -> tuple[Compared, Compared]:

@@ -10,8 +10,8 @@ is autocorrelated, partly constant over a recording (a sensor askew, a neutral p
 with equality for an error that is constant up to its size. So the mean of the standard deviations is used,
 which never claims too little, whatever the correlation; T frames or strides do not make it smaller.
 
-**Error of a range** x(t1) - x(t2) between the highest and the lowest sample: s(t1)^2 + s(t2)^2, as for
-independent errors. A constant error cancels, so this is too much for all errors that are not opposite.
+**Error of a range** between the lowest and the highest sample: `range_of_motion.range_deviation`, as for
+independent errors at both. A constant error cancels, so this is too much for all that are not opposite.
 
 **Spread.** Where a movement is repeated (n strides, repetitions) with the standard deviation d between
 repeats, d^2 / n is added: another day's mean would differ by that. A single repeat takes d from the other

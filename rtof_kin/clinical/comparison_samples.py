@@ -16,6 +16,7 @@ from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.comparison_change import Measured
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.clinical.range_of_motion import range_deviation
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
@@ -58,7 +59,8 @@ class Samples:
         high, low = np.nanargmax(self.values, axis=1), np.nanargmin(self.values, axis=1)
         band = 0.0
         if self.sigma is not None:
-            band = float(np.mean(np.hypot(self.sigma[rows, high], self.sigma[rows, low])))
+            ends = zip(self.sigma[rows, low].tolist(), self.sigma[rows, high].tolist(), strict=True)
+            band = float(np.mean([range_deviation(*pair) for pair in ends]))
         return Measured(self.values[rows, high] - self.values[rows, low], band)
 
 

@@ -39,7 +39,7 @@ def test_two_recordings_are_compared_by_cycle_and_the_change_is_named(cli: Any, 
     assert done.code == 0, done.err
     assert "A is before (rtof), B is after (rtof)" in done.out
     assert "over the gait cycle" in done.out
-    assert "Chosen because both have complete gait cycles" in done.out
+    assert "Chosen because both are walking, with complete gait cycles" in done.out
     assert "right knee flexion (range) by +" in done.out or "right knee flexion (mean) by +" in done.out
     assert {p.name for p in (outputs / "out").iterdir()} >= {
         "comparison.html", "comparison.csv", "comparison.json"

@@ -307,6 +307,7 @@ def test_same_clock_is_assumed_of_one_recording_only() -> None:
     assert choose_axis(replace(a, recording=""), noisy, clocks).by == "time"
     reverse = replace(noisy, angles=replace(noisy.angles, values=noisy.angles.values[::-1]))
     assert choose_axis(a, reverse, agreement(a, reverse)).by == "cycle"
+    assert choose_axis(replace(a, not_gait="dancing"), reverse, agreement(a, reverse)).by == "range"
     assert choose_axis(replace(a, strides={}), reverse, agreement(a, reverse)).by == "range"
 
 

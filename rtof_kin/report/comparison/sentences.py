@@ -63,6 +63,8 @@ def cautions(found: Comparison) -> list[str]:
         more = f" and {len(little) - _MOST} more" if len(little) > _MOST else ""
         lines.append(f"Less than half of the {what} is observed and reliable in both: {names}{more}")
     noted = (a,) if a.notes == b.notes else (a, b)
+    if found.by == "cycle":
+        lines += [f"{one.name} is probably not walking: {one.not_gait}" for one in noted if one.not_gait]
     if found.by == "cycle" or a.other_system or b.other_system:
         lines += [f"{one.name}: {note}" for one in noted for note in one.notes]
     return lines
