@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from docs.pictures.studio import Studio
 
-PICTURES = ("placement", "skeletons", "study", "sensors_only")
+PICTURES = ("placement", "skeletons", "study", "sensors_only", "compare")
 """Modules of this folder, each with ``make(studio) -> paths``."""
 
 

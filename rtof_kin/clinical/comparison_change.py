@@ -116,12 +116,12 @@ class Change:
         return Verdict.CHANGED if self.p_adjusted <= LEVEL else Verdict.NOT_SHOWN
 
 
-def change(measure: str, a: Measured, b: Measured, repeated: bool) -> Change:
+def change(measure: str, a: Measured, b: Measured, repeated: bool, tested: bool = True) -> Change:
     """Return a difference with its test, not yet adjusted for others.
 
     Args:
         measure: its name. a, b: of both motions. repeated: whether values are of repeats of a movement, so
-            that their spread counts; else each motion has one value.
+            that their spread counts; else each motion has one value. tested: whether there is a p-value.
     """
     bands = a.band_sigma**2 + b.band_sigma**2
     spreads = [_of_spread(a, b), _of_spread(b, a)] if repeated else []
@@ -130,7 +130,7 @@ def change(measure: str, a: Measured, b: Measured, repeated: bool) -> Change:
     dof = variance**2 / weight if weight > 0 else np.inf
     difference, sigma = b.mean - a.mean, float(np.sqrt(variance))
     p = float("nan")
-    if sigma > _NO_SIZE and np.isfinite(difference):
+    if tested and sigma > _NO_SIZE and np.isfinite(difference):
         p = float(2 * stats.t.sf(abs(difference) / sigma, dof))
     return Change(measure, a.mean, b.mean, sigma if sigma > _NO_SIZE else float("nan"), float(dof), p)
 

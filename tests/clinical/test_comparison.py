@@ -159,6 +159,25 @@ def test_without_bands_of_one_the_other_alone_counts() -> None:
     assert neither.verdict is Verdict.NOT_TESTED
 
 
+def test_range_of_a_part_of_the_frames_is_not_tested() -> None:
+    a, b = one("a", TIMES, {KNEE: WAVE, HIP: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE, HIP: 3 * WAVE}, 2.0)
+    values = np.array(b.angles.values)
+    values[:75, 1] = np.nan
+    b = replace(b, angles=replace(b.angles, values=values))
+    mean, motion = of(compare(a, b, "time"), HIP).changes
+    assert (mean.verdict, motion.verdict) == (Verdict.CHANGED, Verdict.NOT_TESTED)
+    assert "less than 80 %" in compare(a, b, "range").left_out[HIP]
+
+
+def test_share_outside_the_band_of_the_difference() -> None:
+    bump = np.where(TIMES < 1.5, 8.0, 0.0)
+    found = compare(one("a", TIMES, {KNEE: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE + bump}, 2.0), "time")
+    assert of(found, KNEE).outside == pytest.approx(0.3)
+    assert np.isnan(
+        of(compare(one("a", TIMES, {KNEE: WAVE}), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE).outside
+    )
+
+
 # --- what is compared ----------------------------------------------------------------------------
 
 

@@ -106,6 +106,15 @@ def test_shared_errors_of_one_recording_are_said() -> None:
     assert "share errors" not in said(found_in_time(a, replace(b, recording="other")))
 
 
+def test_curves_outside_their_bands_are_named() -> None:
+    bump = np.where(TIMES < 1.5, 8.0, 0.0)
+    a, b = one("a", TIMES, COLUMNS_A, 2.0), one("b", TIMES, COLUMNS_A | {KNEE: WAVE + bump}, 2.0)
+    text = said(found_in_time(a, b))
+    assert "None of 3 angles" in text
+    assert "more than their 95 % bands allow" in text
+    assert "right knee flexion (30 %)" in text
+
+
 def test_range_alone_warns_of_other_movements() -> None:
     a, b = one("a", TIMES, COLUMNS_A, 2.0), one("b", TIMES, COLUMNS_B, 2.0)
     assert "did something else" in said(compare(a, b, "range"))

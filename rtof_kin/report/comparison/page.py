@@ -19,7 +19,7 @@ _DIFFERENCES: Final = (
     "angle", "measure", "A", "B", "B - A", "95 % interval", "detectable", "p (Holm)", "verdict",
 )  # fmt: skip
 _ERRORS: Final = (
-    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "compared"
+    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band", "compared"
 )  # fmt: skip
 _MARKS: Final = {Verdict.CHANGED: "warn", Verdict.NOT_SHOWN: "not-checked", Verdict.NOT_TESTED: "not-checked"}
 _RANGES: Final = "The two have no common axis, so there are no curves: see the ranges above."
@@ -87,12 +87,13 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     assert errors is not None
     sizes = (errors.rmse, errors.mae, errors.median, errors.offset_removed)
     r = f"{errors.correlation:.2f}" if errors.correlation == errors.correlation else ""
+    outside = f"{100 * one.outside:.0f} %" if one.outside == one.outside else ""
     share = f"{100 * one.share:.0f} %"
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
         escape(label(one.name)), *map(degrees, sizes), degrees(errors.largest, True), place(found, errors.at),
-        r, share,
+        r, outside, share,
     )  # fmt: skip
 
 

@@ -36,8 +36,6 @@ def _charts(one: AngleComparison, shown: slice) -> list[Data]:
     assert one.curves is not None
     a, b = one.curves
     sigma_a, sigma_b = one.sigmas
-    known = [sigma for sigma in (sigma_a, sigma_b) if sigma is not None]
-    of_difference = np.sqrt(np.sum([sigma**2 for sigma in known], axis=0)) if known else None
     counts = one.repeats if max(one.repeats) > 1 else (0, 0)
     curves = [
         _series("A", a[shown], sigma_a, shown, counts[0]), _series("B", b[shown], sigma_b, shown, counts[1])
@@ -45,7 +43,10 @@ def _charts(one: AngleComparison, shown: slice) -> list[Data]:
     name = label(one.name)
     return [
         {"name": name, "positive": one.positive, "series": curves},
-        {"name": f"{name}: B - A", "series": [_series(DIFFERENCE, (b - a)[shown], of_difference, shown, 0)]},
+        {
+            "name": f"{name}: B - A",
+            "series": [_series(DIFFERENCE, (b - a)[shown], one.difference_sigma, shown, 0)],
+        },
     ]
 
 

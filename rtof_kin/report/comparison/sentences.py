@@ -14,6 +14,7 @@ from rtof_kin.clinical.gait import PHASES
 _MOST: Final = 3  # changes that are named
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
 _BETTER: Final = 0.02  # if the agreement is better by this
+_OFTEN: Final = 0.2  # share of the samples outside the band of the difference, of which 0.05 are expected
 
 
 def opening(found: Comparison, why: str) -> list[str]:
@@ -49,6 +50,7 @@ def cautions(found: Comparison) -> list[str]:
                 f"The zero of {one.name} is that of its own model: a constant difference may be one of "
                 "definition; see the errors without offset and the ranges"
             )
+    lines += _outside(found)
     single = [n for n, x in zip("AB", (a, b), strict=True) if _single(found, n == "B")]
     if found.by in ("cycle", "repetition") and single:
         lines.append(
@@ -221,6 +223,19 @@ def _band_cautions(found: Comparison) -> list[str]:
             "then too large rather than too small"
         )
     return lines
+
+
+def _outside(found: Comparison) -> list[str]:
+    """Angles whose curves differ by more than the stated errors for long."""
+    often = sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside)
+    if not often:
+        return []
+    names = ", ".join(f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often[:_MOST])
+    more = f" and {len(often) - _MOST} more" if len(often) > _MOST else ""
+    return [
+        "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
+        f"their means: {names}{more}"
+    ]
 
 
 def _single(found: Comparison, second: bool) -> bool:
