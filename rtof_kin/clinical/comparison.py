@@ -24,7 +24,7 @@ from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison_alignment import Alignment
-from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
 from rtof_kin.clinical.comparison_samples import Pair, Spans, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, analyse_gait
@@ -39,8 +39,8 @@ BYS: Final[tuple[By, ...]] = get_args(By)
 LEAST_SHARE: Final = 0.1
 """Smallest share of the common frames, or of all repeats, with which an angle is compared."""
 LEAST_OF_RANGE: Final = 0.8
-"""Smallest share of the frames with which a range over a recording is tested: one over less is not that of the
-movement, and gaps are where angles are largest or near a singular posture."""
+"""Smallest share of the frames with which a range over a recording is tested: gaps are where angles are
+largest or near a singular posture."""
 HEADINGS: Final = ("pelvis_rotation", "pelvis_opensim_tilt", "pelvis_opensim_list", "pelvis_opensim_rotation")
 """Angles that depend on the direction of the world's axes, which two recordings do not share."""
 
@@ -283,6 +283,10 @@ def _pairs(
     return PHASES, over_phases(a.angles, b.angles, names, *spans)
 
 
+def _repeats(pair: Pair, repeated: bool) -> Repeats:
+    return "none" if not repeated else "paired" if pair.paired else "independent"
+
+
 def _span(one: Compared) -> str:
     return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
 
@@ -292,7 +296,7 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
     changes = adjusted([
         change(
-            measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), repeated,
+            measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), _repeats(pair, repeated),
             tested=repeated or measure == "mean" or pair.share >= LEAST_OF_RANGE,
         )
         for pair in pairs for measure in measures

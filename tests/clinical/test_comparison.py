@@ -282,6 +282,7 @@ def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differen
     found = compare(left, right, "repetition")
     assert {angle.name for angle in found.angles} >= {"knee_flexion", "hip_flexion", "elbow_flexion"}
     assert np.degrees(max(abs(c.difference) for angle in found.angles for c in angle.changes)) < 1e-6
+    assert of(found, "knee_flexion").changes[0].dof == np.inf  # equal in each squat: no spread of differences
     motion = walking(side_changed=1.5)
     sides, mirrored = (sides_of(compared("walk", m)) for m in (motion, mirror(motion)))
     one_way, other_way = compare(*sides, "time"), compare(*mirrored, "time")

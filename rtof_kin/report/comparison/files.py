@@ -101,8 +101,8 @@ def _row(one: AngleComparison, change: Change) -> list[Any]:
     return [
         one.name, one.positive, change.measure, change.verdict.value,
         *(_number(np.degrees(value)) for value in figures), _number(change.p), _number(change.p_adjusted),
-        *(_number(np.degrees(value)) for value in sizes), *map(_number, others), _number(one.outside), _number(one.share),
-        *one.repeats,
+        *(_number(np.degrees(value)) for value in sizes), *map(_number, others),
+        _number(one.outside), _number(one.share), *one.repeats,
     ]  # fmt: skip
 
 

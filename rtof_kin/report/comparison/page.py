@@ -19,7 +19,8 @@ _DIFFERENCES: Final = (
     "angle", "measure", "A", "B", "B - A", "95 % interval", "detectable", "p (Holm)", "verdict",
 )  # fmt: skip
 _ERRORS: Final = (
-    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band", "compared"
+    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band",
+    "compared",
 )  # fmt: skip
 _MARKS: Final = {Verdict.CHANGED: "warn", Verdict.NOT_SHOWN: "not-checked", Verdict.NOT_TESTED: "not-checked"}
 _RANGES: Final = "The two have no common axis, so there are no curves: see the ranges above."

@@ -184,7 +184,13 @@ def _clock_cautions(found: Comparison) -> list[str]:
     if found.by != "time" or clocks is None or found.identical:
         return []
     lines = []
-    if clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE:
+    better = clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE
+    if better and clocks.poor:
+        lines.append(
+            f"No shift makes the curves agree (at most {clocks.agreement:.2f}, where B is shifted by "
+            f"{found.shift + clocks.shift:+.2f} s): different movements, or different people"
+        )
+    elif better:
         lines.append(
             f"The curves agree better ({clocks.agreement:.2f}) with B shifted by "
             f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
@@ -218,9 +224,9 @@ def _band_cautions(found: Comparison) -> list[str]:
     same = found.a.recording != "" and found.a.recording == found.b.recording
     if all(bands) and same and not found.identical:
         lines.append(
-            f"Both are of a recording {found.a.recording!r}: if it is one, they share errors (of video, "
-            "sensors and mounting), which cancel; the standard deviations, as of independent errors, are "
-            "then too large rather than too small"
+            f"Both are of a recording called {found.a.recording!r}. If it is the same one, they share errors "
+            "(of video, sensors and mounting), which cancel: the standard deviations, as of independent "
+            "errors, are then too large rather than too small"
         )
     return lines
 
