@@ -16,7 +16,7 @@ from rtof_kin.report.html import asset, bullets, fill, source_hash, table
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _STYLES: Final = ("page.css", "comparison.css")
 _DIFFERENCES: Final = (
-    "angle", "measure", "A", "B", "B - A", "95 % interval", "detectable", "p (Holm)", "verdict",
+    "angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B",
 )  # fmt: skip
 _ERRORS: Final = (
     "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band",
@@ -70,9 +70,10 @@ def _change_cells(change: Change) -> tuple[str, ...]:
     p = f"{change.p_adjusted:.3f}" if change.p_adjusted == change.p_adjusted else ""
     difference = f"<b>{degrees(change.difference, True)}</b>{sd}"
     return (
-        change.measure, degrees(change.a), degrees(change.b), difference,
-        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
+        change.measure, difference,
         f'<span class="grade {_MARKS[change.verdict]}">{change.verdict.value}</span>',
+        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
+        degrees(change.a), degrees(change.b),
     )  # fmt: skip
 
 
