@@ -52,11 +52,13 @@ def _parser() -> argparse.ArgumentParser:
         inspection,
         lifters,
         live,
+        overlay,
         protocols,
         recordings,
         reporting,
         start,
         training,
+        view,
     )
 
     parser = argparse.ArgumentParser(
@@ -73,11 +75,13 @@ def _parser() -> argparse.ArgumentParser:
         clinical,
         compare,
         reporting,
+        overlay,
         detection,
         live,
         training,
         lifters,
         protocols,
+        view,
     ):
         module.add_commands(commands)
     return parser

@@ -11,6 +11,7 @@ from typing import Any
 from rich.table import Column, Table
 
 from rtof_kin.cli.terminal import add_output, command, out, print_files
+from rtof_kin.data.confidence import BAND_95
 
 
 def add_commands(commands: Any) -> None:
@@ -52,8 +53,11 @@ def add_analysis(parser: argparse.ArgumentParser) -> None:
 def _analyse(options: argparse.Namespace) -> None:
     analysis = analyse_and_write(options)
     _print_ranges(analysis)
-    if analysis.gait.strides:
+    out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
+    if analysis.gait.is_gait:
         _print_gait(analysis.gait)
+    else:
+        out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
     if analysis.repetitions is not None:
         _print_repetitions(analysis.repetitions)
     for part, notes in analysis.notes.items():
@@ -101,11 +105,12 @@ def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | 
 
 
 def _print_ranges(analysis: Any) -> None:
-    columns = ("low", "high", "range", "deg/s", "trusted")
+    columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
     for row in analysis.ranges:
-        if row.known_share > 0:
-            figures = map(math.degrees, (row.low, row.high, row.range, row.peak_velocity))
+        if row.known_share > 0 and not row.about_vertical:
+            half = BAND_95 * row.range_sigma
+            figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
             cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
             table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)

@@ -5,8 +5,11 @@ angles.csv, angles.json         angles over time, degrees, and their standard de
                                 a confidence; the table of their names and signs
 angles_provenance.csv           observation source of each value (`Provenance` by number)
 angles_trusted.csv              1 where a value is reliable (`angle_confidence`), else 0
-range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle
-gait.json                       events, strides, mean and standard deviation by side, symmetry
+range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
+                                standard deviations of both ends and of the range; 1 for a heading
+gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
+                                side, symmetry
+travel.json                     way and turning of the pelvis
 gait_cycles.csv                 mean and standard deviation of each angle over the gait cycle
 repetitions.json                depth and tempo, on request
 torques.csv, torques.json       joint torques and the external wrench, with a body mass only
@@ -32,6 +35,7 @@ from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
+from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import Provenance
 
@@ -69,6 +73,7 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
     _write_series(folder / "angles_trusted.csv", angles.names, angles.times, trusted)
     _write_ranges(folder / "range_of_motion.csv", analysis.ranges)
     _write_json(folder / "gait.json", _gait_data(analysis.gait))
+    _write_json(folder / "travel.json", _travel_data(analysis.travel))
     if analysis.curves:
         _write_cycles(folder / "gait_cycles.csv", analysis.curves)
     if analysis.repetitions is not None:
@@ -82,6 +87,10 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
     """Events, strides and gait parameters as plain data."""
     units = {"stride_time": "_s", "cadence": "_steps_per_min", "stride_length": "_m", "speed": "_m_per_s"}
     return {
+        "is_gait": gait.is_gait,
+        "why_not": gait.why_not,
+        "walking_strides": len(gait.verdict.walking),
+        "on_the_spot": gait.verdict.on_the_spot,
         "events_s": {
             side: {"heel_strikes": foot.strikes.tolist(), "toe_offs": foot.offs.tolist()}
             for side, foot in gait.events.feet.items()
@@ -101,6 +110,22 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
         "symmetry": {name: _number(value) for name, value in gait.symmetry.items()},
         "symmetry_is": "(right - left) / mean of both",
     }  # fmt: skip
+
+
+def _travel_data(travel: Travel) -> dict[str, Any]:
+    """Way and turning as plain data."""
+    return {
+        "path_length_m": _number(travel.path_length),
+        "displacement_m": _number(travel.displacement),
+        "direction_deg": _number(np.degrees(travel.direction)),
+        "direction_is": "from world x, counterclockwise seen from above",
+        "direction_from_facing_deg": _number(np.degrees(travel.relative_direction)),
+        "turned_left_deg": _number(np.degrees(travel.turned_left)),
+        "turned_right_deg": _number(np.degrees(travel.turned_right)),
+        "walking_share": travel.walking_share,
+        "observed_share": travel.observed_share,
+        "notes": list(travel.notes),
+    }
 
 
 def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
@@ -127,10 +152,12 @@ def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
 
 def _write_ranges(path: Path, ranges: Sequence[RangeOfMotion]) -> None:
     header = ("angle", "low_deg", "high_deg", "range_deg", "mean_deg", "time_low_s", "time_high_s",
-              "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share")  # fmt: skip
+              "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share",
+              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical")  # fmt: skip
     figures = (
         (*np.degrees([r.low, r.high, r.range, r.mean]), r.time_low, r.time_high, np.degrees(r.peak_velocity),
-         r.known_share, r.singular_share, r.trusted_share)
+         r.known_share, r.singular_share, r.trusted_share,
+         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical))
         for r in ranges
     )  # fmt: skip
     _write_csv(path, header, ([r.name, *map(_cell, row)] for r, row in zip(ranges, figures, strict=True)))

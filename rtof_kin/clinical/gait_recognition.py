@@ -29,10 +29,12 @@ ON_THE_SPOT: Final = 0.20  # [m] largest way of the pelvis in one stride on a tr
 SPOT_SWING: Final = 0.35  # [m] least excursion of a heel on a treadmill: a knee lifted in place has less
 SPOT_PHASE: Final = (0.42, 0.58)
 """Strike of the other foot on a treadmill, where no way over ground confirms the stride."""
+BELT: Final = (0.35, 0.75)
+"""Way of the heel in mid stance on a treadmill, share of its swing: half of the stance is half of the way."""
 FORWARD: Final = np.cos(np.radians(35.0))
 """Least cosine between the way of the pelvis and the direction in which it faces."""
 LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
-LARGEST_SLIP: Final = 0.12  # [m] way of the heel in mid stance over ground
+LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noise has a decimetre
 FEWEST: Final = 3  # strides of both feet together
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times
@@ -144,6 +146,8 @@ def departures(shape: StrideShape) -> tuple[str, ...]:
         f"the person turns by more than {np.degrees(LARGEST_TURN):.0f} deg within a stride":
             not abs(shape.turn) <= LARGEST_TURN,
         "the foot slides or hops during stance": not (spot or shape.slip <= LARGEST_SLIP),
+        "in place, the feet do not glide back as on a treadmill":
+            spot and not BELT[0] <= shape.slip / max(shape.swing, 1e-9) <= BELT[1],
     }  # fmt: skip
     return tuple(text for text, flag in wrong.items() if flag)
 

@@ -21,7 +21,8 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 
 CUTOFF_HZ: Final = 1.0  # low-pass of the path, which removes jitter and most of the sway within a step
 LEAST_WAY: Final = 0.15  # [m] shortest way that counts
-LEAST_TURN: Final = np.radians(20.0)  # [rad] smallest turn that counts; the pelvis rotates less in walking
+LEAST_TURN: Final = np.radians(30.0)  # [rad] smallest turn that counts; the pelvis rotates less in walking
+STRAIGHT: Final = 0.7  # least displacement of a straight way, share of the path
 DRIFT: Final = "no camera saw the pelvis: its way is integrated from sensors and drifts"
 
 
@@ -55,6 +56,24 @@ class Travel:
             return ""
         names = ("forward", "to the left", "backward", "to the right")
         return names[round(self.relative_direction / (np.pi / 2)) % 4]
+
+    @property
+    def text(self) -> str:
+        """Path and turns in words, e.g. '3.9 m forward, without turns'."""
+        if np.isnan(self.path_length):
+            return "the way of the pelvis was not observed"
+        path = "staying in place"
+        if self.path_length:
+            about = "about " if DRIFT in self.notes else ""
+            straight = self.displacement >= STRAIGHT * self.path_length
+            to = self.way if straight else f"in all, ending {self.displacement:.1f} m from the start"
+            path = f"{about}{self.path_length:.1f} m {to}".rstrip()
+        turns = [
+            f"{np.degrees(turn):.0f}° {side}"
+            for side, turn in (("left", self.turned_left), ("right", self.turned_right))
+            if turn > 0
+        ]
+        return f"{path}, turning {' and '.join(turns)}" if turns else f"{path}, without turns"
 
 
 def travel(motion: MotionSequence, verdict: GaitVerdict) -> Travel:

@@ -94,7 +94,7 @@ def read_measurements_npz(path: str | Path) -> Measurements:
         if header["schema_version"] > SCHEMA_VERSION:
             raise FileFormatError(path, "its schema version is newer; update rtof_kin")
         arrays = {n: a.astype(float) for n, a in saved.items() if a.dtype.kind in "fiub"}
-        return _measurements(header, arrays)
+        return measurements_of(header, arrays)
     except KeyError as error:
         raise FileFormatError(path, f"{error} is missing") from error
     except (RtofError, ValueError, TypeError, AttributeError, IndexError) as error:
@@ -103,7 +103,15 @@ def read_measurements_npz(path: str | Path) -> Measurements:
         raise FileFormatError(path, str(error)) from error
 
 
-def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measurements:
+def measurements_of(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measurements:
+    """Return measurements of the contents of a file, or of some of its frames.
+
+    Args:
+        header: of the file. arrays: float64, by name.
+
+    Raises:
+        KeyError, TypeError, ValueError, RtofError: something is missing or invalid.
+    """
     times = arrays["times"]
     floor = header["floor_height"]
     return Measurements(

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.figures import save_figures
-from rtof_kin.report.plot_data import side_and_name
 
 SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
 SHOWN: Final = (
@@ -25,13 +25,13 @@ SHOWN: Final = (
 
 
 def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list[Path]:
-    """Write ``angles.png``, and ``gait_cycles.png`` if there are strides; return their paths.
+    """Write ``angles.png``, and ``gait_cycles.png`` if the motion is gait; return their paths.
 
     Args:
         analysis: of the motion. folder: to write.
     """
     figures = {"angles": angles_over_time(analysis)}
-    if analysis.curves:
+    if analysis.curves and analysis.gait.is_gait:
         figures["gait_cycles"] = gait_cycles(analysis)
     return save_figures(figures, folder)
 

@@ -60,6 +60,11 @@ def _gait(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         why = "; ".join(gait.notes) or "no two strikes of a foot with a toe off between were found"
         yield AuditResult.not_checked("gait", "strides", why)
         return
+    if not gait.is_gait:
+        yield AuditResult.not_checked("gait", "gait", gait.why_not)
+        return
+    strides = f"recognised: {len(gait.verdict.walking)} of {len(gait.strides)} strides are those of walking"
+    yield AuditResult.remark("gait", "walking", strides)
     for side, measures in gait.summary.items():
         count = measures["stride_time"][2]
         yield AuditResult(

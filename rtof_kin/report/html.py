@@ -20,13 +20,14 @@ _ASSETS: Final = Path(__file__).parent / "assets"
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
 
 
-def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any]) -> str:
+def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any], foot: str = "") -> str:
     """Return the page.
 
     Args:
-        parts: name in the template -> HTML. plots: data for the script.
+        parts: name in the template -> HTML. plots: data for the script. foot: text on printed pages.
     """
-    style, script = asset("page.css"), "".join(asset(name) for name in _SCRIPTS)
+    style = asset("page.css") + fill(asset("report.css"), {"foot": css_string(foot)})
+    script = "".join(asset(name) for name in _SCRIPTS)
     data = json.dumps(plots, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
         data = data.replace(character, f"\\u{ord(character):04x}")
@@ -65,15 +66,53 @@ def source_hash(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
-def table(header: Iterable[str], rows: Iterable[Iterable[str]], kind: str = "") -> str:
-    """Return a table.
+def css_string(text: str) -> str:
+    """Return a text as a string of a style sheet, with everything but ASCII letters and digits escaped.
 
     Args:
-        header: text. rows: cells that are HTML. kind: CSS class.
+        text: any.
     """
-    head = "".join(f"<th>{escape(name)}</th>" for name in header)
-    body = "\n".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<table class="{kind}"><thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>'
+    own = (c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text if c.isprintable())
+    return f'"{"".join(own)}"'
+
+
+def table(
+    header: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    kind: str = "",
+    caption: str = "",
+    row_headers: bool = False,
+    shown: Iterable[str] = (),
+) -> str:
+    """Return a table, which a narrow screen shows as one card for each row.
+
+    Args:
+        header: text. rows: cells that are HTML. kind: CSS class. caption: text; none without.
+        row_headers: whether the first cell of a row is its header.
+        shown: `AngleName.shown` of each row; all are always shown without.
+    """
+    names = [escape(name) for name in header]
+    head = "".join(f'<th scope="col">{name}</th>' for name in names)
+    within = [*shown]
+    body = []
+    for number, row in enumerate(rows):
+        only = f' data-in="{within[number]}"' if within else ""
+        cells = [f'<td data-label="{name}">{cell}</td>' for name, cell in zip(names, row, strict=True)]
+        if row_headers:
+            cells[0] = f'<th scope="row">{cells[0].partition(">")[2].removesuffix("</td>")}</th>'
+        body.append(f"<tr{only}>{''.join(cells)}</tr>")
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    top = f'<table class="{f"stack {kind}".strip()}">{title}<thead><tr>{head}</tr></thead>'
+    return "\n".join((top, "<tbody>", *body, "</tbody></table>"))
+
+
+def folded(summary: str, inside: str) -> str:
+    """Return a part that is folded until it is asked for, and not printed while it is.
+
+    Args:
+        summary: text of the line that unfolds it. inside: HTML.
+    """
+    return f"<details><summary>{escape(summary)}</summary>\n{inside}\n</details>"
 
 
 def definitions(rows: Iterable[Iterable[str]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -10,76 +11,112 @@ import numpy as np
 from rtof_kin.body.observability import observed_bones
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
-from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.signals import runs
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.report.clinical_findings import SECOND_PELVIS
+from rtof_kin.report.angle_names import angle_name, side_and_name
 
 Data = dict[str, Any]
 SHOWN_HZ: Final = 30.0  # highest frame rate of plots; all figures are computed from all frames
-MOST_SHOWN: Final = 6000  # largest number of plotted frames, unless that is fewer than 10 per second
+MOST_SHOWN: Final = 12000  # largest number of played frames: 10 per second of 20 minutes
+MOST_SAMPLES: Final = 3000  # largest number of samples of a curve
 MISSING: Final = -32768  # NaN among packed numbers
 
 
-def side_and_name(name: str) -> tuple[str, str]:
-    """Split the name of an angle into 'right', 'left' or '', and the rest.
-
-    Args:
-        name: of the angle.
-    """
-    side = next((side for side in SIDES if name.startswith(f"{side}_")), "")
-    return side, name.removeprefix(f"{side}_")
-
-
 def shown_frames(times: Array) -> slice:
-    """Return the frames to plot.
+    """Return the frames to play and to plot.
 
     Args:
         times: (T,) s.
     """
     rate = 1 / float(np.median(np.diff(times))) if len(times) > 1 else SHOWN_HZ
-    step = max(1, round(rate / SHOWN_HZ))
-    slowest = max(step, int(rate / 10))
-    return slice(None, None, int(np.clip(np.ceil(len(times) / MOST_SHOWN), step, slowest)))
+    return slice(None, None, max(1, round(rate / SHOWN_HZ), math.ceil(len(times) / MOST_SHOWN)))
 
 
 def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     """Return angles over time in groups of both sides.
 
+    Up to `MOST_SAMPLES` plotted frames are given one by one. Longer curves have the lowest and the highest
+    value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost.
+
     Args:
         analysis: of the motion. shown: frames to plot.
     """
     angles = analysis.angles
+    frames = len(angles.times[shown])
+    step = math.ceil(2 * len(angles.times) / MOST_SAMPLES) if frames > MOST_SAMPLES else 0
     groups: dict[str, Data] = {}
     for a, row in enumerate(angles.rows):
-        if not angles.known[:, a].any() or row.name.startswith(SECOND_PELVIS):
+        if not angles.known[:, a].any():
             continue
-        side, name = side_and_name(row.name)
-        group = {"name": name.replace("_", " "), "positive": row.positive, "series": []}
-        series = {"side": side, "y": packed(np.degrees(angles.values[shown, a]), 10)}
-        if angles.sigma is not None:
-            series["half"] = packed(BAND_95 * np.degrees(angles.sigma[shown, a]), 10)
-        groups.setdefault(name, group)["series"].append(series)
-    return {"times": _times(angles.times[shown]), "groups": list(groups.values())}
+        values = np.degrees(angles.values[:, a])
+        half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
+        if step:
+            values, half = envelope(values, half, step)
+        else:
+            values, half = values[shown], None if half is None else half[shown]
+        series = {"side": side_and_name(row.name)[0], "y": packed(values, 10)}
+        if half is not None:
+            series["half"] = packed(half, 10)
+        _group(groups, row)["series"].append(series)
+    times = _interval_times(angles.times, step) if step else angles.times[shown]
+    interval = step / angles.rate_hz if step else 0.0
+    return {"times": _times(times), "interval": round(interval, 3), "groups": list(groups.values())}
+
+
+def envelope(values: Array, half: Array | None, step: int) -> tuple[Array, Array | None]:
+    """Return the lowest and highest value of intervals in the order of their occurrence, and the widest band.
+
+    Args:
+        values, half: (T,) value and half width of its band, NaN where unknown. step: frames of an interval.
+    """
+    room = -len(values) % step
+    rows = np.pad(values, (0, room), constant_values=np.nan).reshape(-1, step)
+    known = np.isfinite(rows)
+    low = np.where(known, rows, np.inf).argmin(axis=1)
+    high = np.where(known, rows, -np.inf).argmax(axis=1)
+    chosen = np.take_along_axis(rows, np.sort(np.stack([low, high], axis=1), axis=1), axis=1)
+    if half is None:
+        return chosen.ravel(), None
+    bands = np.pad(half, (0, room), constant_values=np.nan).reshape(-1, step)
+    widest = np.where(known & np.isfinite(bands), bands, -np.inf).max(axis=1)
+    widest = np.where(np.isfinite(widest), widest, np.nan)
+    return chosen.ravel(), np.repeat(widest, 2)
+
+
+def _interval_times(times: Array, step: int) -> Array:
+    """Two times in each interval."""
+    frames = np.arange(0, len(times), step)[:, None] + step * np.array([0.25, 0.75])
+    return np.asarray(np.interp(frames.ravel(), np.arange(len(times)), times))
+
+
+def _group(groups: dict[str, Data], row: AngleRow) -> Data:
+    """Group of both sides of an angle."""
+    name = angle_name(row)
+    group = {
+        "name": name.clinical, "positive": name.positive, "shown": name.shown,
+        "opensim": name.opensim_title, "opposite": name.opposite, "series": [],
+    }  # fmt: skip
+    return groups.setdefault(side_and_name(row.name)[1], group)
 
 
 def cycle_curves_data(analysis: MotionAnalysis) -> Data:
     """Return mean and standard deviation of angles over the gait cycle, in groups of both sides.
 
     Args:
-        analysis: of the motion.
+        analysis: of the motion; without gait there are no curves.
     """
     groups: dict[str, Data] = {}
+    if not analysis.gait.is_gait:
+        return {"phase": [], "stance": {}, "groups": []}
+    rows = {row.name: row for row in analysis.angles.rows}
     for curve in analysis.curves:
-        name = side_and_name(curve.name)[1]
-        if not name.startswith(SECOND_PELVIS):
-            group = groups.setdefault(name, {"name": name.replace("_", " "), "series": []})
-            group["series"].append(
-                {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
-                 "half": packed(np.degrees(curve.sd), 10)}
-            )  # fmt: skip
+        _group(groups, rows[curve.name])["series"].append(
+            {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
+             "half": packed(np.degrees(curve.sd), 10)}
+        )  # fmt: skip
     stance = {side: float(m["stance_share"][0]) for side, m in analysis.gait.summary.items()}
     phase = [round(100 * float(p), 2) for p in PHASES]
     return {"phase": phase, "stance": stance, "groups": list(groups.values())}
@@ -101,11 +138,14 @@ def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
         middle[:2] = (root[:, :2].min(axis=0) + root[:, :2].max(axis=0)) / 2
         lowest = float(np.percentile(p[known][..., 2].min(axis=1), 5)) - 0.08
         middle[2] = floor if isinstance(floor, int | float) else lowest
+    largest = float(np.nanmax(np.abs(p - middle), initial=0.0))
+    scale = min(1000.0, (-MISSING - 1) / largest) if largest else 1000.0  # mm, coarser for longer paths
     return {
         "times": _times(motion.times[shown]),
+        "scale": scale,
         "joints": list(skeleton.names),
         "parents": [int(parent) for parent in skeleton.parents],
-        "p": packed(p - middle, 1000),
+        "p": packed(p - middle, scale),
         "valid": packed(poses.valid[shown].mean(axis=1), 100),
         "unseen": [runs(~seen) for seen in observed_bones(motion)[shown].T],
         "height": float(skeleton.height),
@@ -116,7 +156,7 @@ def _times(times: Array) -> list[float]:
     return [round(float(t), 4) for t in times]
 
 
-def packed(values: Array, scale: int) -> str:
+def packed(values: Array, scale: float) -> str:
     """Return numbers as base64 of little-endian 16-bit integers; NaN and overflow are `MISSING`.
 
     Args:

@@ -21,6 +21,8 @@ from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
+SECOND_SHOULDER: Final = "_shoulder_xzy_"
+"""Part of the names of the shoulder angles in the sequence for hanging arms."""
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
 LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
@@ -65,8 +67,17 @@ def is_comparable(row: RangeOfMotion) -> bool:
     """
     shares = (row.known_share, row.trusted_share, 1 - row.singular_share)
     regular = bool(np.all(np.array(shares) >= LEAST_RELIABLE))
-    clinical = not (row.about_vertical or row.name.startswith(SECOND_PELVIS))
-    return regular and clinical and bool(np.isfinite(row.range_sigma))
+    known = bool(np.isfinite(row.range_sigma))
+    return regular and known and not (row.about_vertical or is_second_sequence(row.name))
+
+
+def is_second_sequence(name: str) -> bool:
+    """Return whether an angle is one of another sequence of the same rotation, which a summary omits.
+
+    Args:
+        name: of the angle, as in files.
+    """
+    return name.startswith(SECOND_PELVIS) or SECOND_SHOULDER in name
 
 
 def compared_pairs(analysis: MotionAnalysis) -> int:
@@ -83,9 +94,9 @@ def shown_name(name: str) -> str:
     """Return the name of an angle in words with both directions, e.g. 'right hip flexion/extension'.
 
     Args:
-        name: as in files. The alternative sequence of the shoulder is not named.
+        name: as in files.
     """
-    return both_directions(name.replace("_xzy", "").replace("_", " "))
+    return both_directions(name.replace("_", " "))
 
 
 def with_band(value: float, sigma: float) -> str:
@@ -109,10 +120,11 @@ def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iter
             if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 less = "left" if difference > 0 else "right"
                 name = shown_name(angle.name.removeprefix("right_"))
+                degrees = abs(round(np.degrees(right.range)) - round(np.degrees(left.range)))
                 text = (
-                    f"{name} has a range of {with_band(right.range, right.range_sigma)} on the right and "
-                    f"{with_band(left.range, left.range_sigma)} on the left, "
-                    f"{with_band(abs(difference), sigma)} less on the {less}"
+                    f"{name}: range {with_band(right.range, right.range_sigma)} right, "
+                    f"{with_band(left.range, left.range_sigma)} left, that is "
+                    f"{degrees} ± {np.degrees(BAND_95 * sigma):.0f}° less on the {less}"
                 )
                 yield Finding(name.split()[0], text, abs(difference) / sigma)
 
@@ -132,8 +144,8 @@ def _beyond_limits(
         ):  # fmt: skip
             if excess > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 text = (
-                    f"{shown_name(name)} reaches {with_band(end, sigma)}, beyond the usual limit of "
-                    f"{np.degrees(limit):.0f}°"
+                    f"{shown_name(name)}: {'lowest' if end == row.low else 'highest'} angle "
+                    f"{with_band(end, sigma)}, beyond the anatomical limit of {np.degrees(limit):.0f}°"
                 )
                 yield Finding(joints[name].name.removeprefix(f"{joints[name].side}_"), text, excess / sigma)
 
@@ -169,5 +181,5 @@ def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
                 f"{factor * mean:.{digits}f} ± {BAND_95 * error:.{digits}f}"
                 for mean, error in zip((right, left), errors, strict=True)
             ]
-            text = f"{name} takes {ends[0]} {unit} on the right and {ends[1]} {unit} on the left"
+            text = f"{name}: {ends[0]} {unit} right, {ends[1]} {unit} left"
             yield Finding(name, text, abs(difference) / max(sigma, 1e-9))

@@ -15,22 +15,30 @@ import numpy as np
 
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.repetitions import find_repetitions
-from rtof_kin.clinical.travel import DRIFT, Travel
+from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import Grade
-from rtof_kin.report.clinical_findings import NO_BANDS, SECOND_PELVIS
+from rtof_kin.report.clinical_findings import NO_BANDS
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, shown_name
+from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence, shown_name
 
 MOST_FINDINGS: Final = 3
-DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of both knees in a squat
-FEWEST_SQUATS: Final = 2
+DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
+FEWEST_BENDS: Final = 2
+MOSTLY: Final = 0.5  # share of the time from which on a motion is walking without a qualification
+IMAGE_FREE: Final = "imu"
+IMAGE_ALONE: Final = ("lift", "rto")
+"""Modes of reconstruction that use no image, or no sensors."""
+FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
+"""Name of a figure of the audit, deg."""
+_SIDE: Final = re.compile("^(left|right) ")
 _CODES: Final = re.compile(r" \(\w+_[xyz]\)|; more (fails|warns) in .*")
-"""Names of revolutes and the list of further sections, which the first line omits."""
+"""Names of revolutes and the list of further sections, which a summary omits."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +65,7 @@ def summary_lines(
     return (
         SummaryLine("Who", _who(motion, summary, session), None),
         SummaryLine("What", _what(motion, analysis, summary), None),
-        SummaryLine("How good", _how_good(motion, analysis), overall.grade),
+        SummaryLine("How good", _how_good(motion, analysis, summary), overall.grade),
         _careful(motion, analysis, overall),
         SummaryLine("Findings", _findings(motion, analysis), None),
     )
@@ -65,63 +73,94 @@ def summary_lines(
 
 def _who(motion: MotionSequence, summary: Summary, session: Session) -> str:
     subject = summary.subject
-    height = f"{subject['height_m']:.2f} m" if subject.get("height_m") else None
-    weight = f"{subject['mass_kg']:.3g} kg" if subject.get("mass_kg") else None
-    height = height or f"height not given (model {motion.skeleton.height:.2f} m)"
-    parts = (height, weight or "weight not given", subject.get("sex") or "sex not given")
-    return f"{session.subject or 'Subject not named'}: {', '.join(parts)}."
+    given = {
+        "height": f"{subject['height_m']:.2f} m" if subject.get("height_m") else "",
+        "weight": f"{subject['mass_kg']:.3g} kg" if subject.get("mass_kg") else "",
+        "sex": subject.get("sex") or "",
+    }
+    known = [text for text in given.values() if text]
+    missing = [name for name, text in given.items() if not text]
+    who = ", ".join([session.subject or "Subject not named", *known])
+    model = f" (the model is {motion.skeleton.height:.2f} m tall)" if "height" in missing else ""
+    return f"{who}. Not given: {_listed(missing)}{model}." if missing else f"{who}."
 
 
 def _what(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) -> str:
     seconds = float(motion.times[-1] - motion.times[0])
-    return f"{_movement(motion, analysis)} {seconds:.1f} s, from {_sources(analysis, summary)}."
+    return f"{_movement(motion, analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."
 
 
 def _movement(motion: MotionSequence, analysis: MotionAnalysis) -> str:
-    """Sentence on the movement, as far as it was recognised."""
-    gait, way = analysis.gait, analysis.travel
+    """Movement in words, as far as it was recognised."""
+    gait, travel = analysis.gait, analysis.travel
+    part = f" in {100 * travel.walking_share:.0f} % of the time"
     if gait.is_gait:
         strides = len(gait.verdict.walking)
-        partly = f" in {100 * way.walking_share:.0f} % of the time" if way.walking_share < 0.5 else ""
+        partly = part if travel.walking_share < MOSTLY else ""
         if gait.verdict.on_the_spot:
-            return f"Walking on the spot or on a treadmill{partly}, {strides} strides."
-        return f"Walking{partly}: {strides} strides, {_way(way)}."
-    repeated = find_repetitions(motion.poses, motion.skeleton, analysis.angles, "squat").repetitions
-    squats = [r for r in repeated if all(knee >= DEEP_KNEE for knee in r.knee_flexion.values())]
-    if len(squats) >= FEWEST_SQUATS:
-        return f"{len(squats)} deep knee bends (squats); no walking, {_way(way)}."
-    return f"Neither walking nor squats were recognised; {_way(way)}."
+            return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
+        return f"Walking{partly}: {strides} strides, {travel.text}"
+    bends = _knee_bends(motion, analysis)
+    some = len(gait.verdict.walking) >= FEWEST_STRIDES
+    walking = f"strides of walking{part}, but no steady walking" if some else "no walking"
+    if bends:
+        return f"{_listed(bends)}; {walking}; {travel.text}"
+    if some:
+        return f"{walking.capitalize()}; {travel.text}"
+    return f"Neither walking nor squats were recognised; {travel.text}"
 
 
-def _way(way: Travel) -> str:
-    """Path and turns of the pelvis in words."""
-    if not math.isfinite(way.path_length):
-        return "the way of the pelvis was not observed"
-    about = "about " if DRIFT in way.notes else ""
-    path = f"{about}{way.path_length:.1f} m {way.way}".rstrip() if way.path_length else "staying in place"
-    turns = [
-        f"{np.degrees(turn):.0f}° to the {side}"
-        for side, turn in (("left", way.turned_left), ("right", way.turned_right))
-        if turn > 0
+def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
+    """Repeated descents of the pelvis with deep flexion of both knees or of one, in words."""
+    found = find_repetitions(motion.poses, motion.skeleton, analysis.angles, "squat").repetitions
+    deep = [sum(knee >= DEEP_KNEE for knee in one.knee_flexion.values()) for one in found]
+    kinds = {2: "bends of both knees (squats)", 1: "bends of one knee (lunges)"}
+    return [
+        f"{deep.count(knees)} {name}" for knees, name in kinds.items() if deep.count(knees) >= FEWEST_BENDS
     ]
-    return f"{path}, turning {' and '.join(turns)}" if turns else f"{path}, without turning"
 
 
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
-    """Camera and sensors that were used, in words."""
-    camera = "one camera" if summary.inputs.get("camera") else "no camera"
-    words = {joint: term.replace("_", " ") for term, joint in analysis.table.segments.items()}
+    """Camera and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
-    if not carriers:
-        return f"{camera} and no sensors"
-    terms = [words.get(name, name) for name in carriers]
-    singles = [term.split(" ", 1)[1] if term.startswith(("left ", "right ")) else term for term in terms]
-    grouped = [
-        f"both {term}s" if singles.count(term) == 2 else terms[singles.index(term)]
-        for term in dict.fromkeys(singles)
+    words = _segment_words(analysis)
+    names = ", ".join(_both_sides([words.get(name, name) for name in carriers]))
+    count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
+    if not summary.inputs.get("camera"):
+        return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
+    if summary.mode == IMAGE_FREE:
+        return f"{count} ({names}); the camera was not used"
+    if summary.mode in IMAGE_ALONE:
+        return "one camera alone" + (f"; {count} recorded, but not used" if carriers else "")
+    return f"one camera and {count} ({names})" if carriers else "one camera alone"
+
+
+def _segment_words(analysis: MotionAnalysis) -> dict[str, str]:
+    """Joint of the skeleton -> the segment that it carries, in words."""
+    return {joint: term.replace("_", " ") for term, joint in analysis.table.segments.items()}
+
+
+def _in_words(text: str, analysis: MotionAnalysis) -> str:
+    """Headline of an audit with segments in words, without names of revolutes and further sections."""
+    text = _CODES.sub("", text).replace(" deg", "°")
+    for joint, word in _segment_words(analysis).items():
+        text = re.sub(rf"\b{joint}\b", word, text)
+    return text
+
+
+def _both_sides(names: list[str]) -> list[str]:
+    """Names without duplicates; those of both sides once, in the plural."""
+    names = list(dict.fromkeys(names))
+    singles = [_SIDE.sub("", name) for name in names]
+    return [
+        f"both {single}s" if singles.count(single) == 2 else names[singles.index(single)]
+        for single in dict.fromkeys(singles)
     ]
-    many = "1 sensor" if len(carriers) == 1 else f"{len(carriers)} sensors"
-    return f"{camera} and {many} ({', '.join(grouped)})"
+
+
+def _listed(words: list[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _half_widths(analysis: MotionAnalysis) -> dict[str, float]:
@@ -133,37 +172,45 @@ def _half_widths(analysis: MotionAnalysis) -> dict[str, float]:
     return {
         row.name: float(np.degrees(BAND_95 * np.nanmedian(sigma[:, a])))
         for a, row in enumerate(angles.rows)
-        if np.isfinite(sigma[:, a]).any() and not row.name.startswith(SECOND_PELVIS)
+        if np.isfinite(sigma[:, a]).any() and not is_second_sequence(row.name)
     }
 
 
-def _how_good(motion: MotionSequence, analysis: MotionAnalysis) -> str:
-    seen = (
-        f"Joints were observed in {100 * float(motion.poses.position_observed.mean()):.0f} % of the frames."
+def _how_good(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) -> str:
+    share = 100 * float(motion.poses.position_observed.mean())
+    seen = f"Positions of joints were observed in {share:.0f} % of the frames."
+    reference = "".join(
+        f" Against the reference, knees and elbows are {result.value:.1f}° off on average."
+        for result in summary.results or ()
+        if result.name == FLEXION_ERROR and math.isfinite(result.value)
     )
     widths = {name: half for name, half in _half_widths(analysis).items() if name.endswith("flexion")}
     if not widths:
-        return f"The accuracy of the angles is not known: {NO_BANDS}. {seen}"
+        return f"The accuracy of the angles is not known: {NO_BANDS}. {seen}{reference}"
     best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
     median = float(np.median(list(widths.values())))
-    return (
-        f"Flexion angles are expected to be within ± {median:.0f}° (95 % of the time); best "
-        f"{shown_name(best)} ± {widths[best]:.0f}°, worst {shown_name(worst)} ± {widths[worst]:.0f}°. {seen}"
-    )
+    ends = [f"± {widths[name]:.0f}° ({_joint(name)})" for name in (best, worst)]
+    expected = f"Flexion angles are expected to be within ± {median:.0f}° (median 95 % band)"
+    return f"{expected}, from {ends[0]} to {ends[1]}. {seen}{reference}"
+
+
+def _joint(angle: str) -> str:
+    """Joint of a flexion angle in words."""
+    return re.sub("_[a-z]*flexion$", "", angle).replace("_", " ")
 
 
 def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns or fails, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL)
-    parts = [_CODES.sub("", overall.text)] if warned else []
+    parts = [_in_words(overall.text, analysis)] if warned else []
+    known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
         for joint in analysis.table.joints
-        if not any(analysis.angles[angle.name][np.isfinite(analysis.angles[angle.name])].size
-                   for angle in joint.angles)
-    ]  # fmt: skip
+        if not any(known[angle.name] or is_second_sequence(angle.name) for angle in joint.angles)
+    ]
     if unseen:
-        parts.append(f"no angles of {_both_sides(unseen)}: not observed")
+        parts.append(f"angles of {_listed(_both_sides(unseen))} were not observed and are not shown")
     bridged = float((motion.poses.provenance == Provenance.BRIDGED).any(axis=1).mean())
     if bridged > 0:
         parts.append(f"gaps were bridged in {100 * bridged:.0f} % of the frames")
@@ -171,28 +218,20 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     widths = _half_widths(analysis)
     if widths and not warned:
         worst = max(widths, key=widths.__getitem__)
-        parts.append(f"most uncertain is {shown_name(worst)}, ± {widths[worst]:.0f}°")
-    text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "Nothing in particular"
+        parts.append(f"the most uncertain angle is {shown_name(worst)}, ± {widths[worst]:.0f}°")
+    text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
     return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
-
-
-def _both_sides(names: list[str]) -> str:
-    """Names in a row; those of both sides once."""
-    singles = [re.sub(r"^(left|right) ", "", name) for name in names]
-    return ", ".join(
-        f"both {single}s" if singles.count(single) == 2 else names[singles.index(single)]
-        for single in dict.fromkeys(singles)
-    )
 
 
 def _findings(motion: MotionSequence, analysis: MotionAnalysis) -> str:
     if analysis.angles.sigma is None:
         return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
-    found = findings(analysis, motion.skeleton.table)[:MOST_FINDINGS]
+    found = findings(analysis, motion.skeleton.table)
+    pairs = compared_pairs(analysis)
+    compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
     if not found:
-        pairs = compared_pairs(analysis)
-        return (
-            f"No difference exceeds its 95 % band: {pairs} angles were compared between left and right, and "
-            "all with their usual limits."
-        )
-    return " ".join(f"{one.text[:1].upper()}{one.text[1:]}." for one in found)
+        return f"No difference exceeds its 95 % band: {compared}."
+    lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
+    if len(found) < MOST_FINDINGS:
+        lines.append(f"No other difference exceeds its 95 % band ({compared}).")
+    return " ".join(lines)

@@ -149,8 +149,8 @@ def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
 def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert names_in(reconstructed) == {
         "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
-        "ros_joint_trajectory.json", "ros_base_trajectory.json", "motion.csv", "measurements.npz", "files.json", "summary.json",
-        MANIFEST,
+        "ros_joint_trajectory.json", "ros_base_trajectory.json", "motion.csv", "files.json", "summary.json",
+        "measurements.npz", MANIFEST,
     }  # fmt: skip
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert summary["mode"] == "rtof"

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
-from clinical_support import walk
+from clinical_support import walk, walking
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from report_support import certain_to
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
@@ -29,7 +30,7 @@ from rtof_kin.report.clinical_figures import SHOWN, angles_over_time, gait_cycle
 BODY = SkeletonModel.default()
 ALWAYS = {
     "angles.csv", "angles.json", "angles_provenance.csv", "angles_trusted.csv", "range_of_motion.csv",
-    "gait.json", "notes.json",
+    "gait.json", "notes.json", "travel.json",
 }  # fmt: skip
 
 
@@ -102,6 +103,10 @@ def test_gait_torques_and_repetitions_are_written(analysis: MotionAnalysis, fold
     cadence = gait["summary"]["right"]["cadence_steps_per_min"]
     assert cadence["mean"] == pytest.approx(analysis.gait.summary["right"]["cadence"][0])
     assert (cadence["strides"], len(gait["strides"])) == (3, 5)
+    assert (gait["is_gait"], gait["why_not"], gait["walking_strides"]) == (True, "", 5)
+    travel = read(folder / "travel.json")
+    assert travel["path_length_m"] == pytest.approx(analysis.travel.path_length)
+    assert travel["turned_left_deg"] == travel["turned_right_deg"] == 0
     cycles = read_csv(folder / "gait_cycles.csv")
     assert len(cycles["cycle_percent"]) == 101
     curve = next(c for c in analysis.curves if c.name == "right_knee_flexion")
@@ -123,6 +128,17 @@ def test_ranges_are_written_in_degrees(analysis: MotionAnalysis, folder: Path) -
     knee = next(r for r in analysis.ranges if r.name == "right_knee_flexion")
     assert float(cells["high_deg"]) == pytest.approx(np.degrees(knee.high))
     assert float(cells["range_deg"]) == pytest.approx(np.degrees(knee.range))
+
+
+def test_bands_of_ranges_and_headings_are_written(tmp_path: Path) -> None:
+    motion = walk()
+    analysis = analyse_motion(replace(motion, confidence=certain_to(3.0, motion)))
+    write_analysis(analysis, tmp_path)
+    header, *lines = (tmp_path / "range_of_motion.csv").read_text().splitlines()
+    rows = {line.split(",")[0]: dict(zip(header.split(","), line.split(","), strict=True)) for line in lines}
+    knee = rows["right_knee_flexion"]
+    assert float(knee["range_sigma_deg"]) == pytest.approx(3 * np.sqrt(2), rel=0.02)
+    assert (knee["about_vertical"], rows["pelvis_rotation"]["about_vertical"]) == ("0.0", "1.0")
 
 
 def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:
@@ -207,12 +223,31 @@ def test_command_writes_the_folder_and_prints_tables(
     out = tmp_path / "analysis"
     assert main(["analyse", str(motion_file), "-o", str(out), "--weight", "70"]) == 0
     text = capsys.readouterr().out
-    for part in ("right_knee_flexion", "cadence steps/min", "torques of the legs in"):
+    for part in (
+        "right_knee_flexion",
+        "cadence steps/min",
+        "torques of the legs in",
+        "m forward, without",
+        "gait: walking, 5",
+    ):
         assert part in text
     names = {p.name for p in out.iterdir()}
     assert names == ALWAYS | {"gait_cycles.csv", "torques.csv", "torques.json", "figures", MANIFEST}
     for name in ("angles.png", "gait_cycles.png"):
         assert (out / "figures" / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two strides are too few; their numbers are in the files all the same."""
+    path = tmp_path / "motion.npz"
+    write_motion_npz(path, walking(2.4), mode="rtof")
+    assert main(["analyse", str(path), "-o", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    assert "gait: Only 2 complete strides of walking" in text
+    assert "cadence steps/min" not in text
+    gait = read(tmp_path / "out" / "gait.json")
+    assert (gait["is_gait"], len(gait["strides"])) == (False, 2)
+    assert not (tmp_path / "out" / "figures" / "gait_cycles.png").exists()
 
 
 def test_command_replaces_a_folder_only_with_overwrite(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import planted
 import pytest
 from clinical_support import limb, posture
 from numpy.typing import NDArray
@@ -86,3 +87,37 @@ def test_singular_angles_have_no_range() -> None:
     assert plane.known_share == 1
     assert plane.singular_share == 1
     assert of(swinging_knee(), "right_shoulder_elevation").high == pytest.approx(0, abs=1e-9)
+
+
+def with_sigma(degrees: Array | float, noise: Array | float = 0.0) -> ClinicalAngles:
+    angles = swinging_knee()
+    sigma = np.broadcast_to(np.radians(degrees), (T,))[:, None] * np.ones(len(angles.rows))
+    values = angles.values + np.broadcast_to(noise, (T,))[:, None]
+    return replace(angles, values=values, sigma=np.where(angles.known, sigma, np.nan))
+
+
+def test_a_range_has_the_deviations_of_its_two_ends() -> None:
+    growing = np.linspace(1, 4, T)
+    knee = of(with_sigma(growing), "right_knee_flexion")
+    low, high = (np.interp(t, TIMES, growing) for t in (knee.time_low, knee.time_high))
+    assert np.degrees([knee.low_sigma, knee.high_sigma]) == pytest.approx([low, high])
+    assert np.degrees(knee.range_sigma) == pytest.approx(np.hypot(low, high))
+    plain = of(swinging_knee(), "right_knee_flexion")
+    assert np.isnan([plain.low_sigma, plain.high_sigma, plain.range_sigma]).all()
+
+
+def test_planted_errors_stay_within_the_bands_of_a_range() -> None:
+    """Half of the variance is a bias, which cancels in a range, the other half is correlated over 0.3 s."""
+    sigma, inside = 3.0, []
+    rng = np.random.default_rng(0)
+    for seed in range(60):
+        error = rng.normal(0, 1) + planted.smooth_noise(seed, (T,), 18, 1.0)
+        noisy = with_sigma(sigma, np.radians(sigma / np.sqrt(2) * error))
+        (knee,) = ranges_of_motion(noisy.select(["right_knee_flexion"]))
+        inside.append(abs(np.degrees(knee.range) - 60) < 1.96 * np.degrees(knee.range_sigma))
+    assert np.mean(inside) >= 0.9
+
+
+def test_headings_are_marked_as_no_range_of_motion() -> None:
+    headings = {row.name for row in ranges_of_motion(swinging_knee()) if row.about_vertical}
+    assert headings == {"pelvis_rotation", "pelvis_opensim_rotation"}

@@ -18,7 +18,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera, with_camera_uncertainty
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
-from rtof_kin.report.page import _camera
+from rtof_kin.report.page.quality import camera_table
 from rtof_kin.report.provenance import input_provenance
 
 PLANTED = np.array([0.0, np.radians(-5.0), np.radians(5.0), 0.0, 0.0])
@@ -148,10 +148,10 @@ def test_the_audit_lists_the_unknowns_of_the_camera() -> None:
 
 
 def test_the_report_shows_the_camera() -> None:
-    page = _camera(input_provenance(results("rtof")[1])["camera_estimate"])
+    page = camera_table(input_provenance(results("rtof")[1])["camera_estimate"])
     assert "not calibrated" in page
     assert "focal length" in page
-    assert _camera(None) == ""
+    assert camera_table(None) == ""
 
 
 def test_further_cameras_move_rigidly_with_the_first() -> None:

@@ -1,4 +1,4 @@
-"""A page in a headless browser, driven by its DevTools protocol."""
+"""A page in a headless browser, driven by its DevTools protocol: pictures, paper, faults of the layout."""
 
 from __future__ import annotations
 
@@ -6,21 +6,67 @@ import base64
 import json
 import subprocess
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
+import pytest
 from report_support import BROWSER
 from websockets.sync.client import connect
+
+WIDTHS: Final = (390, 768, 1280)
+"""[px] of a phone, a tablet and a desktop."""
+needs_browser = pytest.mark.skipif(
+    BROWSER is None, reason="no chromium or google-chrome here: `apt install chromium` to test the pages"
+)
+_FAULTS: Final = r"""
+(() => {
+  const out = [], root = document.documentElement, width = root.clientWidth;
+  if (root.scrollWidth > innerWidth) out.push(`the page is ${root.scrollWidth} px wide`);
+  const cut = box => getComputedStyle(box).overflowX !== "visible" && box.scrollWidth > box.clientWidth + 1;
+  const leaves = (inner, outer) =>
+    inner.left < outer.left - 1 || inner.right > outer.right + 1 || inner.bottom > outer.bottom + 1;
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const text = walker.currentNode.textContent.trim(), own = walker.currentNode.parentElement;
+    if (!text || own.closest("script, style, option, .skip") || !own.checkVisibility()) continue;
+    const range = document.createRange(), what = text.slice(0, 40);
+    range.selectNodeContents(walker.currentNode);
+    const boxes = [...range.getClientRects()].filter(box => box.width > 0);
+    const lines = new Set(boxes.map(box => Math.round(box.top))).size;
+    if (boxes.some(box => box.right > width + 1 || box.left < -1)) out.push(`outside the page: ${what}`);
+    if (lines > 2 && text.length / lines < 4) out.push(`${lines} lines: ${what}`);
+    for (let box = own; box && box !== document.body; box = box.parentElement)
+      if (cut(box)) out.push(`cut: ${what}`);
+    const chart = own.closest("svg");
+    if (chart && boxes.some(box => leaves(box, chart.getBoundingClientRect())))
+      out.push(`outside its chart: ${what}`);
+  }
+  return out;
+})()
+"""
+_TARGETS: Final = """
+[...document.querySelectorAll("a:not(.skip), button, select, summary, label, input[type=range]")]
+  .filter(one => one.checkVisibility() && one.getBoundingClientRect().height < 40)
+  .map(one => one.textContent.trim() || one.id)
+"""
+
+
+SOFTWARE_3D = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""Flags for WebGL without a graphics card."""
 
 
 class BrowserPage:
     """One page; `errors` are what its console and its policy complained about."""
 
-    def __init__(self, profile: Path, width: int, height: int, dark: bool = False):
+    def __init__(
+        self, profile: Path, width: int, height: int, dark: bool = False,
+        flags: Sequence[str] = ("--disable-gpu",),
+    ):  # fmt: skip
         assert BROWSER is not None
         self._process = subprocess.Popen(
-            [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+            [BROWSER, "--headless", "--no-sandbox", *flags, "--disable-quic", "--no-first-run",
              "--disable-background-networking", "--disable-component-update", "--disable-sync",
              "--remote-debugging-port=0", f"--user-data-dir={profile}", "about:blank"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -128,5 +174,21 @@ class BrowserPage:
     def picture(self, file: Path, whole: bool = True) -> Path:
         """Write a picture of the page."""
         found = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        file.write_bytes(base64.b64decode(found["data"]))
+        return file
+
+    def layout_faults(self) -> list[str]:
+        """Texts that are outside of the page or their chart, clipped, or broken into single letters."""
+        found: list[str] = self.value(_FAULTS)
+        return found
+
+    def small_targets(self) -> list[str]:
+        """Controls that are too low for a finger."""
+        found: list[str] = self.value(_TARGETS)
+        return found
+
+    def pdf(self, file: Path) -> Path:
+        """Write the page as it is printed."""
+        found = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
         file.write_bytes(base64.b64decode(found["data"]))
         return file

@@ -13,7 +13,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
@@ -47,22 +47,24 @@ def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
     return {name: _as_floats(path, name, array) for name, array in saved.items()}
 
 
-def read_npz_as_saved(path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub") -> dict[str, NDArray[Any]]:
-    """Return all arrays of an .npz file, read-only, in their own types, by name.
+def read_npz_as_saved(
+    path: Path, limit: int = LARGEST_BYTES, kinds: str = "fiub", names: Collection[str] | None = None
+) -> dict[str, NDArray[Any]]:
+    """Return arrays of an .npz file, read-only, in their own types, by name.
 
     Args:
         path: file. limit: largest total size of the arrays, bytes.
-        kinds: allowed types, by NumPy's letters; U is text.
+        kinds: allowed types, by NumPy's letters; U is text. names: of the arrays; None: all.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or an array of another kind.
     """
     arrays: dict[str, NDArray[Any]] = {}
     with _open_npz(path) as archive:
-        members = archive.infolist()
-        check_sizes(path, members, limit)
-        for member in members:
-            name = member.filename.removesuffix(".npy")
+        entries = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        members = {name: info for name, info in entries.items() if names is None or name in names}
+        check_sizes(path, list(members.values()), limit)
+        for name, member in members.items():
             with archive.open(member) as stream:
                 arrays[name] = _read_npy(path, name, stream, member.file_size, kinds)
     return arrays

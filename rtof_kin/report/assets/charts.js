@@ -1,6 +1,6 @@
 
 // Curves with bands as SVG: axes with units, a cursor, and the values under it.
-const SIZE = {width: 460, height: 190, left: 44, right: 8, top: 8, bottom: 32};
+const SIZE = {width: 460, height: 196, left: 54, right: 18, top: 8, bottom: 38};
 
 function svg(name, attributes, parent) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", name);
@@ -77,7 +77,7 @@ function draw_axes(picture, axis, {low, high, first, last, X, Y}) {
     write(+x.toFixed(2), {x: X(x), y: foot + 14, "text-anchor": "middle"});
   }
   write(axis.label, {x: width - right, y: height - 4, "text-anchor": "end"});
-  write("deg", {x: 11, y: middle, "text-anchor": "middle", transform: `rotate(-90 11 ${middle})`});
+  write("deg", {x: 15, y: middle, "text-anchor": "middle", transform: `rotate(-90 15 ${middle})`});
   for (const mark of axis.marks || [])
     svg("line", {x1: X(mark.at), x2: X(mark.at), y1: top, y2: foot, class: "toe " + mark.side}, picture);
 }
@@ -122,19 +122,51 @@ function read_off(caption, chart, axis, i) {
   caption.append("deg");
 }
 
-// chart: {name, positive, series: [{side, y, half, n}]}; axis: {x, label, unit, marks: [{at, side}]}.
-// Returns a function that moves the cursor to an x.
+// The chart in words: lowest and highest value of each series, and where.
+function in_words(chart, axis) {
+  const place = i => `${axis.x[i].toFixed(axis.unit === "s" ? 1 : 0)} ${axis.unit || ""}`.trim();
+  const one = s => {
+    let low = -1, high = -1, known = 0;
+    for (let i = 0; i < s.y.length; i++) {
+      if (Number.isNaN(s.y[i])) continue;
+      known++;
+      if (low < 0 || s.y[i] < s.y[low]) low = i;
+      if (high < 0 || s.y[i] > s.y[high]) high = i;
+    }
+    const side = s.side ? s.side + ": " : "";
+    if (low < 0) return side + "not observed";
+    const seen = Math.floor(100 * known / s.y.length);
+    const rest = seen < 100 ? `, observed ${seen} % of the time` : "";
+    return `${side}lowest ${s.y[low].toFixed(0)} deg at ${place(low)}, highest ${s.y[high].toFixed(0)} deg at ${place(high)}${rest}`;
+  };
+  const positive = chart.positive ? `, positive: ${chart.positive}` : "";
+  return `${chart.name}${positive}. ${chart.series.map(one).join("; ")}.`;
+}
+
+// Heading of a chart; its name in OpenSim stands beside it where it has one, and the style shows one of both.
+function head(chart, figure) {
+  const title = element("h3", chart.opensim ? "" : chart.name, figure);
+  if (!chart.opensim) return;
+  element("span", chart.name, title).dataset.in = "isb xzy";
+  element("span", chart.opensim, title).dataset.in = "opensim";
+}
+
+// chart: {name, positive, opensim, shown, series: [{side, y, half, n}]}; axis: {x, label, unit, marks: [{at, side}]}.
+// Returns a function that moves the cursor to an x, and writes the values there (read).
 function draw_chart(parent, chart, axis, chosen) {
   const {width, height, top, bottom} = SIZE;
   const figure = element("figure", "", parent);
-  element("h3", chart.name, figure);
-  const picture = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": chart.name}, figure);
+  if (chart.shown) figure.dataset.in = chart.shown;
+  head(chart, figure);
+  const words = in_words(chart, axis);
+  const picture = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": words}, figure);
   const scale = scales(chart, axis);
   draw_axes(picture, axis, scale);
   for (const series of chart.series) draw_band(picture, series, axis.x, scale);
   for (const series of chart.series) draw_curve(picture, series, axis.x, scale);
   const cursor = svg("line", {y1: top, y2: height - bottom, class: "cursor", visibility: "hidden"}, picture);
-  const place = x => {
+  const place = (x, read) => {
+    if (read) read_off(caption, chart, axis, nearest(axis.x, x));
     cursor.setAttribute("visibility", "visible");
     cursor.setAttribute("x1", scale.X(x));
     cursor.setAttribute("x2", scale.X(x));
@@ -156,12 +188,12 @@ function draw_chart(parent, chart, axis, chosen) {
 }
 
 function unpack_series(group) {
-  return {...group, series: group.series.map(s => ({
-    ...s, y: unpack(s.y, 10), half: s.half ? unpack(s.half, 10) : null}))};
+  const y = s => group.turned ? unpack(s.y, 10).map(value => -value) : unpack(s.y, 10);
+  return {...group, series: group.series.map(s => ({...s, y: y(s), half: s.half ? unpack(s.half, 10) : null}))};
 }
 
 // All charts of a section; returns a function that moves all cursors.
 function draw_charts(parent, groups, axis, chosen) {
   const places = groups.map(group => draw_chart(parent, unpack_series(group), axis, chosen));
-  return x => places.forEach(place => place(x));
+  return (x, read) => places.forEach(place => place(x, read));
 }

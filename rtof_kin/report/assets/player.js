@@ -1,15 +1,17 @@
 
-// The skeleton playing in 3D, with a slider for time. moved(t) is called with the time.
+// The skeleton playing in 3D, with a slider for time. moved(t, read) is called with the time; read: at a time that was chosen.
 function start_player(data, moved) {
   const canvas = document.getElementById("scene");
   const [play, slider, clock, speed, follow] =
     ["play", "time", "clock", "speed", "follow"].map(id => document.getElementById(id));
   const J = data.joints.length, T = data.times.length;
-  const p = unpack(data.p, 1000), valid = unpack(data.valid, 100);
+  const p = unpack(data.p, data.scale), valid = unpack(data.valid, 100);
   const side = data.joints.map(name => /^(Left|l(?=[A-Z]))/.test(name) ? "left" : /^(Right|r(?=[A-Z]))/.test(name) ? "right" : "middle");
   const unseen = (frame, joint) => data.unseen[joint].some(([first, stop]) => first <= frame && frame < stop);
   const paint_scene = start_scene(canvas, data.height, () => paint());
-  let now = data.times[0], playing = false, before = 0;
+  const calm = window.matchMedia("(prefers-reduced-motion: reduce)");  // stills, two a second
+  let painted = 0;
+  let now = data.times[0], playing = false, before = 0, chosen = false;
   slider.max = T - 1;
 
   const at = (frame, joint) => [0, 1, 2].map(k => p[3 * (frame * J + joint) + k]);
@@ -31,17 +33,17 @@ function start_player(data, moved) {
     });
     slider.value = frame;
     clock.textContent = data.times[frame].toFixed(2) + " s" + (seen ? "" : ", not observed");
-    moved(data.times[frame]);
+    moved(data.times[frame], chosen && !playing);
   }
 
-  function go(time) { now = Math.min(Math.max(time, data.times[0]), data.times[T - 1]); paint(); }
+  function go(time) { chosen = true; now = Math.min(Math.max(time, data.times[0]), data.times[T - 1]); paint(); }
 
   function tick(stamp) {
     if (!playing) return;
     if (before) now += (stamp - before) / 1000 * Number(speed.value);
     before = stamp;
     if (now > data.times[T - 1]) now = data.times[0];
-    paint();
+    if (!calm.matches || stamp - painted >= 500) { painted = stamp; paint(); }
     requestAnimationFrame(tick);
   }
 
@@ -56,7 +58,9 @@ function start_player(data, moved) {
   slider.addEventListener("input", () => go(data.times[Number(slider.value)]));
   follow.addEventListener("change", paint);
   canvas.addEventListener("keydown", event => { if (event.key === " ") { event.preventDefault(); toggle(); } });
-  window.addEventListener("beforeprint", paint);
+  for (const button of document.querySelectorAll(".views button"))
+    button.addEventListener("click", () =>
+      canvas.dispatchEvent(new KeyboardEvent("keydown", {key: button.dataset.key, cancelable: true})));
   paint();
   return go;
 }

@@ -1,5 +1,6 @@
 
-// A skeleton on a floor in 3D: drag or arrow keys to turn, wheel or + and - to zoom; z is up, the floor at 0.
+// A skeleton on a floor in 3D: drag or arrow keys to turn, + and - to zoom; z is up, the floor at 0.
+// The wheel zooms once the canvas has the focus; a finger turns it to the sides, and scrolls the page up and down.
 // canvas: element; height: of the person; repaint(): called when the view changes.
 // Returns paint(body) with {at(joint) -> [x, y, z] or NaN, joints, parents, target: [x, y, z] in the middle,
 // radius: shown to either side, floor: [x, y] of its middle, reach: of the floor, look(joint) -> {colour, dash}},
@@ -87,11 +88,18 @@ function start_scene(canvas, height, repaint) {
     event.preventDefault();
     keys[event.key]();
   });
-  canvas.addEventListener("pointerdown", event => canvas.setPointerCapture(event.pointerId));
+  let last = [0, 0];
+  canvas.addEventListener("pointerdown", event => {
+    canvas.setPointerCapture(event.pointerId);
+    last = [event.clientX, event.clientY];
+  });
   canvas.addEventListener("pointermove", event => {
-    if (event.buttons & 1) turn(-0.01 * event.movementX, 0.01 * event.movementY);
+    if (!(event.buttons & 1)) return;
+    turn(-0.01 * (event.clientX - last[0]), 0.01 * (event.clientY - last[1]));
+    last = [event.clientX, event.clientY];
   });
   canvas.addEventListener("wheel", event => {
+    if (!event.ctrlKey && document.activeElement !== canvas) return;
     event.preventDefault();
     zoom(Math.exp(-0.001 * event.deltaY));
   }, {passive: false});

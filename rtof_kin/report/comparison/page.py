@@ -60,8 +60,8 @@ def page(found: Comparison, why: str = "") -> str:
 def _difference_rows(found: Comparison) -> Iterator[tuple[str, ...]]:
     for one in found.angles:
         for number, change in enumerate(one.changes):
-            name = f"{escape(label(one.name))} <small>{escape(one.positive)}</small>" if number == 0 else ""
-            yield name, *_change_cells(change)
+            name = f"{escape(label(one.name))} <small>{escape(one.positive)}</small>"
+            yield name if number == 0 else f'<span class="again">{name}</span>', *_change_cells(change)
 
 
 def _change_cells(change: Change) -> tuple[str, ...]:

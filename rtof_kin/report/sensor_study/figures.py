@@ -10,8 +10,8 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.figures import save_figures
-from rtof_kin.report.plot_data import side_and_name
 from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorStudy
 
 _LARGEST: Final = 20.0  # [deg] end of the colour scale

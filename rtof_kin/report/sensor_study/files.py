@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.headline import Headline
-from rtof_kin.report.plot_data import side_and_name
 from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorSet, SensorStudy
 
 MARKER: Final = "study.csv"

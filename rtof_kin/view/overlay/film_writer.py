@@ -1,0 +1,206 @@
+"""Writers of films: MP4 with variable frame rate through PyAV, and GIF through Pillow.
+
+No sound and no metadata of a source (place, time, device) is copied, because only pictures are passed on.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+import numpy as np
+
+from rtof_kin.core.errors import InvalidInputError, WritingError
+from rtof_kin.view.overlay.canvas import Image
+from rtof_kin.vision.video_file import library
+
+SUFFIXES: Final = (".mp4", ".gif")
+GIF_WIDTH: Final = 480
+"""Largest width of a GIF unless another one is asked for, px."""
+GIF_HEIGHT: Final = 640
+"""Largest height of a GIF unless a width is asked for, px."""
+GIF_RATE_HZ: Final = 15.0
+"""Highest frame rate of a GIF."""
+_INSTALL: Final = "pip install 'rtof_kin[view]'"
+_ENCODERS: Final[dict[str, dict[str, str]]] = {
+    "libx264": {"preset": "superfast", "crf": "21"},
+    "libopenh264": {"rc_mode": "quality"},
+    "mpeg4": {},
+}
+"""Options of the encoders that are tried, the best first."""
+_TICKS: Final = 90_000
+"""Ticks per second of time stamps."""
+_BT709: Final = 1
+"""FFmpeg's number of the colour space of BT.709."""
+
+
+class FilmWriter(Protocol):
+    """Takes pictures."""
+
+    encoder: str
+    """Name of the encoder."""
+
+    def __enter__(self) -> Self:
+        """Open the file."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        ...
+
+    def due(self, stamp: float) -> bool:
+        """Return whether a picture at a time in the file, s, is taken."""
+        ...
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture (height, width, 3), BGR, at a time in the file, s."""
+        ...
+
+
+class Mp4Writer:
+    """An MP4 of H.264, or of what this PyAV can encode; pictures keep their time stamps."""
+
+    def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
+        """Take the file, width and height of the pictures, and their mean rate."""
+        self._av = library("av", _INSTALL)
+        self.encoder = next(name for name in _ENCODERS if name in self._av.codecs_available)
+        self._path, self._size, self._rate = path, size, rate_hz
+        self._first: float | None = None
+        self._last = -1
+        self._container: Any = None
+        self._stream: Any = None
+
+    def __enter__(self) -> Self:
+        """Open the file."""
+        self._container = self._av.open(
+            str(self._path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"}
+        )
+        rate = Fraction(self._rate).limit_denominator(1001)
+        stream = self._container.add_stream(self.encoder, rate=rate, options=_ENCODERS[self.encoder])
+        width, height = self._size
+        stream.width, stream.height = width + width % 2, height + height % 2
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.time_base = stream.time_base = Fraction(1, _TICKS)
+        context.max_b_frames = 0  # the first time stamp stays 0
+        if self.encoder == "mpeg4":
+            stream.bit_rate = int(width * height * self._rate * 0.15)
+            context.time_base = stream.time_base = Fraction(1, 60_000)  # MPEG-4 allows 65,535 at most
+        context.colorspace = context.color_primaries = context.color_trc = _BT709
+        context.color_range = 1  # 16 to 235
+        self._stream = stream
+        return self
+
+    def due(self, stamp: float) -> bool:  # noqa: ARG002
+        """Return True: all pictures are taken.
+
+        Args:
+            stamp: s.
+        """
+        return True
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture.
+
+        Args:
+            image: (height, width, 3), BGR. stamp: s.
+        """
+        first = self._first = stamp if self._first is None else self._first
+        base = self._stream.codec_context.time_base
+        self._last = max(self._last + 1, round((stamp - first) / base))
+        odd = image.shape[0] % 2, image.shape[1] % 2
+        if any(odd):
+            image = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
+        frame = self._av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="bgr24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts, frame.time_base = self._last, base
+        self._mux(frame)
+
+    def _mux(self, frame: Any) -> None:
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except self._av.FFmpegError as error:
+            raise WritingError(f"{self._path.name}: the encoder {self.encoder} failed ({error})") from error
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        try:
+            if kind is None and self._first is not None:
+                self._mux(None)
+        finally:
+            self._container.close()
+
+
+class GifWriter:
+    """A GIF of at most 15 pictures per second; a picture is shown until the next one."""
+
+    encoder = "GIF"
+
+    def __init__(self, path: Path, rate_hz: float):
+        """Take the file and the mean rate of the pictures, Hz."""
+        self._path = path
+        self._images: list[Any] = []
+        self._stamps: list[float] = []
+        self._shortest = 1 / GIF_RATE_HZ
+        self._step = 1 / rate_hz
+
+    def __enter__(self) -> Self:
+        """Do nothing: the file is written at the end."""
+        return self
+
+    def due(self, stamp: float) -> bool:
+        """Return whether a picture at this time is taken.
+
+        Args:
+            stamp: s.
+        """
+        if not self._stamps:
+            return True
+        number = np.floor((stamp - self._stamps[0]) * GIF_RATE_HZ + 1e-6)
+        return bool(number > np.floor((self._stamps[-1] - self._stamps[0]) * GIF_RATE_HZ + 1e-6))
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture.
+
+        Args:
+            image: (height, width, 3), BGR. stamp: s.
+        """
+        from PIL import Image as Pictures
+
+        rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
+        self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
+        self._stamps.append(stamp)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Write the file."""
+        if kind is not None or not self._images:
+            return
+        last = self._stamps[-1] + max(self._step, self._shortest)
+        ends = np.round(100 * (np.array([*self._stamps, last]) - self._stamps[0]))
+        self._images[0].save(
+            self._path, format="GIF", save_all=True, append_images=self._images[1:],
+            duration=(10 * np.diff(ends)).astype(int).tolist(), loop=0, optimize=False, disposal=1,
+        )  # fmt: skip
+
+
+def check_suffix(path: str | Path) -> str:
+    """Return the suffix of a film that can be written.
+
+    Args:
+        path: of the film.
+
+    Raises:
+        InvalidInputError: another suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InvalidInputError(f"{path}: its name must end with {' or '.join(SUFFIXES)}")
+    return suffix

@@ -1,0 +1,187 @@
+"""`ProjectedMotion`: a motion in the pixels of a picture, at the times of its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.observability import observed_landmarks
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.poses import Provenance
+from rtof_kin.view.overlay.picture_view import PictureView
+
+_LONGEST_GAP: Final = 2.5
+"""[frames] between poses that are interpolated."""
+_AT_ENDS: Final = 0.75
+"""[frames] before the first and after the last pose in which that is shown."""
+_NEAR: Final = 1e-3
+"""[frames] from a pose within which it is not interpolated."""
+_STEP: Final = 1e-3  # [m] of the differences that give the derivative of the projection
+
+
+@dataclass(frozen=True)
+class Moment:
+    """An instant between two frames of a motion."""
+
+    before: int
+    """Frame of the motion."""
+    after: int
+    """The same frame or the next one."""
+    weight: float
+    """Of the second one, 0 to 1."""
+
+    @property
+    def frames(self) -> NDArray[np.int_]:
+        """(2,) both frames."""
+        return np.array([self.before, self.after])
+
+    def mix(self, values: Array) -> Array:
+        """Interpolate values (2, ...) of both frames.
+
+        Args:
+            values: of `frames`.
+        """
+        if self.weight == 0:
+            return np.asarray(values[0])
+        return np.asarray((1 - self.weight) * values[0] + self.weight * values[1])
+
+
+@dataclass(frozen=True)
+class ProjectedPose:
+    """A person in a picture."""
+
+    time: float
+    """s, of the motion."""
+    uv_px: Array
+    """(P, 2) pixels of the joints and the ends of the limbs; NaN where unknown or behind the camera."""
+    provenance: NDArray[np.uint8]
+    """(P,) `Provenance`; of the weaker frame where two are interpolated."""
+
+
+class ProjectedMotion:
+    """A motion with the ends of its limbs (head, hands, toes) in the pixels of a view."""
+
+    def __init__(self, motion: MotionSequence, view: PictureView):
+        """Take a motion and the view with its frames."""
+        self.motion, self.view = motion, view
+        skeleton, poses = motion.skeleton, motion.poses
+        ends = limb_ends(skeleton)
+        J = len(skeleton.names)
+        self.bones = (
+            *((parent, j) for j, parent in enumerate(skeleton.parents) if parent >= 0),
+            *((skeleton.names.index(skeleton.landmarks[end][0]), J + i) for i, end in enumerate(ends)),
+        )
+        """Pairs of points: parent, child."""
+        self.names = (*skeleton.names, *ends)
+        """P names of the points."""
+        index = [list(skeleton.landmarks).index(end) for end in ends]
+        landmarks = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)[:, index]
+        self._p_world = np.concatenate([poses.p_world_joint, landmarks], axis=1)
+        joints = shown_provenance(motion)
+        own = joints[:, [skeleton.names.index(skeleton.landmarks[end][0]) for end in ends]]
+        seen = observed_landmarks(motion)[:, index]
+        self._provenance = np.concatenate([joints, np.where(seen, own, np.minimum(own, _WEAKEST))], axis=1)
+        times = view.video_times
+        self._step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60
+        finite: Mask = np.asarray(np.isfinite(poses.p_world_joint).all(axis=2))
+        self._known: Mask = np.asarray(finite.any(axis=1))
+
+    @property
+    def provenances(self) -> tuple[Provenance, ...]:
+        """Those that occur."""
+        return tuple(Provenance(int(value)) for value in np.unique(self._provenance))
+
+    def moment(self, video_time: float) -> Moment | None:
+        """Return the frames of the motion at an instant of the video; None where there is no motion.
+
+        Args:
+            video_time: s, in the time of the video.
+        """
+        times, margin = self.view.video_times, _AT_ENDS * self._step
+        if not times[0] - margin <= video_time <= times[-1] + margin:
+            return None
+        after = int(np.clip(np.searchsorted(times, video_time), 0, len(times) - 1))
+        before = max(after - 1, 0)
+        gap = times[after] - times[before]
+        weight = float(np.clip((video_time - times[before]) / gap, 0, 1)) if gap > 0 else 1.0
+        if weight * gap < _NEAR * self._step:
+            after, weight = before, 0.0
+        elif (1 - weight) * gap < _NEAR * self._step:
+            before, weight = after, 0.0
+        elif gap > _LONGEST_GAP * self._step:
+            return None
+        return Moment(before, after, weight) if self._known[[before, after]].all() else None
+
+    def pose(self, moment: Moment) -> ProjectedPose:
+        """Return the person at an instant.
+
+        Args:
+            moment: of the motion.
+        """
+        frames = moment.frames
+        uv = self.view.project(self._p_world[frames], frames)
+        return ProjectedPose(
+            float(moment.mix(self.motion.times[frames])), moment.mix(uv), self._provenance[frames].min(axis=0)
+        )
+
+    def detected(self, moment: Moment) -> Array:
+        """Return detected points (L, 2) px at an instant, NaN where there are none.
+
+        Args:
+            moment: of the motion.
+        """
+        return moment.mix(self.view.in_video(moment.frames))
+
+    def covariance_px(self, frame: int) -> Array | None:
+        """Return covariances (J, 2, 2) px^2 of the joints in the picture; None without a confidence.
+
+        Args:
+            frame: of the motion.
+        """
+        confidence = self.motion.confidence
+        if confidence is None:
+            return None
+        p = self.motion.poses.p_world_joint[frame]
+        moved = p[:, None] + _STEP * np.vstack([np.zeros(3), np.eye(3)])
+        uv = self.view.project(moved[None], np.array([frame]))[0]
+        J = np.swapaxes(uv[:, 1:] - uv[:, :1], -1, -2) / _STEP
+        return np.asarray(J @ confidence.position_covariance[frame] @ np.swapaxes(J, -1, -2))
+
+
+_WEAKEST: Final = int(Provenance.PRIOR)
+
+
+def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
+    """Return `Provenance` (T, J) as it is drawn: unreliable positions are not drawn as observed ones.
+
+    A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.
+
+    Args:
+        motion: with poses.
+    """
+    poses = motion.poses
+    given = poses.provenance if poses.provenance.any() else np.full(poses.provenance.shape, Provenance.CAMERA)
+    shown = np.where(poses.valid, given, np.minimum(given, Provenance.BRIDGED))
+    return np.asarray(shown, dtype=np.uint8)
+
+
+def limb_ends(skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return the farthest landmark of each joint without children: top of the head, hand ends, toes.
+
+    Args:
+        skeleton: of the motion.
+    """
+    leaves = [name for j, name in enumerate(skeleton.names) if j not in skeleton.parents]
+    out = []
+    for leaf in leaves:
+        own = {
+            name: float(np.linalg.norm(offset))
+            for name, (joint, offset) in skeleton.landmarks.items()
+            if joint == leaf and name != leaf
+        }
+        out += [max(own, key=own.__getitem__)] if own else []
+    return tuple(out)

@@ -1,0 +1,79 @@
+"""`BlockCache`: what is drawn of the frames around the current one, computed once and ahead of time."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Final, Generic, TypeVar
+
+from rtof_kin.core.errors import RtofError
+
+BLOCK: Final = 256
+"""Frames of a block."""
+_KEPT: Final = 8
+"""Blocks that are kept."""
+_AHEAD: Final = 0.4
+"""Part of a block after which the next one is computed."""
+T = TypeVar("T")
+
+
+class BlockCache(Generic[T]):
+    """Blocks of a motion by frame. All methods but the computation are of one thread."""
+
+    def __init__(
+        self, frames: int, available: Callable[[], int], compute: Callable[[int, int], T], block: int = BLOCK
+    ):
+        """Compute nothing yet.
+
+        Args:
+            frames: number of frames. available: returns how many can be read now, from the first.
+            compute: makes a block from its first frame and the one after its last. block: frames of a block.
+        """
+        self.frames, self._available, self._compute = frames, available, compute
+        self._size = block
+        self._blocks: OrderedDict[int, Future[T]] = OrderedDict()
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="blocks")
+        self._lock = threading.Lock()
+
+    def at(self, frame: int, seconds: float = 0.0) -> tuple[T, int] | None:
+        """Return the block of a frame and the frame's place in it; None while that is read or computed.
+
+        Args:
+            frame: number. seconds: to wait for it.
+
+        Raises:
+            RtofError: the block cannot be read.
+        """
+        number, place = divmod(frame, self._size)
+        found = self._block(number)
+        if place > _AHEAD * self._size:
+            self._block(number + 1)
+        if found is None:
+            return None
+        try:
+            return found.result(timeout=seconds), place
+        except TimeoutError:
+            return None
+
+    def close(self) -> None:
+        """Stop computing."""
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def _block(self, number: int) -> Future[T] | None:
+        """Return a block that is or will be computed; None if it cannot be read yet."""
+        start, stop = number * self._size, min((number + 1) * self._size, self.frames)
+        with self._lock:
+            if number in self._blocks:
+                self._blocks.move_to_end(number)
+                return self._blocks[number]
+            if start >= stop or self._available() < stop:
+                return None
+            try:
+                self._blocks[number] = self._worker.submit(self._compute, start, stop)
+            except RuntimeError as error:  # closed
+                raise RtofError("the viewer was closed") from error
+            while len(self._blocks) > _KEPT:
+                self._blocks.popitem(last=False)[1].cancel()
+            return self._blocks[number]

@@ -1,0 +1,186 @@
+"""A camera in the scene: its frustum, the image in it, detected points and reprojected joints.
+
+All of it lies in one plane at some depth before the camera, so that a line from the camera's centre through
+a point meets the joint. Pixels are placed as if the lens had no distortion, like those of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+
+DEPTH: Final = 0.6
+"""[m] of the image before the camera."""
+DETECTED: Final = (213, 94, 0)
+"""RGB of detected points."""
+REPROJECTED: Final = (0, 114, 178)
+"""RGB of the motion's joints in the image."""
+_EDGES: Final = (40, 40, 48)
+_POINT: Final = 0.012
+"""Size of a point relative to the depth."""
+_NO_IMAGE: Final = np.zeros((2, 2, 3), dtype=np.uint8)
+_UNKNOWN_TURN: Final = np.full((3, 3), np.nan)
+
+
+@dataclass(frozen=True)
+class CameraBlock:
+    """Points and pose of one camera in the frames of a block."""
+
+    R_world_camera: Array
+    """(n, 3, 3) of the video's camera; NaN where a handheld one's is unknown."""
+    detected: Array
+    """(n, L, 3) points at depth 1 in camera axes; NaN where missing."""
+    reprojected: Array
+    """(n, J, 3) joints of the motion at depth 1 in camera axes; NaN where missing."""
+
+
+def video_camera(view: KeypointSequence) -> Camera:
+    """Return the camera whose images the video has, with the pose of the mean orientation.
+
+    Args:
+        view: of the camera.
+    """
+    return view.camera if view.turning is None else view.turning.camera
+
+
+def camera_block(view: KeypointSequence, p_world: Array) -> CameraBlock:
+    """Return what is drawn of a camera.
+
+    Args:
+        view: frames of a block. p_world: (n, J, 3) m, joints of the motion in them.
+    """
+    camera, frames = video_camera(view), np.arange(len(view))
+    R_world_still = view.camera.R_camera_world.T
+    R = np.broadcast_to(R_world_still, (len(view), 3, 3))
+    if view.turning is not None:
+        R = R_world_still @ view.turning.R_still_camera
+    return CameraBlock(
+        R, _at_depth_one(camera, view.in_video(frames)), _at_depth_one(camera, view.project(p_world, frames))
+    )
+
+
+def _at_depth_one(camera: Camera, uv_px: Array) -> Array:
+    """Return points (..., 3) of the image plane at depth 1; NaN outside the image."""
+    size = np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        inside = ((uv_px >= 0) & (uv_px <= size)).all(axis=-1, keepdims=True)
+    uv = np.where(inside, uv_px, np.nan)
+    xy = (uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+    return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+
+class CameraLayer:
+    """Frustum of one camera with its image and points."""
+
+    def __init__(self, server: Any, name: str, view: KeypointSequence, label: str):
+        """Add the camera to the scene.
+
+        Args:
+            server: of viser. name: of the nodes. view: any frames of the camera. label: shown at the camera.
+        """
+        self.camera = video_camera(view)
+        self.center = view.camera.center_world
+        self._depth = DEPTH
+        corners = self._corners()
+        edges = [(np.zeros(3), corner) for corner in corners]
+        edges += [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+        scene = server.scene
+        self.edges = scene.add_line_segments(
+            f"{name}/frustum", np.array(edges, dtype=np.float32), _EDGES, thickness=1.5,
+            thickness_units="screen",
+        )  # fmt: skip
+        points = {"detected": (DETECTED, "circle", 1.0), "reprojected": (REPROJECTED, "diamond", 0.8)}
+        self.points = {
+            what: scene.add_point_cloud(
+                f"{name}/{what}", np.zeros((0, 3), dtype=np.float32), colour, point_size=size * _POINT,
+                point_shape=shape, precision="float32", point_shading="flat",
+            )
+            for what, (colour, shape, size) in points.items()
+        }  # fmt: skip
+        self.label = scene.add_label(f"{name}/label", label, anchor="bottom-center")
+        self.image: Any = None
+        self._server, self._name, self._image_visible = server, name, True
+        self._show_pose(view.camera.R_camera_world.T)
+
+    @property
+    def vertical_view(self) -> float:
+        """Vertical angle of view, rad."""
+        return 2 * float(np.arctan(self.camera.height_px / 2 / self.camera.K[1, 1]))
+
+    @property
+    def R_world_camera(self) -> Array:
+        """(3, 3) orientation that is shown."""
+        return self._R
+
+    def show(self, block: CameraBlock, i: int, depth: float = DEPTH) -> None:
+        """Show one frame.
+
+        Args:
+            block: of this camera. i: frame in it. depth: of the image before the camera, m.
+        """
+        R = block.R_world_camera[i]
+        self._depth = depth
+        self._show_pose(R if np.isfinite(R).all() else _UNKNOWN_TURN)
+        for what, points in (("detected", block.detected[i]), ("reprojected", block.reprojected[i])):
+            seen = points[np.isfinite(points).all(axis=-1)]
+            self.points[what].points = seen.astype(np.float32)
+
+    def show_image(self, image: NDArray[np.uint8]) -> None:
+        """Show an image in the frustum.
+
+        Args:
+            image: (height, width, 3) RGB, of the whole upright video image at any size.
+        """
+        if self.image is None:
+            camera = self.camera
+            self.image = self._server.scene.add_image(
+                f"{self._name}/image", image, camera.width_px / camera.K[0, 0],
+                camera.height_px / camera.K[1, 1], format="jpeg", cast_shadow=False, receive_shadow=False,
+                visible=self._image_visible,
+            )  # fmt: skip
+            self._show_pose(self._R)
+        else:
+            self.image.image = image
+
+    def set_visible(self, what: str, visible: bool) -> None:
+        """Show or hide a part.
+
+        Args:
+            what: 'frustum', 'image', 'detected' or 'reprojected'. visible: whether it is shown.
+        """
+        if what == "image":
+            self._image_visible = visible
+            if self.image is not None:
+                self.image.visible = visible
+        elif what == "frustum":
+            self.edges.visible = self.label.visible = visible
+        else:
+            self.points[what].visible = visible
+
+    def _corners(self) -> list[Array]:
+        """Return the four corners of the image at depth 1, in order around it."""
+        w, h = self.camera.width_px, self.camera.height_px
+        return [_at_depth_one(self.camera, np.array(uv, float)) for uv in ((0, 0), (w, 0), (w, h), (0, h))]
+
+    def _show_pose(self, R_world_camera: Array) -> None:
+        """Turn all parts; with an unknown orientation the camera keeps its last one."""
+        if np.isfinite(R_world_camera).all():
+            self._R = R_world_camera
+        quat, depth = so3.to_quat_wxyz(self._R), self._depth
+        for handle in (self.edges, *self.points.values()):
+            handle.wxyz, handle.position = quat, self.center
+            handle.scale = depth
+        self.label.position = self.center + 0.06 * np.array([0, 0, 1.0])
+        if self.image is not None:
+            middle = np.mean(self._corners(), axis=0)
+            self.image.wxyz = quat
+            self.image.position = self.center + 1.003 * depth * self._R @ middle  # behind the points
+            self.image.scale = depth

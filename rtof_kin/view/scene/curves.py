@@ -1,0 +1,153 @@
+"""Curves of chosen clinical angles below the scene, with a cursor at the time that is shown.
+
+Every frame is a dot, so that a gap of unobserved angles stays a gap.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.view.scene.angle_blocks import AngleBlocks
+from rtof_kin.view.scene.words import curves_html
+
+WINDOW: Final = 5.0
+"""[s] shown before and after the cursor."""
+COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))
+"""RGB of the curves (Okabe and Ito, 2008)."""
+_NONE: Final = "none"
+_FIRST: Final = ("right_knee_flexion", "left_knee_flexion")
+"""Angles that are shown at the start."""
+_LEAST_SPAN: Final = 10.0
+"""[deg] of the vertical axis."""
+_EMPTY: Final = (0.0, 10.0)
+"""[deg] Range of the vertical axis of no curve."""
+_AXES: Final = (
+    {"label": "time [s]", "labelSize": 16, "size": 32},
+    {"label": "angle [deg]", "labelSize": 18, "size": 44},
+)
+_PER_CURVE: Final = 3
+"""Series of a curve: value, lower and upper limit of the 95 % band."""
+
+
+class Curves:
+    """Panel with up to three curves."""
+
+    def __init__(self, server: Any, angles: AngleBlocks):
+        """Add the panel.
+
+        Args:
+            server: of viser. angles: of the motion.
+        """
+        self._angles, self.changed = angles, True
+        gui = server.gui
+        self._shown_limits = _EMPTY
+        panel = gui.add_panel()
+        with panel.add_tab("joint angles"):
+            self._legend = gui.add_html("")
+            empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
+            self._plot = gui.add_uplot(
+                (np.array([0.0, 1.0]), *empty), _series(), scales=_scales(_EMPTY), axes=_AXES,
+                legend={"show": False}, height=170, padding=(6, 14, 0, 0),
+            )  # fmt: skip
+        options = (_NONE, *angles.labels)
+        first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
+        self._choices = []
+        with panel.add_tab("choose"):
+            for number in range(len(COLOURS)):
+                initial = first[number] if number < len(first) else _NONE
+                choice = gui.add_dropdown(f"curve {number + 1}", options, initial_value=initial)
+                choice.on_update(lambda _: self._choose())
+                self._choices.append(choice)
+        panel.float(x=15, y=-15, width=560)
+        self._choose()
+
+    @property
+    def chosen(self) -> tuple[str | None, ...]:
+        """Names of the chosen angles; None where there is none."""
+        labels = [choice.value for choice in self._choices]
+        return tuple(
+            None if label == _NONE else self._angles.names[self._angles.labels.index(label)]
+            for label in labels
+        )
+
+    def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
+        """Show the curves around a time; return False while they are computed.
+
+        Args:
+            frame: that is shown. time: of it, s. seconds: to wait.
+
+        Raises:
+            RtofError: the motion cannot be read.
+        """
+        if all(name is None for name in self.chosen):
+            none = np.full(2, np.nan)
+            series = [none] * (_PER_CURVE * len(COLOURS))
+            self._plot.data = _data(np.array([time - WINDOW, time + WINDOW]), series, time, _EMPTY)
+            return True
+        found = self._angles.part(frame, seconds)
+        if found is None:
+            return False
+        bands: list[Array] = []
+        for name in self.chosen:
+            column = None if name is None else self._angles.names.index(name)
+            values = half = np.full(len(found), np.nan)
+            if column is not None:
+                values = np.degrees(found.values[:, column])
+                if found.sigma is not None:
+                    half = BAND_95 * np.degrees(found.sigma[:, column])
+            bands += [values, values - half, values + half]
+        limits = _limits(np.array(bands[::_PER_CURVE]))
+        near = slice(*np.searchsorted(found.times, [time - WINDOW, time + WINDOW]).tolist())
+        self._scale(limits)
+        self._plot.data = _data(found.times[near], [band[near] for band in bands], time, limits)
+        return True
+
+    def _scale(self, limits: tuple[float, float]) -> None:
+        """Fix the vertical axis; viser draws the plot anew where it changes."""
+        if limits != self._shown_limits:
+            self._shown_limits = limits
+            self._plot.scales = _scales(limits)
+
+    def _choose(self) -> None:
+        self.changed = True
+        self._legend.content = curves_html(
+            [(COLOURS[i], c.value) for i, c in enumerate(self._choices) if c.value != _NONE],
+            self._angles.in_parts,
+        )
+
+
+def _scales(limits: tuple[float, float]) -> dict[str, Any]:
+    return {"x": {"time": False}, "y": {"range": limits}}
+
+
+def _limits(values: Array) -> tuple[float, float]:
+    """Return the range of the vertical axis, deg, for curves of a whole part of the motion."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_SPAN)
+    pad = max(0.12 * (high - low), (_LEAST_SPAN - (high - low)) / 2, 2.0)
+    return float(np.floor((low - pad) / 5) * 5), float(np.ceil((high + pad) / 5) * 5)
+
+
+def _data(times: Array, series: list[Array], now: float, limits: tuple[float, float]) -> tuple[Array, ...]:
+    """Return the columns of the plot: times, series and the cursor, a vertical line at `now`."""
+    place = int(np.searchsorted(times, now))
+    x = np.insert(times, [place, place], [now, now])
+    cursor = np.full(len(x), np.nan)
+    cursor[place : place + 2] = limits
+    return (x, *(np.insert(column, [place, place], np.nan) for column in series), cursor)
+
+
+def _series() -> tuple[dict[str, Any], ...]:
+    clear = "rgba(0,0,0,0)"
+    out: list[dict[str, Any]] = [{"label": "time [s]"}]
+    for colour in COLOURS:
+        for opacity, size in ((1.0, 3.0), (0.35, 2.0), (0.35, 2.0)):
+            dot = f"rgba({colour[0]},{colour[1]},{colour[2]},{opacity})"
+            points = {"show": True, "size": size, "width": 0, "fill": dot, "stroke": dot, "space": 0}
+            out.append({"label": "", "stroke": clear, "width": 0, "points": points})
+    out.append({"label": "now", "stroke": "rgb(40,40,48)", "width": 1.5, "points": {"show": False}})
+    return tuple(out)

@@ -1,0 +1,184 @@
+"""Layers of the scene: what one motion consists of, each drawn by one batched mesh of viser."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.view.provenance_colours import Rgb
+from rtof_kin.view.scene.block_content import AXES_LENGTH, BlockContent, Ellipsoids
+from rtof_kin.view.scene.solids import SegmentSolids, barrel, box, sphere
+
+_AXES_RADIUS: Final = 0.0035
+_UNKNOWN: Final = (150, 150, 150)
+_ELLIPSOID: Final = (120, 94, 240)
+_ELLIPSOID_OPACITY: Final = 0.25
+_SENSOR: Final = (40, 40, 48)
+_SENSOR_SIZE: Final = np.array([0.024, 0.017, 0.007])
+"""[m] Half edges of a drawn sensor."""
+_SENSOR_AXES: Final = 0.09
+"""[m]"""
+
+
+def _upright(count: int) -> NDArray[np.float32]:
+    """Return identity quaternions (count, 4)."""
+    return np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (count, 1))
+
+
+class BodyLayer:
+    """Solids of the segments of one person."""
+
+    def __init__(
+        self, server: Any, name: str, solids: SegmentSolids, colour: Rgb | None = None, opacity: float = 1.0
+    ):
+        """Add the solids to the scene, not yet shown.
+
+        Args:
+            server: of viser. name: of the node. solids: of the segments.
+            colour: of all segments; None: that of their provenance. opacity: of all segments.
+        """
+        count = len(solids.sizes)
+        mesh = barrel()
+        self._sizes, self._colour = np.asarray(solids.sizes, dtype=np.float32), colour
+        self.handle = server.scene.add_batched_meshes_simple(
+            name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
+            batched_scales=np.zeros((count, 3)),
+            batched_colors=np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (count, 1)),
+            opacity=None if opacity == 1 else opacity, lod="off", cast_shadow=opacity == 1,
+            receive_shadow=False,
+        )  # fmt: skip
+
+    def show(self, content: BlockContent, i: int) -> None:
+        """Show one frame.
+
+        Args:
+            content: of a block. i: frame in it.
+        """
+        self.handle.batched_positions = content.centers[i]
+        self.handle.batched_wxyzs = content.solids_wxyz[i]
+        self.handle.batched_scales = self._sizes * content.shown[i][:, None]
+        if self._colour is None:
+            self.handle.batched_colors = content.colours[i]
+        opacities = content.opacities[i]
+        self.handle.batched_opacities = None if np.all(opacities == 1) else opacities
+
+
+class JointAxesLayer:
+    """Axes of the segments' frames, at the joints."""
+
+    def __init__(self, server: Any, name: str, count: int):
+        """Add the axes to the scene.
+
+        Args:
+            server: of viser. name: of the node. count: number of joints.
+        """
+        self.handle = server.scene.add_batched_axes(
+            name, _upright(count), np.zeros((count, 3)), np.zeros(count),
+            axes_length=AXES_LENGTH, axes_radius=_AXES_RADIUS,
+        )  # fmt: skip
+
+    def show(self, content: BlockContent, i: int) -> None:
+        """Show one frame.
+
+        Args:
+            content: of a block. i: frame in it.
+        """
+        self.handle.batched_positions = content.p_joint[i]
+        self.handle.batched_wxyzs = content.joints_wxyz[i]
+        self.handle.batched_scales = content.axes[i]
+
+
+class EllipsoidLayer:
+    """95 % ellipsoids of the joint positions."""
+
+    def __init__(self, server: Any, name: str, count: int):
+        """Add the ellipsoids to the scene.
+
+        Args:
+            server: of viser. name: of the node. count: number of joints.
+        """
+        mesh = sphere()
+        self.handle = server.scene.add_batched_meshes_simple(
+            name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
+            batched_scales=np.zeros((count, 3)), batched_colors=_ELLIPSOID, opacity=_ELLIPSOID_OPACITY,
+            lod="off", cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def show(self, content: BlockContent, i: int, found: Ellipsoids) -> None:
+        """Show one frame.
+
+        Args:
+            content: of a block. i: frame in it. found: the ellipsoids of the block that are shown.
+        """
+        self.handle.batched_positions = content.p_joint[i]
+        self.handle.batched_wxyzs = found.quat_wxyz[i]
+        self.handle.batched_scales = found.sizes[i]
+
+
+class SensorLayer:
+    """Sensors on their segments, with the axes that they measured."""
+
+    def __init__(self, server: Any, name: str, count: int):
+        """Add the sensors to the scene.
+
+        Args:
+            server: of viser. name: of the nodes. count: number of sensors.
+        """
+        mesh = box()
+        self.boxes = server.scene.add_batched_meshes_simple(
+            f"{name}/boxes", mesh.vertices.astype(np.float32), mesh.faces, _upright(count),
+            np.zeros((count, 3)), batched_scales=np.zeros((count, 3)), batched_colors=_SENSOR, lod="off",
+            flat_shading=True, receive_shadow=False,
+        )  # fmt: skip
+        self.axes = server.scene.add_batched_axes(
+            f"{name}/axes", _upright(count), np.zeros((count, 3)), np.zeros(count),
+            axes_length=_SENSOR_AXES, axes_radius=_AXES_RADIUS,
+        )  # fmt: skip
+
+    def show(self, p_world: Array, quat_wxyz: Array, measured: NDArray[np.bool_]) -> None:
+        """Show one frame.
+
+        Args:
+            p_world: (S, 3) m, 0 where there is no pose. quat_wxyz: (S, 4) measured orientations.
+            measured: (S,) whether there is a place and a measurement.
+        """
+        for handle, sizes in (
+            (self.boxes, _SENSOR_SIZE * measured[:, None]),
+            (self.axes, measured.astype(np.float32)),
+        ):
+            handle.batched_positions = p_world
+            handle.batched_wxyzs = quat_wxyz
+            handle.batched_scales = sizes.astype(np.float32)
+
+
+class PathLayer:
+    """Path of the root, as a line at its height."""
+
+    def __init__(self, server: Any, name: str):
+        """Add the path to the scene, empty.
+
+        Args:
+            server: of viser. name: of the node.
+        """
+        self.handle = server.scene.add_line_segments(
+            name, np.zeros((1, 2, 3), dtype=np.float32), np.zeros((1, 2, 3), dtype=np.uint8),
+            thickness=2.0, thickness_units="screen",
+        )  # fmt: skip
+
+    def show(self, p_root: Array, colours: NDArray[np.uint8]) -> None:
+        """Show a path; it has gaps where a position is missing.
+
+        Args:
+            p_root: (n, 3) m; NaN where missing. colours: (n, 3) RGB of the points.
+        """
+        pairs = np.stack([p_root[:-1], p_root[1:]], axis=1)
+        whole = np.isfinite(pairs).all(axis=(1, 2))
+        if not whole.any():
+            pairs, whole = np.zeros((1, 2, 3)), np.ones(1, dtype=np.bool_)
+            colours = np.zeros((2, 3), dtype=np.uint8)
+        ends = np.stack([colours[:-1], colours[1:]], axis=1)
+        self.handle.points = pairs[whole].astype(np.float32)
+        self.handle.colors = ends[whole]

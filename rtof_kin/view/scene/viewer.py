@@ -1,0 +1,232 @@
+"""`MotionViewer`: scene, panel, curves and videos of a motion, played in a loop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.formats.measurements_npz import MEASUREMENTS
+from rtof_kin.formats.motion_npz import motion_path
+from rtof_kin.view.scene.angle_blocks import AngleBlocks
+from rtof_kin.view.scene.controls import Controls
+from rtof_kin.view.scene.curves import Curves
+from rtof_kin.view.scene.measurement_blocks import MeasurementBlocks
+from rtof_kin.view.scene.motion_blocks import MotionBlocks
+from rtof_kin.view.scene.motion_scene import MotionScene
+from rtof_kin.view.scene.playback import Playback
+from rtof_kin.view.scene.video_frames import VideoFrames
+from rtof_kin.view.scene.words import Verdict, read_verdict
+
+FASTEST: Final = 60.0
+"""[Hz] at which frames are sent."""
+_SLIDER_S: Final = 0.1
+"""Time between two moves of the slider while playing."""
+_CURVES_S: Final = 0.125
+"""Time between two updates of the curves while playing."""
+_PATIENCE: Final = 20.0
+"""[s] for the first frame."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A motion on the disk with all that belongs to it."""
+
+    motion: MotionBlocks
+    measurements: MeasurementBlocks | None
+    second: MotionBlocks | None
+    verdict: Verdict
+    notes: tuple[str, ...]
+    """What is not shown, and how to get it."""
+
+
+class MotionFiles:
+    """The files of a viewer; a context that opens and closes them."""
+
+    def __init__(self, motion: str | Path, second: str | Path | None = None):
+        """Take the places; nothing is opened.
+
+        Args:
+            motion: output of reconstruct or run, or its motion.npz. second: another one beside it.
+        """
+        self._path = motion_path(motion)
+        self._second = None if second is None else motion_path(second)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Opened:
+        with ExitStack() as stack:
+            folder, notes = self._path.parent, []
+            motion = stack.enter_context(MotionBlocks(self._path))
+            measurements = None
+            if (folder / MEASUREMENTS).is_file():
+                measurements = stack.enter_context(MeasurementBlocks(folder / MEASUREMENTS))
+            else:
+                notes.append(
+                    f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "
+                    "Reconstruct again to get it."
+                )
+            second = None
+            if self._second is not None:
+                second = stack.enter_context(MotionBlocks(self._second))
+            self._stack = stack.pop_all()
+            return Opened(motion, measurements, second, read_verdict(folder), tuple(notes))
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+class MotionViewer:
+    """A motion in the browser; `run` plays it until it is stopped."""
+
+    def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
+        """Build scene and panel, and show the first frame.
+
+        Args:
+            server: of `local_server`. files: of `MotionFiles`. videos: of the cameras, in their order.
+
+        Raises:
+            InvalidInputError: more videos than cameras. RtofError: a file cannot be read.
+        """
+        self._server, self._files = server, files
+        motion = files.motion
+        self.scene = MotionScene(server, motion, files.measurements, files.second)
+        self.playback = Playback(float(motion.times[0]), float(motion.times[-1]))
+        notes = files.notes
+        if not self.scene.stage.measured:
+            notes += ("The floor was not given: it is drawn at the lowest point of the first second.",)
+        self.controls = Controls(
+            server, self.scene, self.playback, motion.rate_hz, files.verdict, notes, bool(videos)
+        )  # fmt: skip
+        self._angles = AngleBlocks(motion)
+        self.curves = Curves(server, self._angles)
+        self._videos = self._open(videos)
+        self._slider_at = self._curves_at = -np.inf
+        self._curve_frame: int | None = None
+        self.frame = 0
+        self.sent = 0
+        """Number of frames that were sent to the browsers."""
+        self.scene.show(0, _PATIENCE)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def run(self, stop: threading.Event) -> None:
+        """Show what is asked for until an event is set.
+
+        Args:
+            stop: the event.
+
+        Raises:
+            RtofError: a file turned out to be damaged.
+        """
+        step = 1 / FASTEST
+        due = time.monotonic()
+        while not stop.is_set():
+            self.update(time.monotonic())
+            due = max(due + step, time.monotonic() - step)
+            stop.wait(max(due - time.monotonic(), 0.001))
+
+    def update(self, now: float) -> None:
+        """Show the frame of this moment, if it is another one.
+
+        Args:
+            now: of `time.monotonic`, s.
+
+        Raises:
+            RtofError: a file turned out to be damaged.
+        """
+        wanted = self.playback.at(now)
+        frame = self._files.motion.frame_at(wanted)
+        if frame != self.frame or self.controls.changed:
+            self._show(frame, wanted, now)
+        time_shown = float(self._files.motion.times[self.frame])
+        if now - self._slider_at > _SLIDER_S or not self.playback.playing:
+            self._slider_at = now
+            self.controls.show_time(time_shown)
+            self.controls.show_playing()
+        self._show_curves(time_shown, now)
+
+    def close(self) -> None:
+        """Stop all threads."""
+        for video in self._videos.values():
+            video.close()
+        self.scene.close()
+        self._angles.close()
+
+    # --- what is shown ---------------------------------------------------------------------------
+
+    def _show(self, frame: int, wanted: float, now: float) -> None:
+        self.controls.changed = False
+        block = self.scene.show(frame)
+        motion = self._files.motion
+        if block is None:
+            self.controls.changed = True
+            self.playback.hold(wanted, now)
+            share = 100 * motion.available / len(motion)
+            self.controls.tell(f"loading: {share:.0f} % of the motion can be shown yet")
+            return
+        self.frame, i = frame, frame - block.motion.start
+        self.sent += 1
+        unknown = self.scene.person.unknown_positions(block.motion, i)
+        text = f"frame {frame} of {len(motion)}, {motion.times[frame]:.3f} s"
+        if unknown:
+            text += f"; {unknown} positions are unknown by more than 2 m and have no ellipsoid"
+        self.controls.tell(text)
+        for number, video in self._videos.items():
+            if video.problem is not None:
+                self.controls.tell(str(video.problem))
+            elif np.isfinite(at := block.video_times[number][i]):
+                video.request(float(at))
+
+    def _show_curves(self, time_shown: float, now: float) -> None:
+        if self.frame == self._curve_frame and not self.curves.changed:
+            return
+        if now - self._curves_at < _CURVES_S:
+            return
+        self._curves_at = now
+        if self.curves.show(self.frame, time_shown):
+            self._curve_frame, self.curves.changed = self.frame, False
+
+    def _open(self, videos: Sequence[str | Path]) -> Mapping[int, VideoFrames]:
+        cameras = self.scene.cameras
+        if len(videos) > len(cameras):
+            raise InvalidInputError(
+                f"{len(videos)} videos, but the motion has {len(cameras)} cameras"
+                + ("" if self._files.measurements else f" ({MEASUREMENTS} is missing; reconstruct again)")
+            )
+        opened: dict[int, VideoFrames] = {}
+        try:
+            for number, path in enumerate(videos):
+                layer = cameras[number]
+
+                def receive(image: NDArray[np.uint8], layer: Any = layer) -> None:
+                    layer.show_image(image)
+
+                opened[number] = VideoFrames(path, receive)
+                _check_shape(opened[number], layer.camera.width_px / layer.camera.height_px)
+        except RtofError:
+            for video in opened.values():
+                video.close()
+            raise
+        return opened
+
+
+def _check_shape(video: VideoFrames, aspect: float) -> None:
+    """Raise `InvalidInputError` unless the images have the shape of the camera's."""
+    width, height = video.size
+    if abs(width / height / aspect - 1) > 0.02:
+        raise InvalidInputError(
+            f"{video.path}: its images are {width} x {height} px, of another shape than those of the camera; "
+            "give the video of this recording"
+        )

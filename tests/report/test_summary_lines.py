@@ -1,0 +1,223 @@
+"""The five lines of a report's summary, against sentences written by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from clinical_support import limb, posture, squatting, stepping, walk, walking
+from numpy.typing import NDArray
+from report_support import certain_to
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.poses import Provenance
+from rtof_kin.recording.session import Session
+from rtof_kin.report.audit_results import AuditResult, Grade
+from rtof_kin.report.headline import Headline
+from rtof_kin.report.summary_file import Summary
+from rtof_kin.report.summary_findings import anatomical_limits, findings
+from rtof_kin.report.summary_lines import SummaryLine, summary_lines
+
+BODY = SkeletonModel.default()
+LABELS = ("Who", "What", "How good", "Careful", "Findings")
+FINE = Headline(Grade.PASS, "checked, no problem found in image", ())
+TIMES = np.arange(240) / 60
+SENSORS = ("RightUpLeg", "LeftUpLeg", "RightLeg")
+
+
+def summary(mode: str = "rtof", camera: bool = True, results: Any = None, **subject: Any) -> Summary:
+    inputs = {
+        "subject": subject, "camera": {"width_px": 1920} if camera else None,
+        "sensors": [{"name": name, "segment": name} for name in SENSORS],
+    }  # fmt: skip
+    return Summary("walk", mode, "", Session(), inputs, results)
+
+
+def lines(
+    motion: MotionSequence, overall: Headline = FINE, session: Session | None = None, **fields: Any
+) -> dict[str, SummaryLine]:
+    found = summary_lines(motion, analyse_motion(motion), summary(**fields), overall, session or Session())
+    assert tuple(line.label for line in found) == LABELS
+    assert all(line.text.endswith(".") for line in found)
+    return {line.label: line for line in found}
+
+
+def knees(right_deg: float, left_deg: float) -> MotionSequence:
+    """Both knees bend from zero by so many degrees, under a person who stands."""
+    wave = 0.5 * (1 - np.cos(np.pi * TIMES))
+    turns: dict[str, NDArray[np.float64]] = {}
+    for side, most in (("right", right_deg), ("left", left_deg)):
+        turns |= limb(side, ("shank", "foot"), so3.about_axis("y", np.radians(most) * wave))
+    return BODY.motion(posture(BODY, len(TIMES), **turns))
+
+
+def certain(motion: MotionSequence, degrees: float) -> MotionSequence:
+    return replace(motion, confidence=certain_to(degrees, motion))
+
+
+def test_who_names_what_is_known_and_what_is_not() -> None:
+    session = Session(subject="P07")
+    known = lines(squatting(), session=session, height_m=1.8, mass_kg=72.5, sex="female")["Who"]
+    assert known == SummaryLine("Who", "P07, 1.80 m, 72.5 kg, female.", None)
+    partly = lines(squatting(), session=session, mass_kg=70.0)["Who"].text
+    height = BODY.height
+    assert partly == f"P07, 70 kg. Not given: height and sex (the model is {height:.2f} m tall)."
+    assert lines(squatting())["Who"].text.startswith("Subject not named. Not given: height, weight and sex")
+
+
+@pytest.mark.parametrize(
+    ("motion", "text"),
+    [
+        (walking(6.0, speed=1.1), "Walking: 8 strides, 6.6 m forward, without turns."),
+        (walking(6.0, treadmill=True), "Walking on the spot or on a treadmill: 8 strides."),
+        (squatting(4), "4 bends of both knees (squats); no walking; staying in place, without turns."),
+        (knees(40, 40), "Neither walking nor squats were recognised; staying in place, without turns."),
+    ],
+)
+def test_what_is_done_is_named_as_far_as_it_is_recognised(motion: MotionSequence, text: str) -> None:
+    what = lines(motion)["What"].text
+    seconds = motion.times[-1]
+    sources = "from one camera and 3 sensors (both thighs, right shank)"
+    assert what == f"{text} {seconds:.1f} s, {sources}."
+
+
+def test_turning_in_place_is_told_in_degrees() -> None:
+    still = np.tile([0.0, -0.78], (240, 1))
+    motion = stepping(TIMES, {"right": still, "left": still}, heading=np.pi * (1 - np.cos(np.pi * TIMES / 4)))
+    assert "staying in place, turning 360° left." in lines(motion)["What"].text
+
+
+@pytest.mark.parametrize(
+    ("mode", "camera", "text"),
+    [
+        ("rto", True, "from one camera alone; 3 sensors recorded, but not used."),
+        ("imu", True, "from 3 sensors (both thighs, right shank); the camera was not used."),
+        ("imu", False, "from 3 sensors (both thighs, right shank), without a camera."),
+    ],
+)
+def test_only_what_a_mode_uses_is_named_as_its_source(mode: str, camera: bool, text: str) -> None:
+    assert lines(squatting(), mode=mode, camera=camera)["What"].text.endswith(text)
+
+
+def test_expected_accuracy_is_the_half_width_of_bands() -> None:
+    good = lines(certain(knees(60, 60), 2.0))["How good"]
+    half = round(2.0 * BAND_95)
+    assert good.grade is Grade.PASS
+    assert f"within ± {half}° (median 95 % band), from ± {half}° (" in good.text
+    assert good.text.endswith("Positions of joints were observed in 100 % of the frames.")
+    error = AuditResult("truth", "mean error of knee and elbow flexion", "motion", 2.44, "deg")
+    with_truth = lines(certain(knees(60, 60), 2.0), results=(error,))["How good"].text
+    assert with_truth.endswith("Against the reference, knees and elbows are 2.4° off on average.")
+
+
+def test_without_bands_neither_accuracy_nor_findings_are_stated() -> None:
+    found = lines(knees(90, 30))
+    assert found["How good"].text.startswith("The accuracy of the angles is not known")
+    assert found["Findings"].text.startswith("None can be stated")
+
+
+def test_findings_are_differences_that_exceed_their_bands() -> None:
+    """Range and difference of a planted asymmetry: each end has 2 degrees, a range sqrt(2) and so on."""
+    found = lines(certain(knees(90, 60), 2.0))["Findings"].text
+    one, both = (round(BAND_95 * 2 * root) for root in (np.sqrt(2), 2))
+    assert found.startswith(
+        f"Knee flexion/extension: range 90 ± {one}° right, 60 ± {one}° left, that is 30 ± {both}° less on "
+        "the left."
+    )
+    assert "No other difference exceeds its 95 % band" in found
+
+
+@pytest.mark.parametrize(
+    ("right", "left", "sigma"), [(60.0, 60.0, 2.0), (66.0, 60.0, 2.0), (64.0, 60.0, 0.2)]
+)
+def test_small_or_uncertain_differences_are_no_findings(right: float, left: float, sigma: float) -> None:
+    found = lines(certain(knees(right, left), sigma))["Findings"].text
+    assert found.startswith("No difference exceeds its 95 % band: ")
+    assert "ranges were compared between left and right" in found
+
+
+def test_an_end_beyond_an_anatomical_limit_is_a_finding() -> None:
+    limit = np.degrees(anatomical_limits(BODY.table)["right_knee_flexion"][1])
+    motion = certain(knees(limit + 12, limit + 12), 2.0)
+    (knee,) = findings(analyse_motion(motion), BODY.table)
+    assert knee.subject == "right_knee"[6:]
+    assert f"highest angle {limit + 12:.0f} ± 4°, beyond the anatomical limit of {limit:.0f}°" in knee.text
+    assert knee.size == pytest.approx(6, rel=0.02)
+    assert findings(analyse_motion(certain(knees(limit + 3, limit + 3), 2.0)), BODY.table) == ()
+
+
+def test_limits_have_the_signs_of_the_clinical_angles() -> None:
+    limits = anatomical_limits(BODY.table)
+    for side in ("right", "left"):
+        low, high = np.degrees(limits[f"{side}_knee_flexion"])
+        assert -20 < low < 0 < 120 < high
+        low, high = np.degrees(limits[f"{side}_hip_flexion"])
+        assert -70 < low < 0 < 110 < high
+    assert limits["right_hip_adduction"] == pytest.approx(limits["left_hip_adduction"])
+
+
+def test_unobserved_and_unreliable_angles_have_no_finding() -> None:
+    motion = certain(knees(90, 60), 2.0)
+    assert findings(analyse_motion(motion), BODY.table)
+    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
+    observed = np.array(motion.poses.orientation_observed)
+    for part in ("LeftLeg", "LeftFoot"):
+        provenance[:40, BODY.index(part)[0]] = Provenance.PRIOR
+        observed[:40, BODY.index(part)[0]] = False
+    unseen = replace(motion.poses, provenance=provenance, orientation_observed=observed)
+    assert findings(analyse_motion(replace(motion, poses=unseen)), BODY.table) == ()
+    assert findings(analyse_motion(certain(knees(90, 60), 20.0)), BODY.table) == ()
+
+
+def test_asymmetric_stance_of_gait_is_a_finding_only_if_it_is_gait() -> None:
+    analysis = analyse_motion(certain(walking(10.0), 2.0))
+    assert findings(analysis, BODY.table) == ()
+
+    def limping(analysis: MotionAnalysis) -> MotionAnalysis:
+        gait = analysis.gait
+        sides = {side: dict(measures) for side, measures in gait.summary.items()}
+        sides["right"]["stance_share"] = (0.60, 0.01, 4)
+        sides["left"]["stance_share"] = (0.70, 0.02, 4)
+        return replace(analysis, gait=replace(gait, summary=sides))
+
+    (stance,) = findings(limping(analysis), BODY.table)
+    assert stance.text == "stance: 60 ± 1 % of the stride right, 70 ± 2 % of the stride left"
+    assert stance.size == pytest.approx(0.10 / (np.hypot(0.01, 0.02) / 2))
+    gait = limping(analysis).gait
+    other = replace(gait, verdict=replace(gait.verdict, why_not="It is a dance."))
+    assert findings(replace(analysis, gait=other), BODY.table) == ()
+
+
+def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
+    text = (
+        "left hip internal/external rotation (LeftUpLeg_z): beyond its anatomical limit, largest 37 deg; "
+        "more warns in body"
+    )
+    warned = lines(knees(60, 60), overall=Headline(Grade.WARN, text, ()))["Careful"]
+    assert warned.grade is Grade.WARN
+    assert warned.text.startswith(
+        "Left hip internal/external rotation: beyond its anatomical limit, largest 37°."
+    )
+    assert lines(knees(60, 60))["Careful"] == SummaryLine("Careful", "No warning.", None)
+    widest = lines(certain(knees(60, 60), 2.0))["Careful"].text
+    assert widest.startswith("The most uncertain angle is ")
+    forearm = Headline(Grade.FAIL, "LeftForeArm: share of frames unseen 30 %", ())
+    assert lines(knees(60, 60), overall=forearm)["Careful"].text.startswith("Left forearm: share")
+
+
+def test_careful_names_unobserved_joints_and_bridged_gaps() -> None:
+    motion = walk()
+    observed = np.ones(len(motion.skeleton.names), dtype=bool)
+    observed[motion.skeleton.index("RightFoot", "LeftFoot", "RightHand", "LeftHand")] = False
+    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
+    provenance[: len(motion.times) // 4] = Provenance.BRIDGED
+    poses = replace(motion.poses, orientation_observed=observed, provenance=provenance)
+    text = lines(replace(motion, poses=poses))["Careful"].text
+    assert "Angles of both ankles and both wrists were not observed and are not shown." in text
+    share = 100 * (len(motion.times) // 4) / len(motion.times)
+    assert f"Gaps were bridged in {share:.0f} % of the frames." in text
