@@ -72,6 +72,13 @@ def test_an_exported_mot_differs_by_nothing(cli: Any, outputs: Path) -> None:
     assert "right knee flexion 0.0 \u00b1 2.0 0.0 \u00b1 2.8 0.0 0.0 0.0 0.0 not shown" in done.out
 
 
+def test_a_reconstruction_is_identical_to_itself(cli: Any, reconstructed: Path) -> None:
+    done = cli("compare", reconstructed, reconstructed / "motion.npz")
+    assert done.code == 0, done.err
+    assert done.out.startswith("A and B are identical")
+    assert "None of" in done.out
+
+
 def test_sides_of_one_motion(cli: Any, outputs: Path) -> None:
     done = cli("compare", outputs / "after", "--sides", "--angles", "knee_flexion")
     assert done.code == 0, done.err

@@ -141,15 +141,25 @@ def _axis(found: Comparison) -> str:
             text += f", with B shifted by {found.shift:+.3f} s"
         if found.alignment is not None and not found.identical:
             text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
-        return text + "."
+        return f"{text}; {_used(found)}."
     if found.by == "range":
         return "Compared by the ranges of motion of the whole recordings, without a common axis."
     what = "gait cycle, heel strike to heel strike" if found.by == "cycle" else found.kind.replace("_", " ")
     counts = [max(one.repeats[i] for one in found.angles) for i in (0, 1)]
-    return (
-        f"Compared over the {what}, at {len(PHASES)} phases; means over up to {counts[0]} repeats of A and "
-        f"{counts[1]} of B on each side."
-    )
+    times, each = ("stride", " on each side") if found.by == "cycle" else ("repetition", "")
+    means = f"{_count(counts[0], times)} of A and {_count(counts[1], times)} of B{each}"
+    return f"Compared over the {what}, at {len(PHASES)} phases; means over up to {means}."
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("s" if number != 1 else "")
+
+
+def _used(found: Comparison) -> str:
+    """Share of the common frames that is compared, of all angles."""
+    shares = [f"{100 * find(one.share for one in found.angles):.0f}" for find in (min, max)]
+    span = shares[0] if shares[0] == shares[1] else " to ".join(shares)
+    return f"{span} % of the frames, by angle, are observed and reliable in both"
 
 
 def _changes(found: Comparison) -> list[str]:
