@@ -319,3 +319,21 @@ def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_pa
             container.mux(packet)
     with pytest.raises(InvalidInputError, match="of another shape"):
         MotionViewer(server, files, [square])
+
+
+def test_several_cameras_have_their_own_frustum_and_view(server: Any, tmp_path: Path) -> None:
+    motion = walking(20)
+    with (
+        MotionFiles(written(tmp_path / "two", motion, measured(motion, cameras=2))) as opened,
+        MotionViewer(server, opened) as viewer,
+    ):
+        assert [layer.label.text for layer in viewer.scene.cameras] == ["camera 1", "camera 2"]
+        viewer.controls.look_through(None, 1)
+        viewer.scene.show(3, 5.0)
+        scales = [layer.points["detected"].scale for layer in viewer.scene.cameras]
+        assert scales[0] < 1 < scales[1]
+        assert not viewer.scene.stage.following
+        viewer.controls.look_freely(None)
+        viewer.scene.show(4, 5.0)
+        assert viewer.scene.cameras[1].points["detected"].scale < 1
+        assert viewer.scene.stage.following
