@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 
 from docs.pictures.studio import Studio
 
-PICTURES = ("placement", "skeletons", "study", "sensors_only")
+PICTURES = ("placement", "report", "view", "overlay", "compare", "skeletons", "study", "sensors_only", "gallery")
 """Modules of this folder, each with ``make(studio) -> paths``."""
 
 
