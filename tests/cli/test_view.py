@@ -30,6 +30,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="Linux's processor times")
 def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     started = time.monotonic()
     used = [0.0]
