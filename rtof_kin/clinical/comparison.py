@@ -24,7 +24,7 @@ from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison_alignment import Alignment
-from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
 from rtof_kin.clinical.comparison_samples import Pair, Spans, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, analyse_gait
@@ -32,13 +32,21 @@ from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.confidence import BAND_95
 
 By = Literal["time", "cycle", "repetition", "range"]
 BYS: Final[tuple[By, ...]] = get_args(By)
 LEAST_SHARE: Final = 0.1
 """Smallest share of the common frames, or of all repeats, with which an angle is compared."""
+LEAST_OF_RANGE: Final = 0.8
+"""Smallest share of the frames with which a range over a recording is tested: gaps are where angles are
+largest or near a singular posture."""
 HEADINGS: Final = ("pelvis_rotation", "pelvis_opensim_tilt", "pelvis_opensim_list", "pelvis_opensim_rotation")
 """Angles that depend on the direction of the world's axes, which two recordings do not share."""
+
+_TOO_LITTLE: Final = (
+    f"observed and reliable in less than {100 * LEAST_OF_RANGE:.0f} % of the frames of A or B"
+)
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,8 @@ class Compared:
     """Whether such a table is of this package's own model, so that its zeros are the same."""
     notes: tuple[str, ...] = ()
     """What its gait cycles and angles do not show, and why."""
+    not_gait: str = ""
+    """Why its strides are not those of walking; '' if they are."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,21 @@ class AngleComparison:
     """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
     sigmas: tuple[Array | None, Array | None] = (None, None)
     """(P,) rad, standard deviations of the curves; None without bands."""
+
+    @property
+    def difference_sigma(self) -> Array | None:
+        """(P,) rad, standard deviation of B - A on the axis, as of independent errors; None without bands."""
+        known = [sigma**2 for sigma in self.sigmas if sigma is not None]
+        return np.sqrt(np.sum(known, axis=0)) if known else None
+
+    @property
+    def outside(self) -> float:
+        """Share of the samples in which 0 is outside the 95 % band of B - A; NaN without bands."""
+        if self.curves is None or self.difference_sigma is None:
+            return float("nan")
+        size = np.abs(self.curves[1] - self.curves[0])
+        known = np.isfinite(size)
+        return float(np.mean(size[known] > BAND_95 * self.difference_sigma[known]))
 
     @property
     def verdict(self) -> Verdict:
@@ -145,7 +170,7 @@ def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared
         found = find_repetitions(motion.poses, motion.skeleton, angles, kind).repetitions
         ways = [(r.descent if kind == "squat" else r.ascent, r.ascent) for r in found]
         repetitions[kind] = [(first[0], last[1]) for first, last in ways if first and last]
-    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes)
+    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes, not_gait=gait.why_not)
 
 
 def sides_of(one: Compared) -> tuple[Compared, Compared]:
@@ -186,7 +211,9 @@ def compare(
         found = next((pair for pair in pairs if pair.name == name), None)
         if found is None or found.share < LEAST_SHARE:
             left_out[name] = "hardly any common sample is observed and reliable in both"
-    pairs = [pair for pair in pairs if pair.share >= LEAST_SHARE]
+        elif by == "range" and found.share < LEAST_OF_RANGE:
+            left_out[name] = _TOO_LITTLE
+    pairs = [pair for pair in pairs if pair.name not in left_out]
     if not pairs:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InvalidInputError(f"compare: {a.name} and {b.name} have no common angle by {by} ({why})")
@@ -256,6 +283,10 @@ def _pairs(
     return PHASES, over_phases(a.angles, b.angles, names, *spans)
 
 
+def _repeats(pair: Pair, repeated: bool) -> Repeats:
+    return "none" if not repeated else "paired" if pair.paired else "independent"
+
+
 def _span(one: Compared) -> str:
     return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
 
@@ -264,7 +295,10 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
     """Differences of all angles, tested together; the movement that is positive is not filled in."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
     changes = adjusted([
-        change(measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), repeated)
+        change(
+            measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), _repeats(pair, repeated),
+            tested=repeated or measure == "mean" or pair.share >= LEAST_OF_RANGE,
+        )
         for pair in pairs for measure in measures
     ])  # fmt: skip
     out, count = [], len(measures)

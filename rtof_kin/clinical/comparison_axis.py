@@ -54,7 +54,7 @@ def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | 
     if (reason := _one_take(a, b, clocks)) is not None:
         return Choice("time", reason)
     return repeated_axis(a, b) or Choice(
-        "range", "they are different recordings without gait cycles or repetitions in both"
+        "range", "they are different recordings, and not both have gait cycles or repetitions"
     )
 
 
@@ -67,7 +67,7 @@ def choose_sides(left: Compared, right: Compared, asked: By | None = None) -> Ch
     if asked is not None:
         return _asked(left, right, asked)
     return repeated_axis(left, right) or Choice(
-        "range", "there are no gait cycles or repetitions of both sides"
+        "range", "the motion has no gait cycles or repetitions of both sides"
     )
 
 
@@ -78,8 +78,8 @@ def repeated_axis(a: Compared, b: Compared) -> Choice | None:
         a, b: the motions.
     """
     cycles = [min(len(own), len(b.strides.get(side, ()))) for side, own in a.strides.items()]
-    if max(cycles, default=0) >= _LEAST_REPEATS:
-        return Choice("cycle", "both have complete gait cycles")
+    if max(cycles, default=0) >= _LEAST_REPEATS and not (a.not_gait or b.not_gait):
+        return Choice("cycle", "both are walking, with complete gait cycles")
     for kind in KINDS:
         if min(len(x.repetitions.get(kind, ())) for x in (a, b)) >= _LEAST_REPEATS:
             return Choice("repetition", f"both have repetitions ({kind.replace('_', ' ')})", kind)

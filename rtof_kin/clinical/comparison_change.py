@@ -10,12 +10,12 @@ is autocorrelated, partly constant over a recording (a sensor askew, a neutral p
 with equality for an error that is constant up to its size. So the mean of the standard deviations is used,
 which never claims too little, whatever the correlation; T frames or strides do not make it smaller.
 
-**Error of a range** x(t1) - x(t2) between the highest and the lowest sample: s(t1)^2 + s(t2)^2, as for
-independent errors. A constant error cancels, so this is too much for all errors that are not opposite.
+**Error of a range** between the lowest and the highest sample: `range_of_motion.range_deviation`, as for
+independent errors at both. A constant error cancels, so this is too much for all that are not opposite.
 
 **Spread.** Where a movement is repeated (n strides, repetitions) with the standard deviation d between
 repeats, d^2 / n is added: another day's mean would differ by that. A single repeat takes d from the other
-motion.
+motion. Both sides in the same repetitions have one d, that of the differences.
 
 **Variance** V of the difference: the sum of these four parts, as if the errors of A and B were independent.
 Of one recording they are not; those that both share cancel, and V is too large.
@@ -36,7 +36,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from scipy import stats
@@ -45,6 +45,9 @@ from rtof_kin.core.array_types import Array
 
 LEVEL: Final = 0.05
 """Chance of a false "changed" among all tests of a comparison."""
+Repeats = Literal["none", "independent", "paired"]
+"""What the values of two motions are: one each; of repeats of a movement, whose spread counts; or of the same
+repeats, such as both sides in the same squats, of which the spread of the differences counts."""
 _NO_SIZE: Final = 1e-9  # [rad] differences below are rounding
 
 
@@ -116,21 +119,26 @@ class Change:
         return Verdict.CHANGED if self.p_adjusted <= LEVEL else Verdict.NOT_SHOWN
 
 
-def change(measure: str, a: Measured, b: Measured, repeated: bool) -> Change:
+def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: bool = True) -> Change:
     """Return a difference with its test, not yet adjusted for others.
 
     Args:
-        measure: its name. a, b: of both motions. repeated: whether values are of repeats of a movement, so
-            that their spread counts; else each motion has one value.
+        measure: its name. a, b: of both motions. repeats: what their values are, see `Repeats`.
+        tested: whether there is a p-value.
     """
     bands = a.band_sigma**2 + b.band_sigma**2
-    spreads = [_of_spread(a, b), _of_spread(b, a)] if repeated else []
+    spreads: list[tuple[float, float]] = []
+    if repeats == "independent":
+        spreads = [_of_spread(a, b), _of_spread(b, a)]
+    elif repeats == "paired":
+        both = Measured(b.values - a.values, 0.0)
+        spreads = [_of_spread(both, both)]
     variance = bands + sum(part for part, _ in spreads)
     weight = sum(part**2 / dof for part, dof in spreads)
     dof = variance**2 / weight if weight > 0 else np.inf
     difference, sigma = b.mean - a.mean, float(np.sqrt(variance))
     p = float("nan")
-    if sigma > _NO_SIZE and np.isfinite(difference):
+    if tested and sigma > _NO_SIZE and np.isfinite(difference):
         p = float(2 * stats.t.sf(abs(difference) / sigma, dof))
     return Change(measure, a.mean, b.mean, sigma if sigma > _NO_SIZE else float("nan"), float(dof), p)
 

@@ -16,8 +16,9 @@ from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.comparison_change import Measured
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.clinical.range_of_motion import range_deviation
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 
 Spans = Mapping[str, Sequence[tuple[float, float]]]
 """Side, or '' for both -> start and stop of each repeat, s."""
@@ -33,6 +34,19 @@ class Samples:
     """(n, P) rad, a row for each repeat; NaN where unusable."""
     sigma: Array | None
     """(n, P) rad, stated standard deviations; None if the motion has no bands."""
+
+    @property
+    def complete(self) -> Mask:
+        """(n,) whether a repeat is usable throughout."""
+        return np.asarray(np.isfinite(self.values).all(axis=1))
+
+    def only(self, repeats: Mask) -> Samples:
+        """Return some of the repeats.
+
+        Args:
+            repeats: (n,) which.
+        """
+        return Samples(self.values[repeats], None if self.sigma is None else self.sigma[repeats])
 
     @property
     def curve(self) -> Array:
@@ -58,7 +72,8 @@ class Samples:
         high, low = np.nanargmax(self.values, axis=1), np.nanargmin(self.values, axis=1)
         band = 0.0
         if self.sigma is not None:
-            band = float(np.mean(np.hypot(self.sigma[rows, high], self.sigma[rows, low])))
+            ends = zip(self.sigma[rows, low].tolist(), self.sigma[rows, high].tolist(), strict=True)
+            band = float(np.mean([range_deviation(*pair) for pair in ends]))
         return Measured(self.values[rows, high] - self.values[rows, low], band)
 
 
@@ -71,6 +86,8 @@ class Pair:
     b: Samples
     share: float
     """Share of the common frames, or of all repeats, that are compared."""
+    paired: bool = False
+    """Whether the rows of both are the same repeats."""
 
 
 def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
@@ -136,12 +153,20 @@ def over_phases(
         if side is None:
             continue
         first, second = _repeats(a, name, spans_a[side]), _repeats(b, name, spans_b[side])
+        paired = list(spans_a[side]) == list(spans_b[side]) and np.array_equal(a.times, b.times)
+        if paired:
+            both = first.complete & second.complete
+            first, second = first.only(both), second.only(both)
+        else:
+            first, second = first.only(first.complete), second.only(second.complete)
         if len(first.values) and len(second.values):
             middle = np.median(first.values)
             turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)
             total = len(spans_a[side]) + len(spans_b[side])
             share = (len(first.values) + len(second.values)) / total
-            pairs.append(Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share))
+            pairs.append(
+                Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share, paired)
+            )
     return pairs
 
 
@@ -153,19 +178,17 @@ def _side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
 
 
 def _repeats(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
-    """Complete repeats of one angle, on one turn."""
+    """All repeats of one angle, on one turn."""
     values, sigma = usable(angles.select([name]))
     at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
     gap, shape = _GAP / angles.rate_hz, (len(spans), len(PHASES))
     rows = signals.interpolate(angles.times, values, at, gap).reshape(shape)
-    complete = np.isfinite(rows).all(axis=1)
-    rows = rows[complete]
-    if len(rows):
-        rows = rows - _TURN * np.round((np.median(rows, axis=1, keepdims=True) - np.median(rows[0])) / _TURN)
-    bands = None
-    if sigma is not None:
-        bands = signals.interpolate(angles.times, sigma, at, gap).reshape(shape)[complete]
-    return Samples(rows, bands)
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if len(known):
+        rows = rows - _TURN * np.round((np.median(rows, axis=1, keepdims=True) - np.median(known[0])) / _TURN)
+    return Samples(
+        rows, None if sigma is None else signals.interpolate(angles.times, sigma, at, gap).reshape(shape)
+    )
 
 
 def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:

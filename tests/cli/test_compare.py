@@ -39,7 +39,7 @@ def test_two_recordings_are_compared_by_cycle_and_the_change_is_named(cli: Any, 
     assert done.code == 0, done.err
     assert "A is before (rtof), B is after (rtof)" in done.out
     assert "over the gait cycle" in done.out
-    assert "Chosen because both have complete gait cycles" in done.out
+    assert "Chosen because both are walking, with complete gait cycles" in done.out
     assert "right knee flexion (range) by +" in done.out or "right knee flexion (mean) by +" in done.out
     assert {p.name for p in (outputs / "out").iterdir()} >= {
         "comparison.html", "comparison.csv", "comparison.json"
@@ -70,6 +70,13 @@ def test_an_exported_mot_differs_by_nothing(cli: Any, outputs: Path) -> None:
     assert "has no bands and is taken as exact" in done.out
     assert "None of 2 angles is shown to have changed" in done.out
     assert "right knee flexion 0.0 \u00b1 2.0 0.0 \u00b1 2.8 0.0 0.0 0.0 0.0 not shown" in done.out
+
+
+def test_a_reconstruction_is_identical_to_itself(cli: Any, reconstructed: Path) -> None:
+    done = cli("compare", reconstructed, reconstructed / "motion.npz")
+    assert done.code == 0, done.err
+    assert done.out.startswith("A and B are identical")
+    assert "None of" in done.out
 
 
 def test_sides_of_one_motion(cli: Any, outputs: Path) -> None:

@@ -159,6 +159,25 @@ def test_without_bands_of_one_the_other_alone_counts() -> None:
     assert neither.verdict is Verdict.NOT_TESTED
 
 
+def test_range_of_a_part_of_the_frames_is_not_tested() -> None:
+    a, b = one("a", TIMES, {KNEE: WAVE, HIP: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE, HIP: 3 * WAVE}, 2.0)
+    values = np.array(b.angles.values)
+    values[:75, 1] = np.nan
+    b = replace(b, angles=replace(b.angles, values=values))
+    mean, motion = of(compare(a, b, "time"), HIP).changes
+    assert (mean.verdict, motion.verdict) == (Verdict.CHANGED, Verdict.NOT_TESTED)
+    assert "less than 80 %" in compare(a, b, "range").left_out[HIP]
+
+
+def test_share_outside_the_band_of_the_difference() -> None:
+    bump = np.where(TIMES < 1.5, 8.0, 0.0)
+    found = compare(one("a", TIMES, {KNEE: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE + bump}, 2.0), "time")
+    assert of(found, KNEE).outside == pytest.approx(0.3)
+    assert np.isnan(
+        of(compare(one("a", TIMES, {KNEE: WAVE}), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE).outside
+    )
+
+
 # --- what is compared ----------------------------------------------------------------------------
 
 
@@ -263,6 +282,7 @@ def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differen
     found = compare(left, right, "repetition")
     assert {angle.name for angle in found.angles} >= {"knee_flexion", "hip_flexion", "elbow_flexion"}
     assert np.degrees(max(abs(c.difference) for angle in found.angles for c in angle.changes)) < 1e-6
+    assert of(found, "knee_flexion").changes[0].dof == np.inf  # equal in each squat: no spread of differences
     motion = walking(side_changed=1.5)
     sides, mirrored = (sides_of(compared("walk", m)) for m in (motion, mirror(motion)))
     one_way, other_way = compare(*sides, "time"), compare(*mirrored, "time")
@@ -307,6 +327,7 @@ def test_same_clock_is_assumed_of_one_recording_only() -> None:
     assert choose_axis(replace(a, recording=""), noisy, clocks).by == "time"
     reverse = replace(noisy, angles=replace(noisy.angles, values=noisy.angles.values[::-1]))
     assert choose_axis(a, reverse, agreement(a, reverse)).by == "cycle"
+    assert choose_axis(replace(a, not_gait="dancing"), reverse, agreement(a, reverse)).by == "range"
     assert choose_axis(replace(a, strides={}), reverse, agreement(a, reverse)).by == "range"
 
 

@@ -22,7 +22,7 @@ def with_p(p: float, dof: float = np.inf) -> Change:
 
 
 def test_bands_of_both_add_as_independent_errors() -> None:
-    found = change("mean", one(0.1, 0.03), one(0.2, 0.04), repeated=False)
+    found = change("mean", one(0.1, 0.03), one(0.2, 0.04), repeats="none")
     assert (found.difference, found.sigma) == pytest.approx((0.1, 0.05))
     assert found.p == pytest.approx(2 * stats.norm.sf(2.0))
     assert found.interval == pytest.approx((0.1 - 0.05 * 1.959964, 0.1 + 0.05 * 1.959964))
@@ -30,7 +30,7 @@ def test_bands_of_both_add_as_independent_errors() -> None:
 
 def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
     errors = RNG.normal(0, [0.03, 0.05], (2000, 2))
-    found = [adjusted([change("mean", one(a, 0.03), one(b, 0.05), repeated=False)])[0] for a, b in errors]
+    found = [adjusted([change("mean", one(a, 0.03), one(b, 0.05), repeats="none")])[0] for a, b in errors]
     alarms = np.mean([one.verdict is Verdict.CHANGED for one in found])
     assert alarms == pytest.approx(0.05, abs=0.015)
     covered = np.mean([low <= 0 <= high for low, high in (one.interval for one in found)])
@@ -39,7 +39,7 @@ def test_constant_errors_of_stated_size_alarm_as_often_as_the_level() -> None:
 
 def test_repeats_without_bands_are_tested_as_by_welch() -> None:
     a, b = RNG.normal(0, 1, 5), RNG.normal(1, 3, 8)
-    found = change("mean", Measured(a, 0.0), Measured(b, 0.0), repeated=True)
+    found = change("mean", Measured(a, 0.0), Measured(b, 0.0), repeats="independent")
     expected = stats.ttest_ind(b, a, equal_var=False)
     assert found.p == pytest.approx(expected.pvalue)
     assert found.dof == pytest.approx(expected.df)
@@ -53,20 +53,31 @@ def test_coverage_holds_with_a_constant_error_and_few_repeats() -> None:
         means = RNG.normal(0, [0.04, 0.02])
         a = Measured(means[0] + RNG.normal(0, 0.05, 3), 0.04)
         b = Measured(means[1] + RNG.normal(0, 0.05, 4), 0.02)
-        low, high = change("mean", a, b, repeated=True).interval
+        low, high = change("mean", a, b, repeats="independent").interval
         covered += low <= 0 <= high
     assert 0.94 <= covered / 1500 <= 0.98
 
 
 def test_a_single_repeat_takes_the_spread_of_the_other() -> None:
     many = Measured(np.array([1.0, 1.2, 1.4]), 0.0)
-    found = change("mean", Measured(np.array([0.9]), 0.0), many, repeated=True)
+    found = change("mean", Measured(np.array([0.9]), 0.0), many, repeats="independent")
     assert found.sigma == pytest.approx(0.2 * np.sqrt(1 + 1 / 3))
     assert found.dof == pytest.approx((4 / 3) ** 2 / ((1 + 1 / 9) / 2))
 
 
+def test_the_same_repeats_are_tested_as_pairs() -> None:
+    depth, asymmetry = RNG.normal(80, 20, 6), RNG.normal(3, 1, 6)
+    found = change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="paired")
+    expected = stats.ttest_rel(depth + asymmetry, depth)
+    assert (found.p, found.dof) == pytest.approx((expected.pvalue, 5))
+    assert found.p < 0.01
+    assert (
+        change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="independent").p > 0.3
+    )
+
+
 def test_without_any_stated_error_nothing_is_tested() -> None:
-    found = adjusted([change("mean", one(0.0), one(0.5), repeated=False), with_p(0.03)])
+    found = adjusted([change("mean", one(0.0), one(0.5), repeats="none"), with_p(0.03)])
     assert [c.verdict for c in found] == [Verdict.NOT_TESTED, Verdict.CHANGED]
     assert np.isnan(found[0].sigma)
     assert np.isnan(found[0].detectable)
@@ -81,16 +92,16 @@ def test_p_values_are_holms() -> None:
 def test_family_of_equal_angles_alarms_at_most_as_often_as_the_level() -> None:
     alarms = 0
     for z in RNG.normal(0, np.sqrt(2), (600, 10)):
-        found = adjusted([change("mean", one(0.0, 1.0), one(b, 1.0), repeated=False) for b in z])
+        found = adjusted([change("mean", one(0.0, 1.0), one(b, 1.0), repeats="none") for b in z])
         alarms += any(c.verdict is Verdict.CHANGED for c in found)
     assert 0.025 <= alarms / 600 <= 0.07
 
 
 def test_a_difference_of_the_detectable_size_is_changed_whatever_the_others_show() -> None:
-    still = [change("mean", one(0.0, 0.1), one(0.0, 0.1), repeated=False) for _ in range(9)]
+    still = [change("mean", one(0.0, 0.1), one(0.0, 0.1), repeats="none") for _ in range(9)]
     detectable = adjusted(still)[0].detectable
     for size, verdict in ((1.001, Verdict.CHANGED), (0.999, Verdict.NOT_SHOWN)):
-        moved = change("mean", one(0.0, 0.1), one(size * detectable, 0.1), repeated=False)
+        moved = change("mean", one(0.0, 0.1), one(size * detectable, 0.1), repeats="none")
         assert adjusted([*still[1:], moved])[-1].verdict is verdict
         changed = [replace(other, p=1e-9) for other in still[1:]]
         if verdict is Verdict.CHANGED:

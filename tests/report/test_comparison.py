@@ -53,6 +53,7 @@ def test_first_lines_say_what_how_and_what_changed(planted_change: Comparison) -
     lines = opening(planted_change, "both are alike")
     assert lines[0] == "A is <b>before</b>, B is after & </script>; differences are B - A."
     assert "same instants, 0.00 to 4.98 s" in lines[1]
+    assert "100 % of the frames, by angle, are observed" in lines[1]
     assert "Chosen because both are alike." in lines[1]
     assert "1 of 3 angles has changed" in lines[2]
     assert "right knee flexion (mean) by +15.0 \u00b1 2.8 deg" in lines[2]
@@ -104,6 +105,15 @@ def test_shared_errors_of_one_recording_are_said() -> None:
     a, b = (one(n, TIMES, c, 2.0, recording="demo") for n, c in (("a", COLUMNS_A), ("b", COLUMNS_B)))
     assert "'demo'" in said(found_in_time(a, b))
     assert "share errors" not in said(found_in_time(a, replace(b, recording="other")))
+
+
+def test_curves_outside_their_bands_are_named() -> None:
+    bump = np.where(TIMES < 1.5, 8.0, 0.0)
+    a, b = one("a", TIMES, COLUMNS_A, 2.0), one("b", TIMES, COLUMNS_A | {KNEE: WAVE + bump}, 2.0)
+    text = said(found_in_time(a, b))
+    assert "None of 3 angles" in text
+    assert "more than their 95 % bands allow" in text
+    assert "right knee flexion (30 %)" in text
 
 
 def test_range_alone_warns_of_other_movements() -> None:

@@ -45,6 +45,8 @@ from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
+from rtof_kin.formats.opensim_mot import write_mot
+from rtof_kin.formats.opensim_table import read_opensim_table
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.mvnx import read_mvnx_file
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
@@ -254,6 +256,7 @@ READERS = (
     given("motion capture", "a.bvh", lambda: real("mocap", "02_01_excerpt.bvh"), read_mocap),
     Reader("motion capture corpus", _corpus_index, lambda d: list(read_mocap_corpus(d))),
     written("TRC", "a.trc", lambda p: write_trc(p, _markers()), read_trc),
+    written("OpenSim coordinates", "a.mot", lambda p: write_mot(p, motion()), read_opensim_table),
     written("C3D", "a.c3d", lambda p: write_c3d(p, _markers()), read_c3d),
     # --- cameras
     written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),

@@ -26,7 +26,7 @@ COLUMNS: Final = (
     "angle", "positive", "measure", "verdict", "a_deg", "b_deg", "difference_deg", "difference_sd_deg",
     "interval_low_deg", "interval_high_deg", "detectable_deg", "p", "p_holm", "rmse_deg", "mae_deg",
     "median_absolute_error_deg", "rmse_without_offset_deg", "largest_deg", "largest_at", "correlation",
-    "share", "repeats_a", "repeats_b",
+    "outside_band_share", "share", "repeats_a", "repeats_b",
 )  # fmt: skip
 
 
@@ -101,8 +101,8 @@ def _row(one: AngleComparison, change: Change) -> list[Any]:
     return [
         one.name, one.positive, change.measure, change.verdict.value,
         *(_number(np.degrees(value)) for value in figures), _number(change.p), _number(change.p_adjusted),
-        *(_number(np.degrees(value)) for value in sizes), *map(_number, others), _number(one.share),
-        *one.repeats,
+        *(_number(np.degrees(value)) for value in sizes), *map(_number, others),
+        _number(one.outside), _number(one.share), *one.repeats,
     ]  # fmt: skip
 
 

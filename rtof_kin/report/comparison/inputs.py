@@ -8,13 +8,10 @@ from typing import Final
 from rtof_kin.clinical.comparison import Compared, compared
 from rtof_kin.clinical.comparison_opensim import opensim_angles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_npz import MOTION, motion_path, read_motion_npz
 from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
 from rtof_kin.report.summary_file import SUMMARY, read_summary
 
-MOTION: Final = "motion.npz"
-_INNER: Final = "motion"
-"""Folder of the motion in an output of `run`."""
 _LISTED: Final = 6  # coordinates that a note lists
 
 
@@ -30,7 +27,7 @@ def read_compared(path: str | Path) -> Compared:
     path = Path(path)
     if path.suffix.lower() in SUFFIXES:
         return _other_system(path)
-    file = _motion_file(path)
+    file = motion_path(path)
     recording, mode = "", ""
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
@@ -51,15 +48,6 @@ def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> 
         return a.name, b.name
     longer = tuple(str(path) for path in paths)
     return (longer[0], longer[1]) if longer[0] != longer[1] else (f"{a.name}, first", f"{b.name}, second")
-
-
-def _motion_file(path: Path) -> Path:
-    if not path.is_dir():
-        return path
-    for file in (path / MOTION, path / _INNER / MOTION):
-        if file.is_file():
-            return file
-    raise FileFormatError(path, f"has no {MOTION}; give an output of reconstruct or run, or a .mot")
 
 
 def _name(path: Path) -> str:

@@ -16,10 +16,11 @@ from rtof_kin.report.html import asset, bullets, fill, source_hash, table
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _STYLES: Final = ("page.css", "comparison.css")
 _DIFFERENCES: Final = (
-    "angle", "measure", "A", "B", "B - A", "95 % interval", "detectable", "p (Holm)", "verdict",
+    "angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B",
 )  # fmt: skip
 _ERRORS: Final = (
-    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "compared"
+    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band",
+    "compared",
 )  # fmt: skip
 _MARKS: Final = {Verdict.CHANGED: "warn", Verdict.NOT_SHOWN: "not-checked", Verdict.NOT_TESTED: "not-checked"}
 _RANGES: Final = "The two have no common axis, so there are no curves: see the ranges above."
@@ -59,8 +60,8 @@ def page(found: Comparison, why: str = "") -> str:
 def _difference_rows(found: Comparison) -> Iterator[tuple[str, ...]]:
     for one in found.angles:
         for number, change in enumerate(one.changes):
-            name = f"{escape(label(one.name))} <small>{escape(one.positive)}</small>" if number == 0 else ""
-            yield name, *_change_cells(change)
+            name = f"{escape(label(one.name))} <small>{escape(one.positive)}</small>"
+            yield name if number == 0 else f'<span class="again">{name}</span>', *_change_cells(change)
 
 
 def _change_cells(change: Change) -> tuple[str, ...]:
@@ -69,9 +70,10 @@ def _change_cells(change: Change) -> tuple[str, ...]:
     p = f"{change.p_adjusted:.3f}" if change.p_adjusted == change.p_adjusted else ""
     difference = f"<b>{degrees(change.difference, True)}</b>{sd}"
     return (
-        change.measure, degrees(change.a), degrees(change.b), difference,
-        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
+        change.measure, difference,
         f'<span class="grade {_MARKS[change.verdict]}">{change.verdict.value}</span>',
+        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
+        degrees(change.a), degrees(change.b),
     )  # fmt: skip
 
 
@@ -87,12 +89,13 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     assert errors is not None
     sizes = (errors.rmse, errors.mae, errors.median, errors.offset_removed)
     r = f"{errors.correlation:.2f}" if errors.correlation == errors.correlation else ""
+    outside = f"{100 * one.outside:.0f} %" if one.outside == one.outside else ""
     share = f"{100 * one.share:.0f} %"
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
         escape(label(one.name)), *map(degrees, sizes), degrees(errors.largest, True), place(found, errors.at),
-        r, share,
+        r, outside, share,
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.comparison.sentences import label
-from rtof_kin.report.plot_data import Data, packed, shown_frames
+from rtof_kin.report.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 
 DIFFERENCE: Final = "difference"
 """Kind of a difference curve, and its class in the style sheet."""
@@ -25,7 +26,10 @@ def comparison_data(found: Comparison) -> Data:
     """
     if found.axis is None:
         return {"x": [], "groups": [], "by": found.by}
-    shown = shown_frames(found.axis) if found.by == "time" else slice(None)
+    shown = slice(None)
+    if found.by == "time":
+        step = max(shown_frames(found.axis).step, math.ceil(len(found.axis) / MOST_SAMPLES))
+        shown = slice(None, None, step)
     groups = [chart for one in found.angles for chart in _charts(one, shown)]
     scale = 1.0 if found.by == "time" else 100.0
     return {"x": [round(scale * float(x), 4) for x in found.axis[shown]], "groups": groups, "by": found.by}
@@ -36,8 +40,6 @@ def _charts(one: AngleComparison, shown: slice) -> list[Data]:
     assert one.curves is not None
     a, b = one.curves
     sigma_a, sigma_b = one.sigmas
-    known = [sigma for sigma in (sigma_a, sigma_b) if sigma is not None]
-    of_difference = np.sqrt(np.sum([sigma**2 for sigma in known], axis=0)) if known else None
     counts = one.repeats if max(one.repeats) > 1 else (0, 0)
     curves = [
         _series("A", a[shown], sigma_a, shown, counts[0]), _series("B", b[shown], sigma_b, shown, counts[1])
@@ -45,7 +47,10 @@ def _charts(one: AngleComparison, shown: slice) -> list[Data]:
     name = label(one.name)
     return [
         {"name": name, "positive": one.positive, "series": curves},
-        {"name": f"{name}: B - A", "series": [_series(DIFFERENCE, (b - a)[shown], of_difference, shown, 0)]},
+        {
+            "name": f"{name}: B - A",
+            "series": [_series(DIFFERENCE, (b - a)[shown], one.difference_sigma, shown, 0)],
+        },
     ]
 
 

@@ -14,6 +14,7 @@ from rtof_kin.clinical.gait import PHASES
 _MOST: Final = 3  # changes that are named
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
 _BETTER: Final = 0.02  # if the agreement is better by this
+_OFTEN: Final = 0.2  # share of the samples outside the band of the difference, of which 0.05 are expected
 
 
 def opening(found: Comparison, why: str) -> list[str]:
@@ -49,6 +50,7 @@ def cautions(found: Comparison) -> list[str]:
                 f"The zero of {one.name} is that of its own model: a constant difference may be one of "
                 "definition; see the errors without offset and the ranges"
             )
+    lines += _outside(found)
     single = [n for n, x in zip("AB", (a, b), strict=True) if _single(found, n == "B")]
     if found.by in ("cycle", "repetition") and single:
         lines.append(
@@ -63,6 +65,8 @@ def cautions(found: Comparison) -> list[str]:
         more = f" and {len(little) - _MOST} more" if len(little) > _MOST else ""
         lines.append(f"Less than half of the {what} is observed and reliable in both: {names}{more}")
     noted = (a,) if a.notes == b.notes else (a, b)
+    if found.by == "cycle":
+        lines += [f"{one.name} is probably not walking: {one.not_gait}" for one in noted if one.not_gait]
     if found.by == "cycle" or a.other_system or b.other_system:
         lines += [f"{one.name}: {note}" for one in noted for note in one.notes]
     return lines
@@ -137,15 +141,25 @@ def _axis(found: Comparison) -> str:
             text += f", with B shifted by {found.shift:+.3f} s"
         if found.alignment is not None and not found.identical:
             text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
-        return text + "."
+        return f"{text}; {_used(found)}."
     if found.by == "range":
         return "Compared by the ranges of motion of the whole recordings, without a common axis."
     what = "gait cycle, heel strike to heel strike" if found.by == "cycle" else found.kind.replace("_", " ")
     counts = [max(one.repeats[i] for one in found.angles) for i in (0, 1)]
-    return (
-        f"Compared over the {what}, at {len(PHASES)} phases; means over up to {counts[0]} repeats of A and "
-        f"{counts[1]} of B on each side."
-    )
+    times, each = ("stride", " on each side") if found.by == "cycle" else ("repetition", "")
+    means = f"{_count(counts[0], times)} of A and {_count(counts[1], times)} of B{each}"
+    return f"Compared over the {what}, at {len(PHASES)} phases; means over up to {means}."
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("s" if number != 1 else "")
+
+
+def _used(found: Comparison) -> str:
+    """Share of the common frames that is compared, of all angles."""
+    shares = [f"{100 * find(one.share for one in found.angles):.0f}" for find in (min, max)]
+    span = shares[0] if shares[0] == shares[1] else " to ".join(shares)
+    return f"{span} % of the frames, by angle, are observed and reliable in both"
 
 
 def _changes(found: Comparison) -> list[str]:
@@ -180,7 +194,13 @@ def _clock_cautions(found: Comparison) -> list[str]:
     if found.by != "time" or clocks is None or found.identical:
         return []
     lines = []
-    if clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE:
+    better = clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE
+    if better and clocks.poor:
+        lines.append(
+            f"No shift makes the curves agree (at most {clocks.agreement:.2f}, where B is shifted by "
+            f"{found.shift + clocks.shift:+.2f} s): different movements, or different people"
+        )
+    elif better:
         lines.append(
             f"The curves agree better ({clocks.agreement:.2f}) with B shifted by "
             f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
@@ -214,11 +234,24 @@ def _band_cautions(found: Comparison) -> list[str]:
     same = found.a.recording != "" and found.a.recording == found.b.recording
     if all(bands) and same and not found.identical:
         lines.append(
-            f"Both are of a recording {found.a.recording!r}: if it is one, they share errors (of video, "
-            "sensors and mounting), which cancel; the standard deviations, as of independent errors, are "
-            "then too large rather than too small"
+            f"Both are of a recording called {found.a.recording!r}. If it is the same one, they share errors "
+            "(of video, sensors and mounting), which cancel: the standard deviations, as of independent "
+            "errors, are then too large rather than too small"
         )
     return lines
+
+
+def _outside(found: Comparison) -> list[str]:
+    """Angles whose curves differ by more than the stated errors for long."""
+    often = sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside)
+    if not often:
+        return []
+    names = ", ".join(f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often[:_MOST])
+    more = f" and {len(often) - _MOST} more" if len(often) > _MOST else ""
+    return [
+        "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
+        f"their means: {names}{more}"
+    ]
 
 
 def _single(found: Comparison, second: bool) -> bool:

@@ -23,6 +23,8 @@ GIF_HEIGHT: Final = 640
 """Largest height of a GIF unless a width is asked for, px."""
 GIF_RATE_HZ: Final = 15.0
 """Highest frame rate of a GIF."""
+_MOST_OF_GIF: Final = 900
+"""Most pictures of a GIF, which are in memory until it is written."""
 _INSTALL: Final = "pip install 'rtof_kin[view]'"
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
@@ -124,7 +126,11 @@ class Mp4Writer:
         try:
             self._container.mux(self._stream.encode(frame))
         except self._av.FFmpegError as error:
-            raise WritingError(f"{self._path.name}: the encoder {self.encoder} failed ({error})") from error
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> WritingError:
+        reason = getattr(error, "strerror", None) or error
+        return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({reason})")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -134,7 +140,15 @@ class Mp4Writer:
             if kind is None and self._first is not None:
                 self._mux(None)
         finally:
+            self._close(kind is None)
+
+    def _close(self, complete: bool) -> None:
+        """Close the file; an error matters only if it was complete so far."""
+        try:
             self._container.close()
+        except self._av.FFmpegError as error:
+            if complete:
+                raise self._failed(error) from error
 
 
 class GifWriter:
@@ -173,6 +187,11 @@ class GifWriter:
         """
         from PIL import Image as Pictures
 
+        if len(self._images) >= _MOST_OF_GIF:
+            raise InvalidInputError(
+                f"overlay: a GIF of more than {_MOST_OF_GIF / GIF_RATE_HZ:.0f} s is too large; give --from "
+                "and --to, or write an .mp4"
+            )
         rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
         self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
         self._stamps.append(stamp)

@@ -51,7 +51,7 @@ class Curves:
             empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
             self._plot = gui.add_uplot(
                 (np.array([0.0, 1.0]), *empty), _series(), scales=_scales(_EMPTY), axes=_AXES,
-                legend={"show": False}, height=170, padding=(6, 14, 0, 0),
+                legend={"show": False}, height=150, padding=(6, 14, 0, 0),
             )  # fmt: skip
         options = (_NONE, *angles.labels)
         first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
@@ -62,7 +62,7 @@ class Curves:
                 choice = gui.add_dropdown(f"curve {number + 1}", options, initial_value=initial)
                 choice.on_update(lambda _: self._choose())
                 self._choices.append(choice)
-        panel.float(x=15, y=-15, width=560)
+        panel.float(x=15, y=-15, width=480)
         self._choose()
 
     @property
