@@ -143,6 +143,6 @@ def _sampling(curves: Data, rate_hz: float) -> str:
     if not curves["interval"]:
         return f"Plotted at {rate_hz:.3g} frames per second."
     return (
-        f"The recording is long: each curve shows the lowest and the highest value of every "
-        f"{curves['interval']:.2g} s, with the widest band of that time; shorter gaps are not visible."
+        f"The recording is long: each curve shows the lowest and the highest reliable value of every "
+        f"{curves['interval']:.2g} s, with the widest band of that time; what is shorter is not visible."
     )
