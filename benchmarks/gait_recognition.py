@@ -124,7 +124,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
                 lines.append(f"| {kind}, by {feet} | {figures} |")
     lines += ["", "## Against their description", ""]
     lines += [
-        f"- {row['part']}: {row['motion']} ({row['action']}), by {row['feet']}: {row['why_not'] or 'gait'}"
+        f"- {row['part']}: {row['motion']} ({row['action']}), {row['kind']}, by {row['feet']}: "
+        f"{row['why_not'] or 'gait'}"
         for row in rows
         if (row["kind"] in (KINDS[0], TREADMILL) and outcome(row) == "no gait")
         or (row["kind"] == "anything else" and row["gait"])

@@ -120,7 +120,7 @@ def coverage_line(title: str, rows: Sequence[Row], name: str = "range") -> str:
 
 
 HEAD = (
-    "| | number | inside 95 % bands, % | mean error, deg | rms error, deg | stated, deg |\n"
+    "| | number | inside 95 % bands, % | median error, deg | median size, deg | stated size, deg |\n"
     + "|---" * 6
     + "|"
 )

@@ -14,7 +14,9 @@ from tempfile import TemporaryDirectory
 
 from docs.pictures.studio import Studio
 
-PICTURES = ("placement", "skeletons", "study", "sensors_only", "compare")
+PICTURES = (
+    "placement", "report", "view", "overlay", "compare", "skeletons", "study", "sensors_only", "gallery",
+)  # fmt: skip
 """Modules of this folder, each with ``make(studio) -> paths``."""
 
 

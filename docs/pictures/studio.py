@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -28,6 +29,14 @@ class Studio:
     def rtof_kin(self, *arguments: str | Path) -> None:
         """Run one command of the package."""
         subprocess.run([sys.executable, "-m", "rtof_kin.cli", *map(str, arguments)], check=True)
+
+    def printed(self, *arguments: str | Path) -> str:
+        """Return what one command prints on a terminal 100 columns wide."""
+        command = [sys.executable, "-m", "rtof_kin.cli", *map(str, arguments)]
+        done = subprocess.run(
+            command, check=True, capture_output=True, text=True, env=os.environ | {"COLUMNS": "100"}
+        )
+        return done.stdout
 
     @cached_property
     def demo(self) -> Path:

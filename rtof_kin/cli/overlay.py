@@ -98,4 +98,4 @@ def _print_result(result: Any, blurred: bool) -> None:
     if result.encoder == "mpeg4":
         out.print("this PyAV cannot encode H.264: the file is MPEG-4 part 2, which browsers do not play")
     if blurred:
-        out.print(f"faces: {_OTHERS}", soft_wrap=True)
+        out.print(f"faces: {_OTHERS}; look at the whole film before you pass it on", soft_wrap=True)

@@ -111,9 +111,9 @@ def _print_way_down(study: Any) -> None:
 def _add_report(commands: Any) -> None:
     parser = command(
         commands, "report", _report, "one page of a reconstructed motion that opens in any browser",
-        "MOTION is the output of reconstruct. The page has a verdict on every part with its reasons, "
-        "angle curves, ranges of motion left against right, gait cycles, an animated skeleton, and the "
-        "items to report of a study with inertial sensors. It needs no network.",
+        "MOTION is the output of reconstruct. The page begins with a summary; ranges of motion, curves, an "
+        "animated skeleton, gait, torques, quality, the items to report of a study with inertial sensors and "
+        "the audit follow. It reads on a phone and on paper, and needs no network.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct")
     add_output(parser, "", "file to write; default: report.html in MOTION")

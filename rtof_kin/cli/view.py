@@ -72,6 +72,8 @@ def _view(options: argparse.Namespace) -> None:
             )
         _live(options)
     elif options.html is not None:
+        if options.video:
+            raise InvalidInputError("--html: the file has no video; leave out --video")
         _page(options)
     else:
         _motion(options)

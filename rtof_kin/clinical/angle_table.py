@@ -34,20 +34,13 @@ def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
     if dof == BASE_TURN:
         return f"pelvis orientation ({dof})"
     names = {own.urdf: own.clinical.lstrip("-") for joint in skeleton.joints for own in joint.dofs}
-    return f"{both_directions(name)} ({dof})" if (name := names.get(dof)) else dof
-
-
-def both_directions(name: str) -> str:
-    """Return the name of an angle with both of its movements, e.g. 'left hip flexion/extension'.
-
-    Args:
-        name: with the positive movement alone, in words. Other names are unchanged.
-    """
+    if not (name := names.get(dof)):
+        return dof
     for both in _MOVEMENTS:
         positive = re.sub(r"/\w+", "", both)
         if name.endswith(positive):
-            return f"{name.removesuffix(positive)}{both}"
-    return name
+            return f"{name.removesuffix(positive)}{both} ({dof})"
+    return f"{name} ({dof})"
 
 
 @dataclass(frozen=True)

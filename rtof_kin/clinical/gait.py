@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -107,6 +107,8 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
             right, left = (summary[side][name][0] for side in SIDES)
             symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
     verdict = recognise_gait(strides, events)
+    if found and not strides:
+        verdict = replace(verdict, why_not="No stride has a reliable knee flexion throughout.")
     return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
 
 

@@ -39,6 +39,8 @@ class FootEvents:
     """(m,) seconds of the toe offs."""
     heel: Array
     """(T, 3) m, path of the heel in world (of the ankle if the foot's orientation is mostly unobserved)."""
+    by_ankle: bool = False
+    """Whether the ankle gives both events; its stance is 4 % of the stride shorter."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
             continue
         ahead = [np.sum((point - p_pelvis) * forward, axis=-1) for point in (heel, toe)]
         strikes = _maxima(poses.times, ahead[0], poses.rate_hz)
-        feet[side] = FootEvents(strikes, _maxima(poses.times, -ahead[1], poses.rate_hz), heel)
+        feet[side] = FootEvents(strikes, _maxima(poses.times, -ahead[1], poses.rate_hz), heel, heel is toe)
         if not strikes.size:
             notes.append(
                 f"{side} foot: no heel strike in {poses.times[-1] - poses.times[0]:.1f} s; no swing of "

@@ -121,7 +121,10 @@ def recognise_gait(strides: Sequence[Stride], events: GaitEvents) -> GaitVerdict
     walking = tuple(stride for stride, reasons in zip(strides, against, strict=True) if not reasons)
     progress = [shape.progress for shape, reasons in zip(shapes, against, strict=True) if not reasons]
     on_the_spot = bool(progress) and float(np.median(progress)) < ON_THE_SPOT
-    return GaitVerdict(walking, on_the_spot, _why_not(strides, walking, against))
+    why_not = _why_not(strides, walking, against)
+    if not events.feet:
+        why_not = f"Walking cannot be recognised: {'; '.join(events.notes) or 'no foot was observed'}."
+    return GaitVerdict(walking, on_the_spot, why_not)
 
 
 def departures(shape: StrideShape) -> tuple[str, ...]:
@@ -156,7 +159,7 @@ def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequ
     """Sentence on why strides are no gait; '' if they are."""
     count = len(strides)
     if not count:
-        return "No complete stride was found: the feet do not pass each other in turn as in walking."
+        return "No complete stride was found: no foot strikes twice with a strike of the other foot between."
     if len(walking) < LEAST_SHARE * count:
         reasons = [text for own in against for text in own]
         most = max(dict.fromkeys(reasons), key=reasons.count)

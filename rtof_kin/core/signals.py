@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import signal
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -121,6 +120,8 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
         order: of one pass.
     """
     values = np.asarray(values, dtype=float)
+    from scipy import signal  # slow to import
+
     sos = signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
     padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
     return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=padding))

@@ -7,13 +7,14 @@ import math
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.body.observability import observed_bones
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.clinical.gait import PHASES
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.signals import runs
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import angle_name, side_and_name
@@ -39,7 +40,8 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     """Return angles over time in groups of both sides.
 
     Up to `MOST_SAMPLES` plotted frames are given one by one. Longer curves have the lowest and the highest
-    value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost.
+    reliable value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost.
+    'doubtful' has the samples [first, stop) that are not reliable.
 
     Args:
         analysis: of the motion. shown: frames to plot.
@@ -47,43 +49,68 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     angles = analysis.angles
     frames = len(angles.times[shown])
     step = math.ceil(2 * len(angles.times) / MOST_SAMPLES) if frames > MOST_SAMPLES else 0
+    trusted = np.isfinite(angles.trusted_values)
     groups: dict[str, Data] = {}
     for a, row in enumerate(angles.rows):
         if not angles.known[:, a].any():
             continue
-        values = np.degrees(angles.values[:, a])
         half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
-        if step:
-            values, half = envelope(values, half, step)
-        else:
-            values, half = values[shown], None if half is None else half[shown]
-        series = {"side": side_and_name(row.name)[0], "y": packed(values, 10)}
-        if half is not None:
-            series["half"] = packed(half, 10)
-        _group(groups, row)["series"].append(series)
+        series = _series(np.degrees(angles.values[:, a]), half, trusted[:, a], shown, step)
+        _group(groups, row)["series"].append({"side": side_and_name(row.name)[0], **series})
     times = _interval_times(angles.times, step) if step else angles.times[shown]
     interval = step / angles.rate_hz if step else 0.0
     return {"times": _times(times), "interval": round(interval, 3), "groups": list(groups.values())}
 
 
-def envelope(values: Array, half: Array | None, step: int) -> tuple[Array, Array | None]:
-    """Return the lowest and highest value of intervals in the order of their occurrence, and the widest band.
+def _series(values: Array, half: Array | None, trusted: Mask, shown: slice, step: int) -> Data:
+    """Curve of an angle (T,), deg: the frames that are shown, or intervals of `step` frames (0: none)."""
+    usable = np.where(trusted, values, np.nan)
+    chosen = _envelope(values, usable, step) if step else np.arange(len(values))[shown]
+    doubtful = np.isfinite(values[chosen]) & ~trusted[chosen]
+    out: Data = {"y": packed(values[chosen], 10)}
+    if half is not None and step:
+        widest, reliable = (widest_bands(half, own, step) for own in (values, usable))
+        out["half"] = packed(np.where(doubtful, widest, reliable), 10)
+    elif half is not None:
+        out["half"] = packed(half[chosen], 10)
+    return out | ({"doubtful": runs(doubtful)} if doubtful.any() else {})
+
+
+def _envelope(values: Array, usable: Array, step: int) -> NDArray[np.int64]:
+    """Frames of the extremes of the reliable values; of all where an interval has no reliable one."""
+    reliable = envelope_frames(usable, step)
+    return np.where(np.isfinite(usable[reliable]), reliable, envelope_frames(values, step))
+
+
+def envelope_frames(values: Array, step: int) -> NDArray[np.int64]:
+    """Return the frames with the lowest and the highest value of equal intervals, in order, two for each.
 
     Args:
-        values, half: (T,) value and half width of its band, NaN where unknown. step: frames of an interval.
+        values: (T,), NaN where unknown. step: frames of an interval; the last one may be shorter.
     """
-    room = -len(values) % step
-    rows = np.pad(values, (0, room), constant_values=np.nan).reshape(-1, step)
+    rows = _intervals(values, step)
     known = np.isfinite(rows)
     low = np.where(known, rows, np.inf).argmin(axis=1)
     high = np.where(known, rows, -np.inf).argmax(axis=1)
-    chosen = np.take_along_axis(rows, np.sort(np.stack([low, high], axis=1), axis=1), axis=1)
-    if half is None:
-        return chosen.ravel(), None
-    bands = np.pad(half, (0, room), constant_values=np.nan).reshape(-1, step)
-    widest = np.where(known & np.isfinite(bands), bands, -np.inf).max(axis=1)
-    widest = np.where(np.isfinite(widest), widest, np.nan)
-    return chosen.ravel(), np.repeat(widest, 2)
+    first = step * np.arange(len(rows))[:, None]
+    return np.asarray((first + np.sort(np.stack([low, high], axis=1), axis=1)).ravel())
+
+
+def widest_bands(half: Array, values: Array, step: int) -> Array:
+    """Return the largest half width of each interval of `envelope_frames`, twice.
+
+    Args:
+        half, values: (T,) half width of the band and its value, NaN where unknown.
+        step: frames of an interval.
+    """
+    bands = _intervals(np.where(np.isfinite(values), half, np.nan), step)
+    widest = np.where(np.isfinite(bands), bands, -np.inf).max(axis=1)
+    return np.repeat(np.where(np.isfinite(widest), widest, np.nan), 2)
+
+
+def _intervals(values: Array, step: int) -> Array:
+    """Values in rows of `step` frames, filled up with NaN."""
+    return np.pad(values, (0, -len(values) % step), constant_values=np.nan).reshape(-1, step)
 
 
 def _interval_times(times: Array, step: int) -> Array:

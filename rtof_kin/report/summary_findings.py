@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis
-from rtof_kin.clinical.angle_table import SIDES, AngleTable, both_directions
+from rtof_kin.clinical.angle_table import SIDES, AngleTable
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
@@ -26,8 +26,8 @@ SECOND_SHOULDER: Final = "_shoulder_xzy_"
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
 LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
-_ASYMMETRIES: Final = {"stance_share": ("stance", 100.0, "% of the stride", 0)}
-"""Measure -> name, factor, unit and digits."""
+EVENT_SIGMA: Final = 0.015
+"""Standard deviation of a side's mean stance, share of the stride, that more strides do not reduce."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding
     Args:
         analysis: of the motion. skeleton: of the motion, with its anatomical limits.
     """
-    rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
+    rows = {row.name: row for row in comparable_ranges(analysis)}
     found = [
         *_side_differences(rows, analysis.table), *_beyond_limits(rows, analysis.table, skeleton),
         *_asymmetries(analysis.gait),
@@ -57,6 +57,19 @@ def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding
     for finding in sorted(found, key=lambda finding: -finding.size):
         out.setdefault(finding.subject, finding)
     return tuple(out.values())
+
+
+def comparable_ranges(analysis: MotionAnalysis) -> list[RangeOfMotion]:
+    """Return the ranges that findings compare: `is_comparable`, and without whole turns.
+
+    Args:
+        analysis: of the motion.
+    """
+    return [
+        row
+        for row, angle in zip(analysis.ranges, analysis.table.rows, strict=True)
+        if is_comparable(row) and angle.range[0] <= row.low and row.high <= angle.range[1]
+    ]
 
 
 def is_comparable(row: RangeOfMotion) -> bool:
@@ -86,17 +99,17 @@ def compared_pairs(analysis: MotionAnalysis) -> int:
     Args:
         analysis: of the motion.
     """
-    names = {row.name for row in analysis.ranges if is_comparable(row)}
+    names = {row.name for row in comparable_ranges(analysis)}
     return sum(name.replace("right", "left", 1) in names for name in names if name.startswith("right_"))
 
 
 def shown_name(name: str) -> str:
-    """Return the name of an angle in words with both directions, e.g. 'right hip flexion/extension'.
+    """Return the name of an angle in words, as in the table of a report.
 
     Args:
         name: as in files.
     """
-    return both_directions(name.replace("_", " "))
+    return name.replace("_", " ")
 
 
 def with_band(value: float, sigma: float) -> str:
@@ -120,11 +133,10 @@ def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iter
             if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 less = "left" if difference > 0 else "right"
                 name = shown_name(angle.name.removeprefix("right_"))
-                degrees = abs(round(np.degrees(right.range)) - round(np.degrees(left.range)))
                 text = (
                     f"{name}: range {with_band(right.range, right.range_sigma)} right, "
                     f"{with_band(left.range, left.range_sigma)} left, that is "
-                    f"{degrees} ± {np.degrees(BAND_95 * sigma):.0f}° less on the {less}"
+                    f"{with_band(abs(difference), sigma)} less on the {less}"
                 )
                 yield Finding(name.split()[0], text, abs(difference) / sigma)
 
@@ -167,19 +179,21 @@ def anatomical_limits(skeleton: SkeletonTable) -> dict[str, tuple[float, float]]
 
 
 def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
-    """Measures of gait whose means differ between the sides by more than their band."""
-    if not gait.is_gait or len(gait.summary) < 2:
+    """Stance of the two sides, if its means differ by more than their band."""
+    by_ankle = {foot.by_ankle for foot in gait.events.feet.values()}
+    if not gait.is_gait or len(gait.summary) < 2 or len(by_ankle) > 1:
         return
-    for measure, (name, factor, unit, digits) in _ASYMMETRIES.items():
-        (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s][measure] for s in SIDES)
-        if min(n_right, n_left) < FEWEST_STRIDES:
-            continue
-        errors = [factor * sd_right / np.sqrt(n_right), factor * sd_left / np.sqrt(n_left)]
-        difference, sigma = factor * (right - left), float(np.hypot(*errors))
-        if abs(difference) > BAND_95 * sigma:
-            ends = [
-                f"{factor * mean:.{digits}f} ± {BAND_95 * error:.{digits}f}"
-                for mean, error in zip((right, left), errors, strict=True)
-            ]
-            text = f"{name}: {ends[0]} {unit} right, {ends[1]} {unit} left"
-            yield Finding(name, text, abs(difference) / max(sigma, 1e-9))
+    (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s]["stance_share"] for s in SIDES)
+    if min(n_right, n_left) < FEWEST_STRIDES:
+        return
+    errors = [
+        float(np.hypot(sd / np.sqrt(n), EVENT_SIGMA)) for sd, n in ((sd_right, n_right), (sd_left, n_left))
+    ]
+    sigma = float(np.hypot(errors[0], errors[1]))
+    if abs(right - left) > BAND_95 * sigma:
+        ends = [
+            f"{100 * mean:.0f} ± {100 * BAND_95 * error:.0f} %"
+            for mean, error in zip((right, left), errors, strict=True)
+        ]
+        text = f"stance: {ends[0]} of the stride right, {ends[1]} left"
+        yield Finding("stance", text, abs(right - left) / sigma)

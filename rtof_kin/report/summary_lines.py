@@ -16,6 +16,7 @@ import numpy as np
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
+from rtof_kin.clinical.gait_recognition import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
@@ -39,6 +40,9 @@ FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
 _SIDE: Final = re.compile("^(left|right) ")
 _CODES: Final = re.compile(r" \(\w+_[xyz]\)|; more (fails|warns) in .*")
 """Names of revolutes and the list of further sections, which a summary omits."""
+_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|^(Head|Neck)$")
+_CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
+_PLURALS: Final = {"foot": "feet"}
 
 
 @dataclass(frozen=True)
@@ -93,21 +97,23 @@ def _what(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) ->
 def _movement(motion: MotionSequence, analysis: MotionAnalysis) -> str:
     """Movement in words, as far as it was recognised."""
     gait, travel = analysis.gait, analysis.travel
+    strides = len(gait.verdict.walking)
     part = f" in {100 * travel.walking_share:.0f} % of the time"
     if gait.is_gait:
-        strides = len(gait.verdict.walking)
         partly = part if travel.walking_share < MOSTLY else ""
         if gait.verdict.on_the_spot:
             return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
         return f"Walking{partly}: {strides} strides, {travel.text}"
     bends = _knee_bends(motion, analysis)
-    some = len(gait.verdict.walking) >= FEWEST_STRIDES
-    walking = f"strides of walking{part}, but no steady walking" if some else "no walking"
-    if bends:
-        return f"{_listed(bends)}; {walking}; {travel.text}"
-    if some:
-        return f"{walking.capitalize()}; {travel.text}"
-    return f"Neither walking nor squats were recognised; {travel.text}"
+    walking = "no walking"
+    if strides >= FEWEST_STRIDES:
+        walking = f"strides of walking{part}, but no steady walking"
+    elif strides > LEAST_SHARE * len(gait.strides):
+        walking = f"only {strides} complete stride{'s' if strides > 1 else ''} of walking"
+    elif not bends:
+        walking = "neither walking nor squats were recognised"
+    text = "; ".join([*([_listed(bends)] if bends else []), walking, travel.text])
+    return text[:1].upper() + text[1:]
 
 
 def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
@@ -123,8 +129,7 @@ def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     """Camera and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
-    words = _segment_words(analysis)
-    names = ", ".join(_both_sides([words.get(name, name) for name in carriers]))
+    names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     if not summary.inputs.get("camera"):
         return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
@@ -135,17 +140,11 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     return f"one camera and {count} ({names})" if carriers else "one camera alone"
 
 
-def _segment_words(analysis: MotionAnalysis) -> dict[str, str]:
-    """Joint of the skeleton -> the segment that it carries, in words."""
-    return {joint: term.replace("_", " ") for term, joint in analysis.table.segments.items()}
-
-
 def _in_words(text: str, analysis: MotionAnalysis) -> str:
-    """Headline of an audit with segments in words, without names of revolutes and further sections."""
-    text = _CODES.sub("", text).replace(" deg", "°")
-    for joint, word in _segment_words(analysis).items():
-        text = re.sub(rf"\b{joint}\b", word, text)
-    return text
+    """Text with the names of joints and landmarks in words, e.g. 'left forearm' for LeftForeArm."""
+    for term, joint in analysis.table.segments.items():
+        text = re.sub(rf"\b{joint}\b", term.replace("_", " "), text)
+    return _NAME.sub(lambda name: _CAPITAL.sub(" ", name.group()).lower(), text)
 
 
 def _both_sides(names: list[str]) -> list[str]:
@@ -153,7 +152,9 @@ def _both_sides(names: list[str]) -> list[str]:
     names = list(dict.fromkeys(names))
     singles = [_SIDE.sub("", name) for name in names]
     return [
-        f"both {single}s" if singles.count(single) == 2 else names[singles.index(single)]
+        f"both {_PLURALS.get(single, f'{single}s')}"
+        if singles.count(single) == 2
+        else names[singles.index(single)]
         for single in dict.fromkeys(singles)
     ]
 
@@ -200,9 +201,9 @@ def _joint(angle: str) -> str:
 
 
 def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
-    """Headline of the audit if it warns or fails, and what is unobserved, bridged or drifting."""
-    warned = overall.grade in (Grade.WARN, Grade.FAIL)
-    parts = [_in_words(overall.text, analysis)] if warned else []
+    """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
+    warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
+    parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")

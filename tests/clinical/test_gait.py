@@ -214,6 +214,7 @@ def test_a_foot_without_orientation_has_the_events_of_the_ankle() -> None:
     assert "right foot: orientation unobserved in 60 % of the frames" in note
     ankle = swinging_legs().p_world_joint[:, BODY.index("RightFoot")[0]]
     np.testing.assert_array_equal(events.feet["right"].heel, ankle)
+    assert (events.feet["right"].by_ankle, events.feet["left"].by_ankle) == (True, False)
     poses = replace(swinging_legs(), orientation_observed=BODY.orientation_observed())
     strikes = gait_events(poses, BODY).feet["right"].strikes
     np.testing.assert_allclose((strikes / PERIOD) % 1, 0.75, atol=0.03)

@@ -14,6 +14,7 @@ from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.gait_recognition import StrideShape, departures, stride_shape
+from rtof_kin.data.poses import Provenance
 
 BODY = SkeletonModel.default()
 WALKING = StrideShape(0.64, 0.5, swing=0.8, progress=1.3, forward=1.0, turn=0.0, slip=0.01)
@@ -118,3 +119,13 @@ def test_a_walk_among_other_movements_is_judged_by_its_share_of_strides() -> Non
     assert len(mixed.verdict.walking) >= len(gait.strides) - 1
     assert not mixed.is_gait
     assert "backward or sideways" in mixed.why_not or "stance takes less" in mixed.why_not
+
+
+def test_unobserved_feet_and_low_rates_are_named() -> None:
+    motion = walking()
+    provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
+    provenance[:, BODY.index("RightFoot", "LeftFoot")] = Provenance.PRIOR
+    unseen = analyse_gait(gait_events(replace(motion.poses, provenance=provenance), BODY))
+    assert unseen.why_not.startswith("Walking cannot be recognised: right foot: never observed")
+    slow = analyse_gait(gait_events(motion.poses[::15], BODY))
+    assert slow.why_not.startswith("Walking cannot be recognised: 4 Hz is too low a rate")

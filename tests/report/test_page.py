@@ -115,7 +115,7 @@ def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
     folder = folder_of(walk(), tmp_path / "out", inputs=INPUTS, settings=settings, audit=None)
     options = {"session": Session(subject="P08")}
     assert "P08: motion report" in text_of(folder, **options)
-    assert "without an audit" in text_of(folder, **options)
+    assert "without an audit" in text_of(folder, "verdicts", **options)
     recording = text_of(folder, "recording", **options)
     for text in (
         "2026-01-31", "perfect, from the image alone", "Outlier rejection off",
@@ -166,7 +166,7 @@ def test_torques_need_a_plausible_weight(tmp_path: Path) -> None:
 
 def test_short_recordings_have_no_gait(tmp_path: Path) -> None:
     folder = folder_of(walk()[:60], tmp_path / "out")
-    assert "No gait cycle was found" in text_of(folder, "gait")
+    assert "No complete stride was found" in text_of(folder, "gait")
     assert "Gait not checked strides: " in text_of(folder, "verdicts")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import date
@@ -23,7 +24,7 @@ pytestmark = needs_browser
 READY = "document.documentElement.dataset.state === 'ready'"
 PICTURE = "document.getElementById('scene').toDataURL()"
 LONG = "Anderson-Featherstonehaugh" * 3
-CAUSE = "a long reason that goes on and on, " * 12
+CAUSE = "a long reason that goes on and on, " * 8
 SENSORS = [
     {"name": f"S{i}", "segment": name, "lever_arm_m": [0.01, 0.02, 0.03], "rate_hz": 100.0}
     for i, name in enumerate(
@@ -44,7 +45,7 @@ INPUTS = {
 def url(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Address of the page of a walk with bands, torques and long texts."""
     motion = replace(walk(), confidence=certain_to(2.0, walk()))
-    results = [AuditResult("image", f"error {i}", "Head", 7.0, "px", 2.0, 5.0, note=CAUSE) for i in range(40)]
+    results = [AuditResult("image", f"error {i}", "Head", 7.0, "px", 2.0, 5.0, note=CAUSE) for i in range(8)]
     folder = folder_of(
         motion, tmp_path_factory.mktemp("page") / "out", inputs=INPUTS, audit=[r.plain() for r in results]
     )
@@ -76,9 +77,10 @@ def shown(page: BrowserPage, selector: str) -> str:
     return str(page.value(f"document.querySelector({selector!r}).innerText"))
 
 
-def printed(page: BrowserPage, folder: Path) -> list[str]:
-    """Text of each printed page."""
-    return [" ".join(one.extract_text().split()) for one in PdfReader(page.pdf(folder / "page.pdf")).pages]
+def printed(page: BrowserPage, folder: Path, last: int = 0) -> list[str]:
+    """Text of each printed page, or of the last ones."""
+    pages = PdfReader(page.pdf(folder / "page.pdf")).pages
+    return [" ".join(one.extract_text().split()) for one in pages[-last:]]
 
 
 def choose(page: BrowserPage, convention: str) -> None:
@@ -142,7 +144,7 @@ def test_folded_parts_are_printed_if_asked_for(opened: BrowserPage, url: str, tm
     opened.open("about:blank")
     opened.open(f"{url}#print-all")
     opened.until(READY)
-    texts = printed(opened, tmp_path)
+    texts = printed(opened, tmp_path, last=7)
     assert sum("warns above" in text for text in texts) > 1  # the head of the audit is repeated
     assert "to be filled in" in " ".join(texts)
     assert opened.value("document.querySelectorAll('details[open]').length") == 0
@@ -226,6 +228,46 @@ def test_the_scene_turns_by_keys_and_buttons_and_does_not_trap_the_page(opened: 
         opened.value(f"document.querySelector('.views button[data-key=\"{key}\"]').click()")
         seen.append(opened.value(PICTURE))
     assert len(set(seen)) == len(seen)
+
+
+def stroke(page: BrowserPage, right: float, down: float) -> None:
+    """Move a finger over the middle of the scene."""
+    page.value("document.getElementById('scene').scrollIntoView({block: 'center'})")
+    place = "(box => [box.x + box.width / 2, box.y + box.height / 2])"
+    x, y = page.value(f"{place}(document.getElementById('scene').getBoundingClientRect())")
+    for i in range(11):
+        points = [{"x": x + right * i / 10, "y": y + down * i / 10}]
+        page.call("Input.dispatchTouchEvent", type="touchMove" if i else "touchStart", touchPoints=points)
+    page.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+
+def test_a_finger_turns_the_scene_to_the_sides_and_scrolls_the_page(opened: BrowserPage) -> None:
+    opened.resize(390, 800)
+    opened.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    opened.value("document.getElementById('scene').scrollIntoView({block: 'center'})")
+    before, seen = opened.value("scrollY"), opened.value(PICTURE)
+    stroke(opened, 80, 0)
+    opened.until(f"{PICTURE} !== {seen!r}")
+    assert opened.value("scrollY") == before
+    stroke(opened, 0, -150)
+    opened.until(f"scrollY > {before} + 50")
+    opened.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
+
+def test_nothing_moves_until_it_is_played_and_calm_is_kept(opened: BrowserPage) -> None:
+    clock = "document.getElementById('clock')"
+    start = opened.value(f"{clock}.textContent")
+    time.sleep(0.3)
+    assert opened.value(f"{clock}.textContent") == start
+    calm = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    opened.call("Emulation.setEmulatedMedia", features=calm)
+    opened.value(
+        f"window.seen = []; new MutationObserver(() => seen.push(performance.now()))"
+        f".observe({clock}, {{childList: true}}); document.getElementById('play').click()"
+    )
+    opened.until("seen.length >= 4")
+    assert opened.value("seen[3] - seen[0]") > 1300  # ms
+    opened.call("Emulation.setEmulatedMedia", features=[])
 
 
 def test_the_keyboard_reaches_the_contents_first_and_the_focus_is_visible(opened: BrowserPage) -> None:

@@ -20,7 +20,7 @@ from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import AuditResult, Grade
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import anatomical_limits, findings
+from rtof_kin.report.summary_findings import EVENT_SIGMA, anatomical_limits, findings
 from rtof_kin.report.summary_lines import SummaryLine, summary_lines
 
 BODY = SkeletonModel.default()
@@ -76,6 +76,11 @@ def test_who_names_what_is_known_and_what_is_not() -> None:
         (walking(6.0, speed=1.1), "Walking: 8 strides, 6.6 m forward, without turns."),
         (walking(6.0, treadmill=True), "Walking on the spot or on a treadmill: 8 strides."),
         (squatting(4), "4 bends of both knees (squats); no walking; staying in place, without turns."),
+        (walking(2.4), "Only 2 complete strides of walking; 2.6 m forward, without turns."),
+        (
+            walking(6.0, speed=-1.0),
+            "Neither walking nor squats were recognised; 6.0 m backward, without turns.",
+        ),
         (knees(40, 40), "Neither walking nor squats were recognised; staying in place, without turns."),
     ],
 )
@@ -104,6 +109,25 @@ def test_only_what_a_mode_uses_is_named_as_its_source(mode: str, camera: bool, t
     assert lines(squatting(), mode=mode, camera=camera)["What"].text.endswith(text)
 
 
+def test_segments_with_sensors_are_named_in_words() -> None:
+    own = summary()
+    names = ("Hips", "Head", "LeftShoulder", "LeftFoot", "RightFoot")
+    own = replace(own, inputs=own.inputs | {"sensors": [{"segment": name} for name in names]})
+    motion = squatting()
+    what = summary_lines(motion, analyse_motion(motion), own, FINE, Session())[1].text
+    assert what.endswith("and 5 sensors (pelvis, head, left shoulder, both feet).")
+
+
+def test_angles_that_turned_on_beyond_their_interval_have_no_finding() -> None:
+    motion = certain(knees(60, 60), 2.0)
+    analysis = analyse_motion(motion)
+    rows = [
+        replace(row, low=row.low - 2 * np.pi) if row.name == "left_knee_flexion" else row
+        for row in analysis.ranges
+    ]
+    assert findings(replace(analysis, ranges=tuple(rows)), BODY.table) == ()
+
+
 def test_expected_accuracy_is_the_half_width_of_bands() -> None:
     good = lines(certain(knees(60, 60), 2.0))["How good"]
     half = round(2.0 * BAND_95)
@@ -126,8 +150,7 @@ def test_findings_are_differences_that_exceed_their_bands() -> None:
     found = lines(certain(knees(90, 60), 2.0))["Findings"].text
     one, both = (round(BAND_95 * 2 * root) for root in (np.sqrt(2), 2))
     assert found.startswith(
-        f"Knee flexion/extension: range 90 ± {one}° right, 60 ± {one}° left, that is 30 ± {both}° less on "
-        "the left."
+        f"Knee flexion: range 90 ± {one}° right, 60 ± {one}° left, that is 30 ± {both}° less on the left."
     )
     assert "No other difference exceeds its 95 % band" in found
 
@@ -186,8 +209,14 @@ def test_asymmetric_stance_of_gait_is_a_finding_only_if_it_is_gait() -> None:
         return replace(analysis, gait=replace(gait, summary=sides))
 
     (stance,) = findings(limping(analysis), BODY.table)
-    assert stance.text == "stance: 60 ± 1 % of the stride right, 70 ± 2 % of the stride left"
-    assert stance.size == pytest.approx(0.10 / (np.hypot(0.01, 0.02) / 2))
+    right, left = (np.hypot(sd / 2, EVENT_SIGMA) for sd in (0.01, 0.02))
+    bands = [f"{100 * BAND_95 * sigma:.0f}" for sigma in (right, left)]
+    assert stance.text == f"stance: 60 ± {bands[0]} % of the stride right, 70 ± {bands[1]} % left"
+    assert stance.size == pytest.approx(0.10 / np.hypot(right, left))
+    feet = dict(analysis.gait.events.feet)
+    feet["left"] = replace(feet["left"], by_ankle=True)  # events of another kind are not compared
+    unlike = replace(limping(analysis).gait, events=replace(analysis.gait.events, feet=feet))
+    assert findings(replace(analysis, gait=unlike), BODY.table) == ()
     gait = limping(analysis).gait
     other = replace(gait, verdict=replace(gait.verdict, why_not="It is a dance."))
     assert findings(replace(analysis, gait=other), BODY.table) == ()
@@ -208,6 +237,12 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
     assert widest.startswith("The most uncertain angle is ")
     forearm = Headline(Grade.FAIL, "LeftForeArm: share of frames unseen 30 %", ())
     assert lines(knees(60, 60), overall=forearm)["Careful"].text.startswith("Left forearm: share")
+    unaudited = Headline(Grade.NOT_CHECKED, "written without an audit: reconstruct again", ())
+    assert lines(knees(60, 60), overall=unaudited)["Careful"] == SummaryLine(
+        "Careful", "Written without an audit: reconstruct again.", Grade.NOT_CHECKED
+    )
+    ear = Headline(Grade.FAIL, "LeftEar: share of frames unseen 30 %", ())
+    assert lines(knees(60, 60), overall=ear)["Careful"].text.startswith("Left ear: share")
 
 
 def test_careful_names_unobserved_joints_and_bridged_gaps() -> None:

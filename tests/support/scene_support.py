@@ -1,4 +1,4 @@
-"""A planted motion on the disk for the viewer: a person who walks along x, seen in all ways at known frames."""
+"""A planted motion on the disk for the viewer: a person who glides along x."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -25,13 +24,17 @@ SENSORS = {"thigh": "LeftUpLeg", "arm": "RightForeArm"}
 BENT = np.radians(40.0)  # of the right knee at all times
 
 
-def walking(frames: int = 120, start: float = 2.0) -> MotionSequence:
-    """A stiff person who glides along x with a bent knee, each joint observed by camera and IMU."""
+def walking(frames: int = 120, start: float = 2.0, shaking: float = 0.0) -> MotionSequence:
+    """A stiff person who glides along x with a bent knee, each joint observed by camera and IMU.
+
+    All angles are shaken by a standard deviation, rad.
+    """
     skeleton = SkeletonModel.default()
     times = start + np.arange(frames) / RATE
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 0], q[:, 2] = SPEED * (times - start), 0.95
     q[:, 7 + skeleton.dof_names.index("RightLeg_y")] = BENT
+    q[:, 7:] += shaking * np.random.default_rng(0).normal(size=q[:, 7:].shape)
     p, R = skeleton.forward_kinematics(q)
     shape = p.shape[:2]
     observed = np.full(shape, True)
@@ -66,7 +69,7 @@ def camera() -> Camera:
 
 
 def measured(motion: MotionSequence, cameras: int = 1, truth: bool = True) -> Measurements:
-    """What the motion was computed from: exact points, sensors turned by a known mounting, a truth 0.1 m off."""
+    """What the motion was computed from: exact points, sensors of a known mounting, a truth 0.1 m off."""
     poses, skeleton = motion.poses, motion.skeleton
     uv = camera().project(poses.p_world_joint)
     view = KeypointSequence(camera(), poses.times, uv, np.ones(uv.shape[:2]), skeleton.names)
@@ -91,11 +94,3 @@ def written(folder: Path, motion: MotionSequence, measurements: Measurements | N
         '{"recording": "glide <b>", "verdict": {"grade": "fail", "headline": "planted & bad"}}'
     )
     return folder
-
-
-def tiled(motion: MotionSequence, times: int) -> dict[str, Array]:
-    """Positions and orientations of the motion, many times over."""
-    return {
-        name: np.tile(getattr(motion.poses, name), (times, *[1] * (getattr(motion.poses, name).ndim - 1)))
-        for name in ("p_world_joint", "R_world_bone")
-    }

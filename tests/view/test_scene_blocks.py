@@ -32,7 +32,7 @@ def test_rows_are_those_of_numpy_wherever_they_begin(tmp_path: Path, save: objec
     table = np.array(rng.normal(size=(1000, 3, 4)), order=order)
     flags = rng.random((1000, 2)) > 0.5
     save(tmp_path / "a.npz", table=table, flags=flags, other=np.zeros(7))  # type: ignore[operator]
-    blocks = NpzBlocks(tmp_path / "a.npz", ["table", "flags", "absent"], rows_per_copy=64)
+    blocks = NpzBlocks(tmp_path / "a.npz", ["table", "flags", "absent"], spacing=9000)
     assert (blocks.length, blocks.available, "absent" in blocks) == (1000, 0, False)
     np.testing.assert_array_equal(blocks.whole("flags"), flags)
     blocks.scan()

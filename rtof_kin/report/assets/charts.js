@@ -2,6 +2,8 @@
 // Curves with bands as SVG: axes with units, a cursor, and the values under it.
 const SIZE = {width: 460, height: 196, left: 54, right: 18, top: 8, bottom: 38};
 
+const DENSE = 1500;  // samples from which on lines are thin
+
 function svg(name, attributes, parent) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", name);
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -38,17 +40,28 @@ function stretches(y) {
   return out;
 }
 
-function extent(series) {
+// Ends of the values with their bands; those of doubtful samples count only where there is nothing else.
+function extent(series, all) {
   let low = Infinity, high = -Infinity;
-  for (const s of series) for (let i = 0; i < s.y.length; i++) {
-    const half = s.half && !Number.isNaN(s.half[i]) ? s.half[i] : 0;
-    if (Number.isNaN(s.y[i])) continue;
-    low = Math.min(low, s.y[i] - half);
-    high = Math.max(high, s.y[i] + half);
+  for (const s of series) {
+    const doubted = flags(s);
+    for (let i = 0; i < s.y.length; i++) {
+      const half = s.half && !Number.isNaN(s.half[i]) ? s.half[i] : 0;
+      if (Number.isNaN(s.y[i]) || (doubted[i] && !all)) continue;
+      low = Math.min(low, s.y[i] - half);
+      high = Math.max(high, s.y[i] + half);
+    }
   }
-  if (!(low <= high)) return [-1, 1];
+  if (!(low <= high)) return all ? [-1, 1] : extent(series, true);
   const room = Math.max(0.06 * (high - low), 1);
   return [low - room, high + room];
+}
+
+// 1 for each doubtful sample of a series.
+function flags(series) {
+  const out = new Uint8Array(series.y.length);
+  for (const [start, stop] of series.doubtful || []) out.fill(1, start, stop);
+  return out;
 }
 
 // Maps from values to SVG coordinates; chart.range is [low, high] where it is not the extent of the values.
@@ -59,7 +72,7 @@ function scales(chart, axis) {
   return {
     low, high, first, last: first + span,
     X: x => left + (x - first) / span * (width - left - right),
-    Y: y => top + (high - y) / (high - low) * (height - top - bottom),
+    Y: y => top + (high - Math.min(Math.max(y, low), high)) / (high - low) * (height - top - bottom),
     x_under: place => first + (place - left) / (width - left - right) * span,
   };
 }
@@ -95,13 +108,21 @@ function draw_band(picture, series, x, {X, Y}) {
 }
 
 function draw_curve(picture, series, x, {X, Y}) {
-  for (const [start, stop] of stretches(series.y)) {
-    const points = [];
-    for (let i = start; i < stop; i++) points.push(`${X(x[i]).toFixed(1)} ${Y(series.y[i]).toFixed(1)}`);
-    if (points.length === 1) points.push(points[0]);
-    const d = "M" + points.join("L");
-    svg("path", {d, class: "curve " + (series.side || "both"), "stroke-linecap": "round"}, picture);
-  }
+  const draw = (y, kind) => {
+    for (const [start, stop] of stretches(y)) {
+      const points = [];
+      for (let i = start; i < stop; i++) points.push(`${X(x[i]).toFixed(1)} ${Y(y[i]).toFixed(1)}`);
+      if (points.length === 1) points.push(points[0]);
+      const d = "M" + points.join("L");
+      svg("path", {d, class: "curve " + kind, "stroke-linecap": "round"}, picture);
+    }
+  };
+  const side = (series.side || "both") + (x.length > DENSE ? " dense" : "");
+  if (!series.doubtful) { draw(series.y, side); return; }
+  // Doubtful stretches go to the samples beside them, so that the curve is not interrupted.
+  const doubted = flags(series), near = i => doubted[i] || doubted[i - 1] || doubted[i + 1];
+  draw(series.y.map((y, i) => near(i) ? y : NaN), "doubtful " + side);
+  draw(series.y.map((y, i) => doubted[i] ? NaN : y), side);
 }
 
 // Caption of a chart: its series, or (read_off) the values at the cursor.
@@ -110,33 +131,38 @@ function describe(caption, chart) {
   for (const s of chart.series)
     element("span", (s.side || "") + (s.n ? ` (${s.n})` : "") + " ", caption).className = s.side || "both";
   if (chart.positive) caption.append("positive: " + chart.positive);
+  if (chart.series.some(s => s.doubtful)) caption.append("; dotted: unreliable");
 }
 
 function read_off(caption, chart, axis, i) {
   caption.replaceChildren(`${axis.x[i].toFixed(axis.unit === "s" ? 2 : 0)} ${axis.unit}: `);
   for (const s of chart.series) {
     const half = s.half && !Number.isNaN(s.half[i]) ? ` \u00b1 ${s.half[i].toFixed(1)}` : "";
-    const text = Number.isNaN(s.y[i]) ? "not observed" : s.y[i].toFixed(1) + half;
+    const doubt = (s.doubtful || []).some(([start, stop]) => start <= i && i < stop) ? " (unreliable)" : "";
+    const text = Number.isNaN(s.y[i]) ? "not observed" : s.y[i].toFixed(1) + half + doubt;
     element("span", `${s.side || ""} ${text}  `, caption).className = s.side || "both";
   }
   caption.append("deg");
 }
 
-// The chart in words: lowest and highest value of each series, and where.
+// The chart in words: lowest and highest reliable value of each series, and where.
 function in_words(chart, axis) {
   const place = i => `${axis.x[i].toFixed(axis.unit === "s" ? 1 : 0)} ${axis.unit || ""}`.trim();
   const one = s => {
-    let low = -1, high = -1, known = 0;
+    let low = -1, high = -1, known = 0, unsure = 0;
+    const doubted = flags(s);
     for (let i = 0; i < s.y.length; i++) {
       if (Number.isNaN(s.y[i])) continue;
       known++;
+      unsure += doubted[i];
+      if (doubted[i]) continue;
       if (low < 0 || s.y[i] < s.y[low]) low = i;
       if (high < 0 || s.y[i] > s.y[high]) high = i;
     }
     const side = s.side ? s.side + ": " : "";
-    if (low < 0) return side + "not observed";
-    const seen = Math.floor(100 * known / s.y.length);
-    const rest = seen < 100 ? `, observed ${seen} % of the time` : "";
+    if (low < 0) return side + (known ? "no reliable value" : "not observed");
+    const seen = Math.floor(100 * known / s.y.length), share = Math.ceil(100 * unsure / known);
+    const rest = (seen < 100 ? `, observed ${seen} % of the time` : "") + (share ? `, ${share} % of that unreliable` : "");
     return `${side}lowest ${s.y[low].toFixed(0)} deg at ${place(low)}, highest ${s.y[high].toFixed(0)} deg at ${place(high)}${rest}`;
   };
   const positive = chart.positive ? `, positive: ${chart.positive}` : "";
@@ -151,7 +177,7 @@ function head(chart, figure) {
   element("span", chart.opensim, title).dataset.in = "opensim";
 }
 
-// chart: {name, positive, opensim, shown, series: [{side, y, half, n}]}; axis: {x, label, unit, marks: [{at, side}]}.
+// chart: {name, positive, opensim, shown, series: [{side, y, half, n, doubtful}]}; axis: {x, label, unit, marks: [{at, side}]}.
 // Returns a function that moves the cursor to an x, and writes the values there (read).
 function draw_chart(parent, chart, axis, chosen) {
   const {width, height, top, bottom} = SIZE;

@@ -21,6 +21,7 @@ function start_player(data, moved) {
     const [x, y] = at(f, 0);
     if (!Number.isNaN(x)) reach = Math.max(reach, Math.hypot(x, y) + 0.3 * data.height);
   }
+  follow.checked = reach > 1.5 * data.height;  // a long way would leave the person small
 
   function paint() {
     const frame = nearest(data.times, now), seen = valid[frame] > 0;

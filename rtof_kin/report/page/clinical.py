@@ -18,7 +18,11 @@ from rtof_kin.report.html import bullets, folded, table
 
 OBSERVED: Final = 0.995
 """Share of the frames from which on something counts as always observed."""
-_GAIT_UNITS: Final = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+_GAIT_UNITS: Final = {
+    "stride_time": ("s", 2), "cadence": ("steps/min", 1), "stride_length": ("m", 2), "speed": ("m/s", 2),
+    "stance_share": ("of the stride", 2),
+}  # fmt: skip
+"""Measure -> unit, decimals."""
 _URDF: Final = re.compile(
     r" \(\w+\)$"
 )  # the name of a degree of freedom in the URDF, behind the clinical one
@@ -65,14 +69,16 @@ def gait_section(gait: GaitAnalysis) -> str:
         if side not in gait.summary:
             return ""
         mean, sd, strides = gait.summary[side][name]
-        return f"{mean:.3g}" + (f" &plusmn; {sd:.2g}" if math.isfinite(sd) else "") + f" ({strides})"
+        digits = _GAIT_UNITS[name][1]
+        spread = f" &plusmn; {sd:.{digits}f}" if math.isfinite(sd) else ""
+        return f"{mean:.{digits}f}{spread} ({strides})"
 
     rows = []
     for name in MEASURES:
         symmetry = 100 * gait.symmetry.get(name, math.nan)
         text = f"{symmetry:+.1f} %" if math.isfinite(symmetry) else ""
-        unit = f" [{_GAIT_UNITS[name]}]" if name in _GAIT_UNITS else ""
-        rows.append((name.replace("_", " ") + unit, cell("right", name), cell("left", name), text))
+        label = f"{name.replace('_', ' ')} [{_GAIT_UNITS[name][0]}]"
+        rows.append((label, cell("right", name), cell("left", name), text))
     header = ("mean, standard deviation (strides)", "right", "left", "(right - left) / mean")
     return table(header, rows, "gait", row_headers=True) + bullets(gait.notes)
 

@@ -75,7 +75,7 @@ def _both(line: _Line) -> tuple[str, ...]:
     return (
         _title(line.name),
         *(cell for found in (right, left) for cell in (_range(found), _ends(found, line.name))),
-        f"{round(difference):+d}" if math.isfinite(difference) else "",
+        f"{round(difference):+d}".replace("+0", "0") if math.isfinite(difference) else "",
         *(_whole(found.peak_velocity) if found else "" for found in (right, left)),
     )
 

@@ -22,7 +22,7 @@ Image = NDArray[np.uint8]
 Coverage = NDArray[np.float32]
 _POINT: Final = 1e-9
 """Length below which a line is a disc, px."""
-_GAP: Final = 0.9
+_GAP: Final = 1.2
 """Gaps between dashes, lengths of a dash."""
 
 

@@ -26,7 +26,7 @@ _SIGMAS: Final = 3.0
 _UNKNOWN: Final = 0.5
 """Radii by which it is larger without a confidence."""
 _MOST: Final = 1.5
-"""Largest such margin, radii, and largest distance of a detected point of the head from the middle."""
+"""Largest such margin, radii; a detected point of the head that lies elsewhere than expected counts too."""
 _BLOCKS: Final = 6
 """Blocks across a region: about two across a face."""
 _BLOCKS_OF_ALL: Final = 12
@@ -58,8 +58,9 @@ class FaceFinder:
         self._radius = _RADIUS * skeleton.height
         self._provenance = shown_provenance(projected.motion)
         names = projected.view.names
-        own = {name for name, (joint, _) in skeleton.landmarks.items() if joint == _HEAD}
+        own = {name: offset for name, (joint, offset) in skeleton.landmarks.items() if joint == _HEAD}
         self._detected = [i for i, name in enumerate(names) if name in own]
+        self._offsets = np.array([own[names[i]] for i in self._detected]).reshape(-1, 3)
         self._largest = -(-min(self._picture.width, self._picture.height) // _BLOCKS_OF_ALL)
 
     def region(self, moment: Moment | None) -> FaceRegion:
@@ -90,22 +91,22 @@ class FaceFinder:
         poses = projected.motion.poses
         if j is None or self._provenance[frame, j] < Provenance.IMU:
             return None
-        p = poses.p_world_joint[frame, j] + poses.R_world_bone[frame, j] @ self._offset
-        around = p + self._radius * np.vstack([np.zeros(3), _DIRECTIONS])
-        uv = projected.view.project(around[None], np.array([frame]))[0]
+        p, R = poses.p_world_joint[frame, j], poses.R_world_bone[frame, j]
+        around = p + R @ self._offset + self._radius * np.vstack([np.zeros(3), _DIRECTIONS])
+        points = np.vstack([around, p + self._offsets @ R.T])
+        uv = projected.view.project(points[None], np.array([frame]))[0]
         if not np.isfinite(uv).all():
             return None
+        uv, expected = uv[: len(around)], uv[len(around) :]
         radius = float(np.linalg.norm(uv[1:] - uv[0], axis=1).max())
         margin = _UNKNOWN * radius
         covariance = projected.covariance_px(frame)
         if covariance is not None and np.isfinite(covariance[j]).all():
             margin = _SIGMAS * float(np.sqrt(np.linalg.eigvalsh(covariance[j])[-1]))
         detected = projected.view.in_video(np.array([frame]))[0, self._detected]
-        detected = detected[np.isfinite(detected).all(axis=1)]
-        apart = float(np.linalg.norm(detected - uv[0], axis=1).max(initial=0.0))
-        if max(margin, apart) > _MOST * radius:
-            return None
-        return uv[0], max(radius + margin, apart + radius)
+        apart = np.linalg.norm(detected - expected, axis=1)
+        margin = max(margin, float(apart[np.isfinite(apart)].max(initial=0.0)))
+        return (uv[0], radius + margin) if margin <= _MOST * radius else None
 
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / np.sqrt(3)

@@ -143,13 +143,13 @@ def write_overlay(
         notes = check_size(source, chosen) + check_times(source, chosen, settings.shift)
     size = _output_size(source.size, settings.width_px, gif)
     scale = size[0] / source.size[0] * scale_of(source.size, chosen)
-    scaled = ScaledView(chosen, scale, *size)
+    times = chosen.video_times if isinstance(source, VideoSource) else result.motion.times
+    scaled = ScaledView(chosen, scale, *size, times)
     painter = _painter(result, scaled, settings)
     with new_file(output, overwrite) as file:
         writer: FilmWriter = GifWriter(file, _rate(source)) if gif else Mp4Writer(file, size, _rate(source))
         with writer:
-            offset = _offset(source, chosen, result.motion, settings)
-            frames, without = _draw(source, painter, writer, size, offset, settings, progress)
+            frames, without = _draw(source, painter, writer, size, settings, progress)
         if frames == 0:
             raise InvalidInputError(f"overlay: no picture is {_interval(settings)}; see --from and --to")
     return OverlayResult(Path(output), *size, frames, without, writer.encoder, notes)
@@ -195,7 +195,7 @@ def _source(
 def _painter(result: ResultFiles, view: PictureView, settings: OverlaySettings) -> Painter:
     projected = ProjectedMotion(result.motion, view)
     texts = CaptionTexts(
-        title=_title(result) if settings.title is None else settings.title,
+        title=_title(result) if settings.title is None else " ".join(settings.title.split()),
         grade=result.grade,
         verdict=result.verdict,
         faults=result.measurements.faults,
@@ -217,7 +217,7 @@ def _title(result: ResultFiles) -> str:
 def _output_size(size: tuple[int, int], width_px: int | None, gif: bool) -> tuple[int, int]:
     """Return width and height of the output, px."""
     fits = min(1.0, GIF_WIDTH / size[0], GIF_HEIGHT / size[1]) if gif else 1.0
-    width = width_px or round(size[0] * fits)
+    width = width_px or int(size[0] * fits)
     return width, max(round(size[1] * width / size[0]), 1)
 
 
@@ -228,21 +228,13 @@ def _rate(source: FilmSource) -> float:
     return source.rate_hz if isinstance(source, PlainSource) else _USUAL_HZ
 
 
-def _offset(
-    source: FilmSource, view: PictureView, motion: MotionSequence, settings: OverlaySettings
-) -> Callable[[float], float]:
-    """Return the function from the time of a picture to that of the view's video."""
-    if isinstance(source, VideoSource):
-        return lambda time: time + settings.shift
-    return lambda time: float(np.interp(time, motion.times, view.video_times))
-
-
 def _draw(
     source: FilmSource, painter: Painter, writer: FilmWriter, size: tuple[int, int],
-    video_time: Callable[[float], float], settings: OverlaySettings, progress: Progress | None,
+    settings: OverlaySettings, progress: Progress | None,
 ) -> tuple[int, int]:  # fmt: skip
     """Draw all pictures; return their number, and that of those without a person."""
     frames = without = total = 0
+    shift = settings.shift if isinstance(source, VideoSource) else 0.0
     first = -np.inf if settings.start is None else settings.start
     last = np.inf if settings.stop is None else settings.stop
     for picture in source.pictures():
@@ -252,7 +244,7 @@ def _draw(
         total = max(picture.total, picture.index + 1)
         if picture.time >= first and writer.due(picture.stamp):
             image = resized(picture.image, size)
-            without += not painter.paint(image, video_time(picture.time))
+            without += not painter.paint(image, picture.time + shift)
             writer.write(image, picture.stamp)
             frames += 1
         if progress is not None:

@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, Self
 
 import numpy as np
 
-from rtof_kin.core.errors import InvalidInputError, WritingError
+from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
 from rtof_kin.view.overlay.canvas import Image
 from rtof_kin.vision.video_file import library
 
@@ -23,6 +23,8 @@ GIF_HEIGHT: Final = 640
 """Largest height of a GIF unless a width is asked for, px."""
 GIF_RATE_HZ: Final = 15.0
 """Highest frame rate of a GIF."""
+_MOST_OF_GIF: Final = 900
+"""Most pictures of a GIF, which are in memory until it is written."""
 _INSTALL: Final = "pip install 'rtof_kin[view]'"
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
@@ -67,7 +69,10 @@ class Mp4Writer:
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         """Take the file, width and height of the pictures, and their mean rate."""
         self._av = library("av", _INSTALL)
-        self.encoder = next(name for name in _ENCODERS if name in self._av.codecs_available)
+        known = [name for name in _ENCODERS if name in self._av.codecs_available]
+        if not known:
+            raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")
+        self.encoder = known[0]
         self._path, self._size, self._rate = path, size, rate_hz
         self._first: float | None = None
         self._last = -1
@@ -124,7 +129,11 @@ class Mp4Writer:
         try:
             self._container.mux(self._stream.encode(frame))
         except self._av.FFmpegError as error:
-            raise WritingError(f"{self._path.name}: the encoder {self.encoder} failed ({error})") from error
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> WritingError:
+        reason = getattr(error, "strerror", None) or error
+        return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({reason})")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -134,7 +143,15 @@ class Mp4Writer:
             if kind is None and self._first is not None:
                 self._mux(None)
         finally:
+            self._close(kind is None)
+
+    def _close(self, complete: bool) -> None:
+        """Close the file; an error matters only if it was complete so far."""
+        try:
             self._container.close()
+        except self._av.FFmpegError as error:
+            if complete:
+                raise self._failed(error) from error
 
 
 class GifWriter:
@@ -173,6 +190,11 @@ class GifWriter:
         """
         from PIL import Image as Pictures
 
+        if len(self._images) >= _MOST_OF_GIF:
+            raise InvalidInputError(
+                f"overlay: a GIF of more than {_MOST_OF_GIF / GIF_RATE_HZ:.0f} s is too large; give --from "
+                "and --to, or write an .mp4"
+            )
         rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
         self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
         self._stamps.append(stamp)

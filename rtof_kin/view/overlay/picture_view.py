@@ -54,7 +54,7 @@ class VirtualView:
     camera: Camera
     """The virtual camera."""
     video_times: Array
-    """(T,) s, the motion's times from its first frame on."""
+    """(T,) s, the motion's times."""
     moved: Array
     """(T, 3) m, subtracted from all points of a frame: the way of a person that is followed."""
     names: tuple[str, ...] = ()
@@ -103,7 +103,7 @@ def virtual_view(motion: MotionSequence) -> VirtualView:
     norm = float(np.linalg.norm(ahead))
     ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
     camera = _distant_enough(points, middle, ahead)
-    return VirtualView(camera, motion.times - motion.times[0], moved)
+    return VirtualView(camera, motion.times, moved)
 
 
 def _distant_enough(points: Array, middle: Array, ahead: Array) -> Camera:
@@ -126,6 +126,8 @@ class ScaledView:
     """Width of the picture, px."""
     height_px: int
     """Height of the picture, px."""
+    video_times: Array
+    """(T,) s of the motion's frames, on the clock of the pictures."""
 
     @property
     def camera(self) -> Camera:
@@ -136,11 +138,6 @@ class ScaledView:
     def names(self) -> tuple[str, ...]:
         """See `PictureView`."""
         return self.view.names
-
-    @property
-    def video_times(self) -> Array:
-        """See `PictureView`."""
-        return self.view.video_times
 
     def project(self, p_world: Array, frames: Any) -> Array:
         """Project points to pixels (n, ..., 2) of the picture.

@@ -114,8 +114,8 @@ def block_content(
 def segment_provenance(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.uint8]:
     """Return the `Provenance` (T, J) of each segment: that of the weakest of its joint and the next ones.
 
-    A segment whose direction was not observed has that of the prior at most. One whose whole orientation was
-    observed needs no other joint.
+    A segment whose direction was not observed, although its joint was, has that of the prior. One whose whole
+    orientation was observed needs no other joint.
 
     Args:
         poses: of all joints. skeleton: of the poses.
@@ -129,8 +129,8 @@ def segment_provenance(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[
         ends = own[:, [j, *children]].min(axis=1)
         out[:, j] = np.where(levels[:, j] == WHOLE, own[:, j], ends)
     several = np.array([len(kinematics.children_of(skeleton.parents, j)) > 1 for j in range(own.shape[1])])
-    unseen = (levels < DIRECTION) & ~several
-    return np.where(unseen, np.minimum(out, Provenance.PRIOR), out).astype(np.uint8)
+    unseen = (levels < DIRECTION) & ~several & (out >= Provenance.IMU)
+    return np.where(unseen, Provenance.PRIOR, out).astype(np.uint8)
 
 
 def with_joints_of(poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:

@@ -24,9 +24,10 @@ DETECTED: Final = (213, 94, 0)
 REPROJECTED: Final = (0, 114, 178)
 """RGB of the motion's joints in the image."""
 _EDGES: Final = (40, 40, 48)
-_POINT: Final = 0.012
+_POINT: Final = 0.009
 """Size of a point relative to the depth."""
-_NO_IMAGE: Final = np.zeros((2, 2, 3), dtype=np.uint8)
+_BEHIND: Final = 1.003
+"""Depth of the image relative to that of the points."""
 _UNKNOWN_TURN: Final = np.full((3, 3), np.nan)
 
 
@@ -141,12 +142,12 @@ class CameraLayer:
         """
         if self.image is None:
             camera = self.camera
+            quat, position, depth = self._image_pose()
             self.image = self._server.scene.add_image(
                 f"{self._name}/image", image, camera.width_px / camera.K[0, 0],
                 camera.height_px / camera.K[1, 1], format="jpeg", cast_shadow=False, receive_shadow=False,
-                visible=self._image_visible,
+                visible=self._image_visible, wxyz=quat, position=position, scale=depth,
             )  # fmt: skip
-            self._show_pose(self._R)
         else:
             self.image.image = image
 
@@ -180,7 +181,10 @@ class CameraLayer:
             handle.scale = depth
         self.label.position = self.center + 0.06 * np.array([0, 0, 1.0])
         if self.image is not None:
-            middle = np.mean(self._corners(), axis=0)
-            self.image.wxyz = quat
-            self.image.position = self.center + 1.003 * depth * self._R @ middle  # behind the points
-            self.image.scale = depth
+            self.image.wxyz, self.image.position, self.image.scale = self._image_pose()
+
+    def _image_pose(self) -> tuple[Array, Array, float]:
+        """Return orientation, position and scale of the image, just behind the points."""
+        middle = np.mean(self._corners(), axis=0)
+        position = self.center + _BEHIND * self._depth * self._R @ middle
+        return so3.to_quat_wxyz(self._R), position, self._depth

@@ -14,6 +14,8 @@ from rtof_kin.view.scene.solids import SegmentSolids, barrel, box, sphere
 
 _AXES_RADIUS: Final = 0.0035
 _UNKNOWN: Final = (150, 150, 150)
+_FADING: Final = 1.7
+"""Exponent by which the browser's tone mapping makes colours paler."""
 _ELLIPSOID: Final = (120, 94, 240)
 _ELLIPSOID_OPACITY: Final = 0.25
 _SENSOR: Final = (40, 40, 48)
@@ -21,6 +23,15 @@ _SENSOR_SIZE: Final = np.array([0.024, 0.017, 0.007])
 """[m] Half edges of a drawn sensor."""
 _SENSOR_AXES: Final = 0.09
 """[m]"""
+
+
+def solid_colours(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return colours (..., 3) that look on a lit solid as the given ones do in the legend.
+
+    Args:
+        colours: (..., 3) RGB.
+    """
+    return np.round(255 * (colours / 255) ** _FADING).astype(np.uint8)
 
 
 def _upright(count: int) -> NDArray[np.float32]:
@@ -46,7 +57,7 @@ class BodyLayer:
         self.handle = server.scene.add_batched_meshes_simple(
             name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
             batched_scales=np.zeros((count, 3)),
-            batched_colors=np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (count, 1)),
+            batched_colors=solid_colours(np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (count, 1))),
             opacity=None if opacity == 1 else opacity, lod="off", cast_shadow=opacity == 1,
             receive_shadow=False,
         )  # fmt: skip
@@ -61,7 +72,7 @@ class BodyLayer:
         self.handle.batched_wxyzs = content.solids_wxyz[i]
         self.handle.batched_scales = self._sizes * content.shown[i][:, None]
         if self._colour is None:
-            self.handle.batched_colors = content.colours[i]
+            self.handle.batched_colors = solid_colours(content.colours[i])
         opacities = content.opacities[i]
         self.handle.batched_opacities = None if np.all(opacities == 1) else opacities
 

@@ -1,8 +1,8 @@
 """`NpzBlocks`: rows of the arrays of an .npz file, without unpacking the file into memory or onto the disk.
 
 A member of the archive is one deflate stream, which can only be read from its start. One pass over the file,
-in the background, keeps a copy of the decompressor every few hundred rows. Rows that were passed are read
-from the copy before them.
+in the background, keeps a copy of the decompressor every few megabytes. Rows that were passed are read from
+the copy before them.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import math
 import threading
 import zipfile
 import zlib
+from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -26,6 +28,10 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
 
 _LARGEST_MEMBER: Final = 512 * 2**20
 """[bytes] of an array that is read as a whole."""
+_SPACING: Final = 3 * 2**20
+"""[bytes] Default distance of two copies of a decompressor, each of 40 kB."""
+_ROWS: Final = 256
+"""Rows that a pass reads at once."""
 _CHUNK: Final = 1 << 16
 """[bytes] read from the file at once."""
 _LOCAL_HEADER: Final = 30
@@ -61,9 +67,9 @@ class _Reader:
     """Compressed bytes that were read but not used."""
 
     def copy(self) -> _Reader:
-        """Return a reader that goes on from here independently."""
+        """Return a reader that goes on from here independently; it holds no bytes of the file."""
         inflate = None if self.inflate is None else self.inflate.copy()
-        return _Reader(self.file, self.place, self.end, inflate, self.pending)
+        return _Reader(self.file, self.place - len(self.pending), self.end, inflate)
 
     def read(self, count: int, skip: int = 0) -> bytes:
         """Return the next bytes after skipping some; fewer at the end."""
@@ -125,17 +131,17 @@ class NpzBlocks:
         path: the file. length: rows of the arrays, e.g. frames.
     """
 
-    def __init__(self, path: Path, members: Sequence[str], rows_per_copy: int = 512):
+    def __init__(self, path: Path, members: Sequence[str], spacing: int = _SPACING):
         """Find the arrays in the file; nothing of them is read.
 
         Args:
             path: .npz file. members: names of arrays with one row per frame; missing ones are left out.
-            rows_per_copy: distance of the places from which rows are read.
+            spacing: distance of the places from which rows are read, bytes of an array.
 
         Raises:
             FileFormatError: no such file, not an archive, or arrays of another kind or of different lengths.
         """
-        self.path, self._step = path, rows_per_copy
+        self.path, self._spacing = path, spacing
         self._lock = threading.Lock()
         self._done = 0
         check_file(path, "an NPZ archive")
@@ -169,13 +175,14 @@ class NpzBlocks:
             FileFormatError: the file is damaged.
         """
         while self._done < self.length and not (stop is not None and stop.is_set()):
-            count = min(self._step, self.length - self._done)
+            count = min(_ROWS, self.length - self._done)
             for member in self._streamed():
-                copy = member.reader.copy()
+                if self._far(member):
+                    copy = member.reader.copy()
+                    with self._lock:
+                        member.copies.append((self._done, copy))
                 data = self._read(member, member.reader, count)
                 member.checksum = zlib.crc32(data, member.checksum)
-                with self._lock:
-                    member.copies.append((self._done, copy))
             self._done += count
         if self._done == self.length:
             for member in self._streamed():
@@ -201,10 +208,16 @@ class NpzBlocks:
 
     def _slice(self, member: _Member, start: int, stop: int) -> NDArray[Any]:
         with self._lock:
-            first, reader = member.copies[min(start // self._step, len(member.copies) - 1)]
+            first, reader = member.copies[bisect_right(member.copies, start, key=itemgetter(0)) - 1]
             reader = reader.copy()
         data = self._read(member, reader, stop - start, skip=start - first)
         return np.frombuffer(data, member.dtype).reshape(stop - start, *member.shape[1:])
+
+    def _far(self, member: _Member) -> bool:
+        """Return whether the last copy of a decompressor is so far back that one more is worth its memory."""
+        if not member.copies:
+            return True
+        return (self._done - member.copies[-1][0]) * member.row_bytes >= self._spacing
 
     def _streamed(self) -> list[_Member]:
         return [member for member in self._members.values() if member.whole is None]

@@ -55,14 +55,14 @@ class Stage:
         self.world = scene.add_frame(WORLD, show_axes=False)
         self.floor = scene.add_grid(
             f"{WORLD}/floor", infinite_grid=True, cell_size=0.25, section_size=1.0, fade_distance=14.0,
-            cell_color=(222, 222, 226), section_color=(186, 186, 194), plane_color=(247, 247, 249),
-            plane_opacity=1.0, shadow_opacity=0.18, position=(0.0, 0.0, self.height),
+            cell_color=(222, 222, 226), section_color=(186, 186, 194),
+            shadow_opacity=0.0, position=(0.0, 0.0, self.height),
         )  # fmt: skip
         scene.add_frame(
             f"{WORLD}/origin", axes_length=0.25, axes_radius=0.006, position=(0.0, 0.0, self.height)
         )
         scene.world_axes.visible = False
-        scene.configure_default_lights(enabled=True, cast_shadow=False)
+        _light(scene)
         self.following = True
         self._at = np.zeros(3)
         self.first_view(poses, measurements)
@@ -106,6 +106,19 @@ class Stage:
     def origin(self) -> Array:
         """(3,) m, where the world's origin is in the browser."""
         return self._at
+
+
+def _light(scene: Any) -> None:
+    """Light the scene from above and the sides, without maps and shadows, which weak machines cannot draw."""
+    scene.configure_environment_map(hdri=None)
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_hemisphere(
+        "/lights/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.5
+    )
+    for number, place in enumerate(((3.0, -2.0, 6.0), (-4.0, 3.0, 4.0))):
+        scene.add_light_directional(
+            f"/lights/lamp {number + 1}", intensity=(1.5, 0.5)[number], position=place, cast_shadow=False
+        )
 
 
 def _lowest(poses: PoseSequence | None, skeleton: SkeletonModel | None) -> float:

@@ -16,6 +16,7 @@ from rtof_kin.core.files.text import write_text
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.viewer import Opened
 from rtof_kin.view.scene.words import Verdict, legend_html, verdict_html
+from rtof_kin.vision.video_file import library
 
 LARGEST_MB: Final = 50.0
 """[MB] Default limit of the file."""
@@ -23,8 +24,6 @@ FASTEST_HZ: Final = 30.0
 """Default rate of the frames."""
 SLOWEST_HZ: Final = 5.0
 """Least rate to which a long motion is thinned out."""
-_CLIENT_MB: Final = 0.9
-"""[MB] of viser's page without a scene."""
 _TRIAL: Final = 40
 """Frames from which the size is estimated."""
 _POLICY: Final = (
@@ -125,7 +124,8 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
         scene.show(frames[i], _PATIENCE)
         serializer.insert_sleep(0.02)
     size = len(serializer.serialize()) * 4 / 3 / 1e6
-    return _CLIENT_MB, size / len(spread)
+    page = Path(library("viser").__file__).parent / "client" / "build" / "index.html"
+    return page.stat().st_size / 1e6, size / len(spread)
 
 
 def _recorded(

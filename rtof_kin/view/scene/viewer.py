@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.measurements_npz import MEASUREMENTS
 from rtof_kin.formats.motion_npz import motion_path
 from rtof_kin.view.scene.angle_blocks import AngleBlocks
@@ -95,25 +94,28 @@ class MotionViewer:
         Raises:
             InvalidInputError: more videos than cameras. RtofError: a file cannot be read.
         """
-        self._server, self._files = server, files
-        motion = files.motion
-        self.scene = MotionScene(server, motion, files.measurements, files.second)
-        self.playback = Playback(float(motion.times[0]), float(motion.times[-1]))
-        notes = files.notes
-        if not self.scene.stage.measured:
-            notes += ("The floor was not given: it is drawn at the lowest point of the first second.",)
-        self.controls = Controls(
-            server, self.scene, self.playback, motion.rate_hz, files.verdict, notes, bool(videos)
-        )  # fmt: skip
-        self._angles = AngleBlocks(motion)
-        self.curves = Curves(server, self._angles)
-        self._videos = self._open(videos)
+        self._files, self._closing = files, ExitStack()
+        motion, notes = files.motion, files.notes
+        with self._closing as failed:
+            self.scene = MotionScene(server, motion, files.measurements, files.second)
+            failed.callback(self.scene.close)
+            self.playback = Playback(float(motion.times[0]), float(motion.times[-1]))
+            if not self.scene.stage.measured:
+                notes += ("The floor was not given: it is drawn at the lowest point of the first second.",)
+            self.controls = Controls(
+                server, self.scene, self.playback, motion.rate_hz, files.verdict, notes, bool(videos)
+            )
+            self._angles = AngleBlocks(motion)
+            failed.callback(self._angles.close)
+            self.curves = Curves(server, self._angles)
+            self._videos = self._open(videos, failed)
+            self.scene.show(0, _PATIENCE)
+            self._closing = failed.pop_all()
         self._slider_at = self._curves_at = -np.inf
         self._curve_frame: int | None = None
         self.frame = 0
         self.sent = 0
         """Number of frames that were sent to the browsers."""
-        self.scene.show(0, _PATIENCE)
 
     def __enter__(self) -> Self:
         return self
@@ -159,10 +161,7 @@ class MotionViewer:
 
     def close(self) -> None:
         """Stop all threads."""
-        for video in self._videos.values():
-            video.close()
-        self.scene.close()
-        self._angles.close()
+        self._closing.close()
 
     # --- what is shown ---------------------------------------------------------------------------
 
@@ -198,28 +197,20 @@ class MotionViewer:
         if self.curves.show(self.frame, time_shown):
             self._curve_frame, self.curves.changed = self.frame, False
 
-    def _open(self, videos: Sequence[str | Path]) -> Mapping[int, VideoFrames]:
+    def _open(self, videos: Sequence[str | Path], opened: ExitStack) -> dict[int, VideoFrames]:
+        """Return the videos by camera; they are closed with `opened`."""
         cameras = self.scene.cameras
         if len(videos) > len(cameras):
             raise InvalidInputError(
                 f"{len(videos)} videos, but the motion has {len(cameras)} cameras"
                 + ("" if self._files.measurements else f" ({MEASUREMENTS} is missing; reconstruct again)")
             )
-        opened: dict[int, VideoFrames] = {}
-        try:
-            for number, path in enumerate(videos):
-                layer = cameras[number]
-
-                def receive(image: NDArray[np.uint8], layer: Any = layer) -> None:
-                    layer.show_image(image)
-
-                opened[number] = VideoFrames(path, receive)
-                _check_shape(opened[number], layer.camera.width_px / layer.camera.height_px)
-        except RtofError:
-            for video in opened.values():
-                video.close()
-            raise
-        return opened
+        found: dict[int, VideoFrames] = {}
+        for number, path in enumerate(videos):
+            layer = cameras[number]
+            found[number] = opened.enter_context(VideoFrames(path, layer.show_image))
+            _check_shape(found[number], layer.camera.width_px / layer.camera.height_px)
+        return found
 
 
 def _check_shape(video: VideoFrames, aspect: float) -> None:

@@ -1,0 +1,70 @@
+"""The command overlay."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("av")
+from overlay_support import motion_with, numbered, read_film, upright_camera, write_film, write_output
+
+from rtof_kin.body.skeleton import SkeletonModel
+
+
+@pytest.fixture(scope="module")
+def out(skeleton: SkeletonModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("overlay") / "out"
+    return write_output(folder, motion_with(skeleton, 12, sigma=0.02), [upright_camera(320, 240)])
+
+
+@pytest.fixture(scope="module")
+def video(out: Path) -> Path:
+    times = [17 * i for i in range(12)]
+    return write_film(out.parent / "v.mp4", [numbered(320, 240, i) for i in range(12)], times)
+
+
+def test_a_film_is_written_and_described(
+    cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "o.mp4"
+    done = cli("overlay", out, video, "-o", path, "--bands", "--points", "--blur-face")
+    assert done.code == 0, done.err
+    assert "12 pictures of 320 x 240 px" in done.out
+    assert "no sound, no metadata" in done.out
+    assert "only the tracked person's face" in done.out
+    assert len(read_film(path)[0]) == 12
+    again = cli("overlay", out, video, "-o", path)
+    assert again.code == 2
+    assert "is there already" in again.err
+    assert cli("overlay", out, "--no-video", "-o", path, "--overwrite", "--angles", "none").code == 0
+
+
+def test_video_or_no_video_must_be_said(
+    cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path
+) -> None:
+    neither = cli("overlay", out, "-o", tmp_path / "o.mp4")
+    assert (neither.code, "--no-video" in neither.err) == (2, True)
+    both = cli("overlay", out, video, "--no-video", "-o", tmp_path / "o.mp4")
+    assert (both.code, "leave out" in both.err) == (2, True)
+
+
+def test_unknown_angles_and_films_are_named(cli: Callable[..., Any], out: Path, tmp_path: Path) -> None:
+    angle = cli("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--angles", "right_nee_flexion")
+    assert angle.code == 2
+    assert "right_knee_flexion" in angle.err
+    film = cli("overlay", out, tmp_path / "none.mp4", "-o", tmp_path / "o.mp4")
+    assert film.code == 2
+    assert "no such video" in film.err
+    assert "interval" in cli(
+        "overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--from", "3", "--to", "1"
+    ).err  # fmt: skip
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_says_whose_faces_are_blurred(cli: Callable[..., Any]) -> None:
+    text = cli("overlay", "--help").out
+    assert "not those of other people" in text
+    assert "Sound and metadata" in text

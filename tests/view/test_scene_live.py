@@ -1,0 +1,104 @@
+"""The live estimator in the viewer: real messages over a real WebSocket of this machine."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scene_support import walking
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.data.poses import Provenance
+from rtof_kin.live.outputs.websocket_server import WebSocketServer
+from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.view.scene.layers import solid_colours
+from rtof_kin.view.scene.live_client import LiveClient, live_address
+from rtof_kin.view.scene.live_viewer import LiveViewer
+from rtof_kin.view.scene.local_server import local_server
+
+pytest.importorskip("viser")
+FRAMES = 30
+
+
+def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "url"),
+    [
+        ("ws://127.0.0.1:8765", "ws://127.0.0.1:8765/"),
+        ("http://127.0.0.1:80/", "ws://127.0.0.1:80/"),
+        ("localhost:9", "ws://localhost:9/"),
+        ("8765", "ws://127.0.0.1:8765/"),
+        ("ws://[::1]:9/", "ws://[::1]:9/"),
+    ],
+)
+def test_addresses_of_this_machine(text: str, url: str) -> None:
+    assert live_address(text) == url
+
+
+@pytest.mark.parametrize(
+    "text", ["ws://10.0.0.1:80", "ws://example.org:80", "ws://127.0.0.1", "https://127.0.0.1:1", "", "ws://:x",
+             "ws://127.0.0.1.evil.org:80", "ws://2130706433:80"],
+)  # fmt: skip
+def test_addresses_of_other_machines_are_refused(text: str) -> None:
+    with pytest.raises(InvalidInputError, match="not an address of this machine"):
+        live_address(text)
+
+
+def test_nobody_there_and_somebody_else_are_told() -> None:
+    with pytest.raises(SourceError, match="no answer"):
+        LiveClient("ws://127.0.0.1:9/")
+
+
+def test_estimates_are_shown_where_they_are() -> None:
+    motion = walking(FRAMES)
+    skeleton = motion.skeleton
+    provenance = np.array(motion.poses.provenance)
+    provenance[-1, skeleton.index("LeftForeArm")] = Provenance.BRIDGED
+    poses = replace(motion.poses, provenance=provenance)
+    source = WebSocketServer(skeleton, floor_height=0.3)
+    try:
+        with LiveClient(live_address(source.url)) as client, local_server() as server:
+            viewer = LiveViewer(server, client)
+            assert viewer.stage.height == 0.3
+            stop = threading.Event()
+            thread = threading.Thread(target=viewer.run, args=(stop,))
+            thread.start()
+            until(lambda: source.clients == 1)
+            source.send_status({"sensors": [{"name": "thigh", "sentence": "gone <b>"}], "camera": {}})
+            for frame in range(FRAMES):
+                source.send(OnlineEstimate(poses[frame : frame + 1], 0.25, 0.001))
+                until(lambda frame=frame: client.received == frame + 1)
+            until(lambda: viewer._last == pytest.approx(motion.times[-1]))
+            until(lambda: "gone &lt;b&gt;" in viewer.status.content and "250 ms" in viewer.status.content)
+            stop.set()
+            thread.join(10.0)
+            axes = viewer.person.axes.handle
+            np.testing.assert_allclose(axes.batched_positions, poses.p_world_joint[-1], atol=2e-5)
+            R = so3.from_quat_wxyz(axes.batched_wxyzs)
+            np.testing.assert_allclose(R, poses.R_world_bone[-1], atol=1e-5)
+            body = viewer.person.body.handle
+            arm, leg = skeleton.index("LeftArm", "LeftLeg")
+            kinds = (Provenance.BRIDGED, Provenance.CAMERA_AND_IMU)
+            wanted = solid_colours(np.array([COLOURS[kind] for kind in kinds], dtype=np.uint8))
+            np.testing.assert_array_equal(body.batched_colors[[arm, leg]], wanted)
+            assert viewer.shown > 1
+            source.close()
+            viewer.update(time.monotonic() + 5.0)
+            assert "what is shown is old" in viewer.status.content
+            until(lambda: not client.connected)
+            viewer.update(time.monotonic())
+            assert "connection lost" in viewer.status.content
+    finally:
+        source.close()
