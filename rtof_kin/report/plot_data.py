@@ -14,7 +14,7 @@ from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.clinical.gait import PHASES
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.signals import runs
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import angle_name, side_and_name
@@ -40,8 +40,8 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     """Return angles over time in groups of both sides.
 
     Up to `MOST_SAMPLES` plotted frames are given one by one. Longer curves have the lowest and the highest
-    value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost. 'doubtful'
-    has the samples [first, stop) that are not reliable.
+    reliable value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost.
+    'doubtful' has the samples [first, stop) that are not reliable.
 
     Args:
         analysis: of the motion. shown: frames to plot.
@@ -54,19 +54,32 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     for a, row in enumerate(angles.rows):
         if not angles.known[:, a].any():
             continue
-        values = np.degrees(angles.values[:, a])
         half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
-        chosen = envelope_frames(values, step) if step else np.arange(len(values))[shown]
-        doubtful = np.isfinite(values[chosen]) & ~trusted[chosen, a]
-        series: Data = {"side": side_and_name(row.name)[0], "y": packed(values[chosen], 10)}
-        if half is not None:
-            series["half"] = packed(widest_bands(half, values, step) if step else half[chosen], 10)
-        if doubtful.any():
-            series["doubtful"] = runs(doubtful)
-        _group(groups, row)["series"].append(series)
+        series = _series(np.degrees(angles.values[:, a]), half, trusted[:, a], shown, step)
+        _group(groups, row)["series"].append({"side": side_and_name(row.name)[0], **series})
     times = _interval_times(angles.times, step) if step else angles.times[shown]
     interval = step / angles.rate_hz if step else 0.0
     return {"times": _times(times), "interval": round(interval, 3), "groups": list(groups.values())}
+
+
+def _series(values: Array, half: Array | None, trusted: Mask, shown: slice, step: int) -> Data:
+    """Curve of an angle (T,), deg: the frames that are shown, or intervals of `step` frames (0: none)."""
+    usable = np.where(trusted, values, np.nan)
+    chosen = _envelope(values, usable, step) if step else np.arange(len(values))[shown]
+    doubtful = np.isfinite(values[chosen]) & ~trusted[chosen]
+    out: Data = {"y": packed(values[chosen], 10)}
+    if half is not None and step:
+        widest, reliable = (widest_bands(half, own, step) for own in (values, usable))
+        out["half"] = packed(np.where(doubtful, widest, reliable), 10)
+    elif half is not None:
+        out["half"] = packed(half[chosen], 10)
+    return out | ({"doubtful": runs(doubtful)} if doubtful.any() else {})
+
+
+def _envelope(values: Array, usable: Array, step: int) -> NDArray[np.int64]:
+    """Frames of the extremes of the reliable values; of all where an interval has no reliable one."""
+    reliable = envelope_frames(usable, step)
+    return np.where(np.isfinite(usable[reliable]), reliable, envelope_frames(values, step))
 
 
 def envelope_frames(values: Array, step: int) -> NDArray[np.int64]:

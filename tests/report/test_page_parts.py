@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,18 +104,24 @@ def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.Monke
 def test_unreliable_samples_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analyse_motion(walk())
     a = analysis.angles.names.index("right_knee_flexion")
-    trusted = np.ones(analysis.angles.values.shape, dtype=bool)
-    trusted[20:30, a] = False
-    analysis = replace(analysis, angles=replace(analysis.angles, trusted=trusted))
 
-    def marked() -> dict[tuple[str, str], list[tuple[int, int]]]:
-        groups = angle_curves(analysis, slice(None))["groups"]
-        series = ((group["name"], one) for group in groups for one in group["series"])
-        return {(name, one["side"]): one["doubtful"] for name, one in series if "doubtful" in one}
+    def right_knee(first: int, stop: int) -> dict[str, Any]:
+        trusted = np.ones(analysis.angles.values.shape, dtype=bool)
+        trusted[first:stop, a] = False
+        changed = replace(analysis, angles=replace(analysis.angles, trusted=trusted))
+        groups = angle_curves(changed, slice(None))["groups"]
+        series = {(group["name"], one["side"]): one for group in groups for one in group["series"]}
+        found: dict[str, Any] = series.pop(("knee flexion", "right"))
+        assert not any("doubtful" in other for other in series.values())
+        return found
 
-    assert marked() == {("knee flexion", "right"): [(20, 30)]}
+    assert right_knee(20, 30)["doubtful"] == [(20, 30)]
     monkeypatch.setattr(plot_data, "MOST_SAMPLES", 68)  # intervals of five frames, two samples of each
-    assert marked() == {("knee flexion", "right"): [(8, 12)]}
+    assert right_knee(20, 30)["doubtful"] == [(8, 12)]
+    partly = right_knee(20, 24)  # one of five is reliable, and is shown
+    assert "doubtful" not in partly
+    only = np.degrees(analysis.angles.values[24, a])
+    np.testing.assert_allclose(unpacked(partly["y"], 10)[8:10], [only, only], atol=0.06)
 
 
 def test_a_long_way_is_played_without_gaps() -> None:

@@ -2,6 +2,8 @@
 // Curves with bands as SVG: axes with units, a cursor, and the values under it.
 const SIZE = {width: 460, height: 196, left: 54, right: 18, top: 8, bottom: 38};
 
+const DENSE = 1500;  // samples from which on lines are thin
+
 function svg(name, attributes, parent) {
   const node = document.createElementNS("http://www.w3.org/2000/svg", name);
   for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
@@ -115,7 +117,7 @@ function draw_curve(picture, series, x, {X, Y}) {
       svg("path", {d, class: "curve " + kind, "stroke-linecap": "round"}, picture);
     }
   };
-  const side = series.side || "both";
+  const side = (series.side || "both") + (x.length > DENSE ? " dense" : "");
   if (!series.doubtful) { draw(series.y, side); return; }
   // Doubtful stretches go to the samples beside them, so that the curve is not interrupted.
   const doubted = flags(series), near = i => doubted[i] || doubted[i - 1] || doubted[i + 1];

@@ -72,8 +72,9 @@ def _page(
     inputs = summary.inputs
     clinical = clinical_findings(analysis)
     results = (*(summary.results or ()), *clinical)
-    audited = summary.results is not None
-    overall = headline(summary.results or ()) if audited else Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())
+    overall = Headline(Grade.NOT_CHECKED, _NO_AUDIT, ())
+    if summary.results is not None:
+        overall = headline(summary.results)
     checked = [s for s in SECTIONS if s != "truth" or any(result.section == s for result in results)]
     bands = analysis.angles.sigma is not None
     shown = shown_frames(motion.times)
@@ -102,7 +103,7 @@ def _page(
             quality.recording_section(motion, summary, session, made),
         ),
         "calibration": quality.camera_table(inputs.get("camera_estimate")) + calibration,
-        "audited": "" if audited else f"<p>There is no audit: {_NO_AUDIT}.</p>",
+        "headline": f"{badge(overall.grade)} {escape(overall.text)}",
         "verdicts": quality.verdicts_table(section_verdict(section, results) for section in checked),
         "isb": quality.checklist(checklist),
         "citation": escape(CITATION),
@@ -143,6 +144,6 @@ def _sampling(curves: Data, rate_hz: float) -> str:
     if not curves["interval"]:
         return f"Plotted at {rate_hz:.3g} frames per second."
     return (
-        f"The recording is long: each curve shows the lowest and the highest value of every "
-        f"{curves['interval']:.2g} s, with the widest band of that time; shorter gaps are not visible."
+        f"The recording is long: each curve shows the lowest and the highest reliable value of every "
+        f"{curves['interval']:.2g} s, with the widest band of that time; what is shorter is not visible."
     )
