@@ -3,7 +3,7 @@
 The benchmark's motions of held-out people and rigs, `SECONDS` from the middle of each, recorded twice with
 other errors, cameras and mountings (8 sensors and none, realistic 2D): the two results must not differ, nor
 may the first from the truth. Then with the flexion of the right knee of four walks scaled in the second
-recording. Eight minutes on one core.
+recording. Five minutes on one core.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | 
         return _asked(a, b, asked)
     if a.other_system or b.other_system:
         if _overlap(a, b) >= _LEAST_COMMON:
-            return Choice("time", "another system's result is compared at the same instants")
+            return Choice("time", "a table of coordinates is compared at the same instants")
         return Choice("range", "the time spans hardly overlap; --align finds a shift")
     if (reason := _one_take(a, b, clocks)) is not None:
         return Choice("time", reason)

@@ -67,6 +67,7 @@ def test_an_exported_mot_differs_by_nothing(cli: Any, outputs: Path) -> None:
     mots = sorted((outputs / "files").glob("*.mot"))
     done = cli("compare", outputs / "before", mots[0], "--angles", "right_knee_flexion,spine_flexion")
     assert done.code == 0, done.err
+    assert done.out.startswith("A and B have the same values, to 0.01 deg")
     assert "has no bands and is taken as exact" in done.out
     assert "None of 2 angles is shown to have changed" in done.out
     assert "right knee flexion 0.0 \u00b1 2.0 0.0 \u00b1 2.8 0.0 0.0 0.0 0.0 not shown" in done.out

@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 from scene_support import measured, walking, written
 
+from rtof_kin.live.outputs.websocket_server import WebSocketServer
+
 pytest.importorskip("viser")
 Cli = Callable[..., Any]
 ROOT = Path(__file__).parents[2]
@@ -30,6 +32,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="Linux's processor times")
 def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     started = time.monotonic()
     used = [0.0]
@@ -58,6 +61,25 @@ def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     assert "2.0 s at 50 Hz, 1 camera, 2 IMUs, the truth" in lines[0]
     assert "fail: planted & bad" in lines[1]
     assert "this machine only" in lines[2]
+
+
+def test_live_estimates_are_shown_until_ctrl_c() -> None:
+    source = WebSocketServer(walking(2).skeleton)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rtof_kin.cli", "view", "--live", source.url, "--no-browser"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=ROOT,
+    )  # fmt: skip
+    assert process.stdout is not None
+    try:
+        lines = [process.stdout.readline(), process.stdout.readline()]
+        assert source.clients == 1
+    finally:
+        process.send_signal(signal.SIGINT)
+        rest, errors = process.communicate(timeout=20)
+        source.close()
+    assert (process.returncode, errors, rest) == (0, "", "")
+    assert source.url.replace("http", "ws") in lines[0]
+    assert "this machine only" in lines[1]
 
 
 def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Path) -> None:

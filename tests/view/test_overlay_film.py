@@ -26,7 +26,7 @@ from overlay_support import (  # noqa: E402
 )
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel  # noqa: E402
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError  # noqa: E402
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError  # noqa: E402
 from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
 from rtof_kin.data.stream_faults import FaultKind, StreamFault  # noqa: E402
@@ -435,3 +435,6 @@ def test_without_h264_another_encoder_is_used_and_named(
     np.testing.assert_allclose(stamps, np.array(TIMES_MS) / 1000, atol=1e-4)
     assert [number_of(image) for image in images] == list(range(len(TIMES_MS)))
     assert all(later > sooner for sooner, later in pairwise(stamps))
+    monkeypatch.setattr(film_writer, "_ENCODERS", {"no_such_encoder": {}})
+    with pytest.raises(RtofError, match="no_such_encoder"):
+        write_overlay(out, tmp_path / "p.mp4", video, settings=NO_LABELS)

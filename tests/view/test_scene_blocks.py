@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import io
 import zipfile
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz_damage import damaged
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from scene_support import measured, walking, written
 
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
 from rtof_kin.formats.motion_npz import MOTION, read_motion_npz
 from rtof_kin.view.scene.measurement_blocks import MeasurementBlocks
@@ -131,3 +134,27 @@ def test_motion_of_a_newer_schema_or_without_arrays_is_refused(out: Path, tmp_pa
         MotionBlocks(tmp_path / "b.npz")
     with pytest.raises(FileFormatError, match="no such file"):
         MotionBlocks(tmp_path / "c.npz")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    motion = walking(20)
+    return written(tmp_path_factory.mktemp("small"), motion, measured(motion))
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_bytes_raise_errors_of_the_package_only(data: st.DataObject, small: Path) -> None:
+    name = data.draw(st.sampled_from([MOTION, MEASUREMENTS]))
+    path = small / f"damaged_{name}"
+    path.write_bytes(data.draw(damaged((small / name).read_bytes())))
+    with suppress(RtofError):
+        if name == MOTION:
+            with MotionBlocks(path) as motion:
+                motion.wait(len(motion), 5.0)
+                motion.frames(0, len(motion))
+        else:
+            with MeasurementBlocks(path) as measurements:
+                while measurements.available < measurements.length:
+                    pass
+                measurements.frames(0, measurements.length)

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from scene_support import BENT, RATE, camera, measured, walking, with_provenance, written
 
+from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
@@ -23,6 +24,7 @@ from rtof_kin.view.scene.camera_layer import camera_block
 from rtof_kin.view.scene.curves import Curves
 from rtof_kin.view.scene.layers import solid_colours
 from rtof_kin.view.scene.local_server import local_server
+from rtof_kin.view.scene.motion_blocks import MotionBlocks
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer, Opened
 
@@ -216,6 +218,43 @@ def test_curve_is_the_clinical_angle_with_its_band_and_a_cursor(server: Any, fil
         angles.close()
 
 
+def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    motion = walking(300)
+    q = np.array(motion.q)
+    knee = 7 + motion.skeleton.dof_names.index("RightLeg_y")
+    q[150:, knee] += 0.5 * np.sin(np.arange(150) / 20)
+    p, R = motion.skeleton.forward_kinematics(q)
+    motion = replace(motion, q=q, poses=replace(motion.poses, p_world_joint=p, R_world_bone=R))
+    whole = clinical_angles(motion)
+    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks.WHOLE_S", 1.0)
+    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._PART_S", 2.0)
+    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._MARGIN_S", 0.2)
+    with MotionBlocks(written(tmp_path, motion) / "motion.npz") as blocks:
+        blocks.wait(300)
+        angles = AngleBlocks(blocks)
+        assert angles.in_parts
+        first = angles.part(0, 20.0)
+        assert first is not None
+        others = [name for name in angles.names if name.startswith("right_knee") and "flexion" not in name]
+        assert len(others) == 2
+        assert not np.isfinite([first[name] for name in others]).any()
+        angles.part(250, 20.0)
+        last = angles.part(250, 20.0)
+        assert last is not None
+        for found in (first, last):
+            at = np.searchsorted(whole.times, found.times)
+            assert len(at) < 150
+            np.testing.assert_allclose(
+                found["right_knee_flexion"], whole["right_knee_flexion"][at], atol=1e-6
+            )
+            known = np.isfinite(found.values)
+            np.testing.assert_allclose(found.values[known], whole.values[at][known], atol=1e-6)
+        assert not np.isfinite([last[name] for name in others]).any()  # the model's knee is a hinge
+        angles.close()
+
+
 def test_viewer_plays_at_its_speed_and_follows_the_slider(server: Any, files: Opened) -> None:
     with MotionViewer(server, files) as viewer:
         viewer.playback.play(0.0)
@@ -280,3 +319,21 @@ def test_image_of_the_video_fills_the_frustum(server: Any, files: Opened, tmp_pa
             container.mux(packet)
     with pytest.raises(InvalidInputError, match="of another shape"):
         MotionViewer(server, files, [square])
+
+
+def test_several_cameras_have_their_own_frustum_and_view(server: Any, tmp_path: Path) -> None:
+    motion = walking(20)
+    with (
+        MotionFiles(written(tmp_path / "two", motion, measured(motion, cameras=2))) as opened,
+        MotionViewer(server, opened) as viewer,
+    ):
+        assert [layer.label.text for layer in viewer.scene.cameras] == ["camera 1", "camera 2"]
+        viewer.controls.look_through(None, 1)
+        viewer.scene.show(3, 5.0)
+        scales = [layer.points["detected"].scale for layer in viewer.scene.cameras]
+        assert scales[0] < 1 < scales[1]
+        assert not viewer.scene.stage.following
+        viewer.controls.look_freely(None)
+        viewer.scene.show(4, 5.0)
+        assert viewer.scene.cameras[1].points["detected"].scale < 1
+        assert viewer.scene.stage.following

@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from rtof_kin.core.errors import SourceError
+from rtof_kin.core.errors import RtofError, SourceError
 from rtof_kin.view.scene.local_server import address, local_server
 
 viser = pytest.importorskip("viser")
@@ -79,3 +79,9 @@ def test_port_that_is_taken_is_told_and_nothing_is_printed(capfd: pytest.Capture
         assert server.get_port() == port
     printed = capfd.readouterr()
     assert printed.out == printed.err == ""
+
+
+def test_another_viser_whose_names_are_unknown_is_not_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("viser.infra._infra.WebsockMessageHandler.unregister_handler")
+    with pytest.raises(RtofError, match="cannot be kept to this machine"), local_server():
+        pass

@@ -14,6 +14,7 @@ from rtof_kin.clinical.gait import PHASES
 _MOST: Final = 3  # changes that are named
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
 _BETTER: Final = 0.02  # if the agreement is better by this
+_SAME: Final = np.radians(0.005)
 _OFTEN: Final = 0.2  # share of the samples outside the band of the difference, of which 0.05 are expected
 
 
@@ -24,6 +25,8 @@ def opening(found: Comparison, why: str) -> list[str]:
         found: the comparison. why: of the choice of the axis; '' if it was asked for.
     """
     lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
+    if _same_values(found) and not lines:
+        lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
     doubt = _doubt(found)
     lines += [doubt] if doubt else []
     lines.append(f"A is {found.a.name}, B is {found.b.name}; differences are B - A.")
@@ -117,6 +120,10 @@ def place(found: Comparison, at: float) -> str:
     return f"{at:.2f} s" if found.by == "time" else f"{100 * at:.0f} %"
 
 
+def _same_values(found: Comparison) -> bool:
+    return all(one.errors is not None and abs(one.errors.largest) < _SAME for one in found.angles)
+
+
 def _doubt(found: Comparison) -> str | None:
     """Doubt that the two clocks or movements belong together."""
     clocks = found.alignment
@@ -175,7 +182,7 @@ def _changes(found: Comparison) -> list[str]:
         verb = "has" if len(changed) == 1 else "have"
         return [f"{len(changed)} of {len(tested)} angles {verb} changed ({level}): {which}{names}."]
     lines = [f"None of {len(tested)} angles is shown to have changed ({level})."]
-    if not found.identical:
+    if not _same_values(found):
         sizes = [one.changes[0].detectable for one in tested if np.isfinite(one.changes[0].detectable)]
         largest = sorted(tested, key=lambda one: -abs(one.changes[0].difference))[:_MOST]
         names = "; ".join(change_text(one, one.changes[0]) for one in largest)
@@ -230,7 +237,10 @@ def _band_cautions(found: Comparison) -> list[str]:
         )
     for letter, one, own in zip("AB", (found.a, found.b), bands, strict=True):
         if not own and any(bands):
-            lines.append(f"{letter} ({one.name}) has no bands and is taken as exact")
+            lines.append(
+                f"{letter} ({one.name}) has no bands and is taken as exact. Against an exact reference about "
+                "one comparison in five has a false 'changed' (docs/compare.md)"
+            )
     same = found.a.recording != "" and found.a.recording == found.b.recording
     if all(bands) and same and not found.identical:
         lines.append(

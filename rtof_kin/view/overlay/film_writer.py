@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol, Self
 
 import numpy as np
 
-from rtof_kin.core.errors import InvalidInputError, WritingError
+from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
 from rtof_kin.view.overlay.canvas import Image
 from rtof_kin.vision.video_file import library
 
@@ -69,7 +69,10 @@ class Mp4Writer:
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         """Take the file, width and height of the pictures, and their mean rate."""
         self._av = library("av", _INSTALL)
-        self.encoder = next(name for name in _ENCODERS if name in self._av.codecs_available)
+        known = [name for name in _ENCODERS if name in self._av.codecs_available]
+        if not known:
+            raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")
+        self.encoder = known[0]
         self._path, self._size, self._rate = path, size, rate_hz
         self._first: float | None = None
         self._last = -1

@@ -9,19 +9,23 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.core.array_types import Mask
 from rtof_kin.view.scene.block_cache import BlockCache
 from rtof_kin.view.scene.motion_blocks import MotionBlocks
 
 WHOLE_S: Final = 300.0
 """[s] Longest motion whose angles are computed at once, as by `analyse`."""
 _PART_S: Final = 60.0
+_MOVES: Final = np.radians(1.0)
+"""[rad] Range of a hinge beyond which constant other angles are seen to be fixed."""
 _MARGIN_S: Final = 8.0
 """[s] before and after a part, so that a window of it is whole."""
 
 
 class AngleBlocks:
     """Angles by name, computed for the whole motion or for parts of it.
+
+    Of a hinge of the model the other two angles are constant, which shows only while it moves: of a motion in
+    parts they are left out until a part has shown that they vary.
 
     Attributes:
         names: of the angles. labels: the same with spaces. in_parts: whether the motion is too long to be
@@ -38,10 +42,8 @@ class AngleBlocks:
         table = angle_table(motion.skeleton.table)
         self.names = tuple(row.name for row in table.rows)
         self.labels = tuple(row.label for row in table.rows)
-        self._hinges = [
-            3 * number for number, joint in enumerate(table.joints) if joint.hinge
-        ]  # fmt: skip
-        self._fixed: set[int] = set()
+        self._hinges = [3 * number for number, joint in enumerate(table.joints) if joint.hinge]
+        self._doubtful = {first + k for first in self._hinges for k in (1, 2)}
         self.in_parts = motion.times[-1] - motion.times[0] > WHOLE_S
         size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
         self._blocks = BlockCache(len(motion), self._available, self._compute, max(size, 1))
@@ -59,7 +61,7 @@ class AngleBlocks:
         if found is None or not self.in_parts:
             return None if found is None else found[0]
         values = found[0].values.copy()
-        values[:, sorted(self._fixed)] = np.nan
+        values[:, sorted(self._doubtful)] = np.nan
         return replace(found[0], values=values)
 
     def close(self) -> None:
@@ -77,8 +79,9 @@ class AngleBlocks:
         found = clinical_angles(
             self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion)))
         )
-        known: Mask = np.asarray(found.known.any(axis=0))
-        for first in self._hinges:  # one that is fixed by the model shows this only while the hinge moves
-            if known[first]:
-                self._fixed |= {first + k for k in (1, 2) if not known[first + k]}
+        for first in self._hinges:
+            values = found.values[:, first : first + 3]
+            known = np.isfinite(values[:, 0])
+            if known.any() and np.ptp(values[known, 0]) > _MOVES:
+                self._doubtful -= {first + k for k in (1, 2) if np.isfinite(values[:, k]).any()}
         return found

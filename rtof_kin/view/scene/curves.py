@@ -29,6 +29,8 @@ _AXES: Final = (
     {"label": "time [s]", "labelSize": 16, "size": 32},
     {"label": "angle [deg]", "labelSize": 18, "size": 44},
 )
+_WIDEST_BAND: Final = 30.0
+"""[deg] Half width of a band up to which it fits the vertical axis."""
 _PER_CURVE: Final = 3
 """Series of a curve: value, lower and upper limit of the 95 % band."""
 
@@ -100,7 +102,7 @@ class Curves:
                 if found.sigma is not None:
                     half = BAND_95 * np.degrees(found.sigma[:, column])
             bands += [values, values - half, values + half]
-        limits = _limits(np.array(bands[::_PER_CURVE]))
+        limits = _limits(np.array(bands).reshape(len(self._choices), _PER_CURVE, -1))
         near = slice(*np.searchsorted(found.times, [time - WINDOW, time + WINDOW]).tolist())
         self._scale(limits)
         self._plot.data = _data(found.times[near], [band[near] for band in bands], time, limits)
@@ -124,11 +126,15 @@ def _scales(limits: tuple[float, float]) -> dict[str, Any]:
     return {"x": {"time": False}, "y": {"range": limits}}
 
 
-def _limits(values: Array) -> tuple[float, float]:
-    """Return the range of the vertical axis, deg, for curves of a whole part of the motion."""
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_SPAN)
-    pad = max(0.12 * (high - low), (_LEAST_SPAN - (high - low)) / 2, 2.0)
+def _limits(curves: Array) -> tuple[float, float]:
+    """Return the range of the vertical axis, deg, for curves (C, 3, n) of a whole part of the motion: all
+    values, and their bands where these are narrow.
+    """
+    values = curves[:, :1]
+    shown = np.clip(curves, values - _WIDEST_BAND, values + _WIDEST_BAND)
+    known = shown[np.isfinite(shown)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else _EMPTY
+    pad = max(0.05 * (high - low), (_LEAST_SPAN - (high - low)) / 2)
     return float(np.floor((low - pad) / 5) * 5), float(np.ceil((high + pad) / 5) * 5)
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from rtof_kin.core.errors import SourceError
+from rtof_kin.core.errors import RtofError, SourceError
 from rtof_kin.vision.video_file import library
 
 INSTALL: Final = "pip install 'rtof_kin[view]'"
@@ -39,7 +39,12 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
     try:
         if port and server.get_port() != port:
             raise SourceError(f"{LOOPBACK}:{port}: taken; end the other program, or give another port")
-        _keep_local(server)
+        try:
+            _keep_local(server)
+        except (AttributeError, AssertionError, RtofError) as error:  # viser's own names have changed
+            raise RtofError(
+                f"this version of viser cannot be kept to this machine ({error}): {INSTALL} 'viser==1.1.1'"
+            ) from error
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         yield server
     finally:
@@ -60,6 +65,7 @@ def _keep_local(server: Any) -> None:
     """Take away the relay, and refuse clients that belong to another page."""
     messages = library("viser._messages", INSTALL)
     connections = server._websock_server
+    connections._live_connections.copy()
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         connections.unregister_handler(kind)
     own = {(name, server.get_port()) for name in (LOOPBACK, "localhost")}

@@ -136,6 +136,7 @@ class MotionScene:
                 layer.show(camera, i, self._depth(number, block.motion.p_root[i]))
             self._show_path(frame)
             self.stage.follow(block.motion.p_root[i])
+        self._server.flush()  # else two frames may wait for each other
         return block
 
     def set_visible(self, layer: Layer, visible: bool) -> None:

@@ -8,6 +8,7 @@ the copy before them.
 from __future__ import annotations
 
 import math
+import struct
 import threading
 import zipfile
 import zlib
@@ -262,7 +263,11 @@ class NpzBlocks:
             with zipfile.ZipFile(self._file.stream) as archive:
                 there = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
                 found = {name: self._member(archive, name, there[name]) for name in names if name in there}
-        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError) as error:
+        except FileFormatError:
+            raise
+        except (
+            zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError, struct.error
+        ) as error:  # fmt: skip
             raise FileFormatError(
                 self.path, f"damaged, or no NPZ archive ({error}); reconstruct again"
             ) from error
