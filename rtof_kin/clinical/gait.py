@@ -153,16 +153,17 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     Args:
         angles, gait: of the same motion.
     """
+    values, times, max_gap = angles.trusted_values, angles.times, 1.5 / angles.rate_hz
+    sampled: dict[str, list[Array]] = {side: [] for side in SIDES}
+    for s in gait.strides:
+        first, last = np.searchsorted(times, [s.start, s.stop])
+        own = slice(max(first - 1, 0), last + 1)  # with a sample beyond either end
+        at = s.start + PHASES * s.stride_time
+        sampled[s.side].append(signals.interpolate(times[own], values[own], at, max_gap))
     out = []
-    for row, values in zip(angles.rows, angles.trusted_values.T, strict=True):
+    for a, row in enumerate(angles.rows):
         for side in [side for side in SIDES if row.name.startswith(f"{side}_")] or SIDES:
-            curves = [
-                signals.interpolate(
-                    angles.times, values, s.start + PHASES * s.stride_time, max_gap=1.5 / angles.rate_hz
-                )
-                for s in gait.strides
-                if s.side == side
-            ]
+            curves = [curves[:, a] for curves in sampled[side]]
             if known := [curve for curve in curves if np.isfinite(curve).all()]:
                 out.append(CycleCurves(row.name, side, np.array(known)))
     return tuple(out)
