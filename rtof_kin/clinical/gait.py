@@ -116,9 +116,12 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
     """Whether all values of the knee's flexion during a stride are reliable."""
     if angles is None:
         return True
-    knee = angles.select([f"{stride.side}_knee_flexion"])
-    inside = (knee.times >= stride.start) & (knee.times <= stride.stop)
-    return bool((np.isfinite(knee.trusted_values) | ~knee.known)[inside].all())
+    knee, own = angles.names.index(f"{stride.side}_knee_flexion"), stride.frames(angles.times)
+    inside = (angles.times[own] >= stride.start) & (angles.times[own] <= stride.stop)
+    reliable = np.isfinite(angles.values[own, knee])
+    if angles.trusted is not None:
+        reliable &= angles.trusted[own, knee]
+    return bool((reliable | ~angles.known[own, knee])[inside].all())
 
 
 def _warnings(side: str, strides: list[Stride]) -> list[str]:
@@ -156,9 +159,7 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     values, times, max_gap = angles.trusted_values, angles.times, 1.5 / angles.rate_hz
     sampled: dict[str, list[Array]] = {side: [] for side in SIDES}
     for s in gait.strides:
-        first, last = np.searchsorted(times, [s.start, s.stop])
-        own = slice(max(first - 1, 0), last + 1)  # with a sample beyond either end
-        at = s.start + PHASES * s.stride_time
+        own, at = s.frames(times), s.start + PHASES * s.stride_time
         sampled[s.side].append(signals.interpolate(times[own], values[own], at, max_gap))
     out = []
     for a, row in enumerate(angles.rows):

@@ -83,13 +83,15 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     Args:
         stride: one of the events. events: of both feet.
     """
-    heel = events.feet[stride.side].heel
-    inside = (events.times >= stride.start) & (events.times <= stride.stop)
-    ahead = np.sum((heel - events.pelvis) * events.forward, axis=-1)[inside]
+    own = stride.frames(events.times)
+    times, pelvis, heel = events.times[own], events.pelvis[own], events.feet[stride.side].heel[own]
+    inside = (times >= stride.start) & (times <= stride.stop)
+    forward = events.forward[own][inside]
+    ahead = np.sum((heel - pelvis)[inside] * forward, axis=-1)
     stance = stride.start + (stride.toe_off - stride.start) * np.array([0.2, 0.7])
-    way = _way(events.times, events.pelvis, np.array([stride.start, stride.stop]))
-    facing = np.nanmean(events.forward[inside], axis=0)
-    heading = np.unwrap(np.arctan2(events.forward[inside, 1], events.forward[inside, 0]))
+    way = _way(times, pelvis, np.array([stride.start, stride.stop]))
+    facing = np.nanmean(forward, axis=0)
+    heading = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
     progress = float(np.linalg.norm(way))
     others = [foot.strikes for side, foot in events.feet.items() if side != stride.side]
     between = [t for strikes in others for t in strikes if stride.start < t < stride.stop]
@@ -100,7 +102,7 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
         progress=progress,
         forward=float(way @ facing[:2] / max(progress * np.linalg.norm(facing[:2]), 1e-9)),
         turn=float(heading[-1] - heading[0]),
-        slip=float(np.linalg.norm(_way(events.times, heel, stance))),
+        slip=float(np.linalg.norm(_way(times, heel, stance))),
     )
 
 

@@ -70,11 +70,11 @@ def angular_velocity(angles: ClinicalAngles) -> Array:
         angles: to smooth and differentiate; single frames between gaps have no velocity.
     """
     out = np.full_like(angles.values, np.nan)
-    usable = np.where(angles.singular, np.nan, angles.trusted_values)
+    usable, rate_hz = np.where(angles.singular, np.nan, angles.trusted_values), angles.rate_hz
     for column, values in enumerate(usable.T):
         for start, stop in signals.runs(np.isfinite(values)):
             if stop - start > 1:
-                stretch = smoothed(values[start:stop], angles.rate_hz, CUTOFF_HZ)
+                stretch = smoothed(values[start:stop], rate_hz, CUTOFF_HZ)
                 out[start:stop, column] = np.gradient(stretch, angles.times[start:stop])
     return out
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rtof_kin.clinical.gait_events import GaitEvents
 from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array
 
 LONGEST_STRIDE: Final = 2.5  # [s] between two strikes; longer ones contain a pause or a gap
 
@@ -45,6 +46,15 @@ class Stride:
     def stance_share(self) -> float:
         """Stance time divided by stride time."""
         return (self.toe_off - self.start) / self.stride_time
+
+    def frames(self, times: Array) -> slice:
+        """Return the samples of the stride and one beyond either end.
+
+        Args:
+            times: (T,) s.
+        """
+        first, last = np.searchsorted(times, [self.start, self.stop])
+        return slice(max(int(first) - 1, 0), int(last) + 1)
 
 
 def find_strides(side: str, events: GaitEvents) -> list[Stride]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,12 +120,18 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
         values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency of one pass, Hz.
         order: of one pass.
     """
-    values = np.asarray(values, dtype=float)
     from scipy import signal  # slow to import
 
-    sos = signal.butter(order, cutoff_hz, fs=rate_hz, output="sos")
+    values, sos = np.asarray(values, dtype=float), _butterworth(order, cutoff_hz, rate_hz)
     padding = min(len(values) - 1, int(3 * rate_hz / cutoff_hz))
     return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=padding))
+
+
+@lru_cache(maxsize=64)
+def _butterworth(order: int, cutoff_hz: float, rate_hz: float) -> Array:
+    from scipy import signal  # slow to import
+
+    return np.asarray(signal.butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
 def low_pass_known(times: Array, values: Array, cutoff_hz: float) -> Array:
