@@ -38,7 +38,7 @@ LIFTING_USES = {"core", "data", "body", "simulation", "datasets"}
 """Folders that `lifting` may import from."""
 LIFTING_USERS = {"reconstruction", "setup", "live", "protocols", "cli"}
 """Folders that may import `lifting`, in functions or for type checking: the package does not load torch."""
-HEAVY = {"torch", "matplotlib", "yourdfpy", "casadi", "pinocchio"}
+HEAVY = {"torch", "matplotlib", "yourdfpy", "casadi", "pinocchio", "viser", "av"}
 
 
 def imports(path: Path) -> Iterator[tuple[str, bool]]:
@@ -96,7 +96,7 @@ def test_heavy_packages_are_imported_only_where_they_belong() -> None:
         for name, call in imports(path):
             if (package := name.split(".")[0]) in HEAVY and not call:
                 users[package].add(path.relative_to(ROOT / "rtof_kin").parts[0])
-    assert users["torch"] == users["yourdfpy"] == set()
+    assert users["torch"] == users["yourdfpy"] == users["viser"] == users["av"] == set()
     assert users["pinocchio"] == {"body", "formats", "clinical"}
     assert users["casadi"] == {"core", "solve"}
     assert users["matplotlib"] == {"report", "protocols"}
