@@ -73,6 +73,12 @@ ENTRIES = (
         "The page of a comparison",
     ),
     Entry(
+        "rtof-kin live SETUP --camera 0 --imus udp:9000 --view",
+        "[Poses while a person moves](live.md), from a webcam, LSL, UDP, or recordings replayed as here.",
+        "live.png",
+        "The live page",
+    ),
+    Entry(
         "rtof-kin study models/demo -o out/study",
         "[What each sensor contributes](report.md), angle by angle.",
         "study.png",
@@ -117,8 +123,8 @@ ENTRIES = (
         ),
     ),
     Entry(
-        "rtof-kin inspect imus.npz",
-        "Sensor files of [all kinds](sensors.md) checked by physics:",
+        "rtof-kin inspect models/demo",
+        "A recording, or sensor files of [all kinds](sensors.md), checked by physics:",
         printed=lambda studio: text_of(studio, "inspect", model_path("demo")),
     ),
 )

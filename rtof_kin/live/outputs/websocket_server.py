@@ -51,7 +51,8 @@ _LONGEST_REQUEST: Final = 4096
 _PATIENCE_S: Final = 1.0
 """For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
 _LOG: Final = logging.getLogger("rtof_kin.live.outputs.websocket_server")
-_LOG.addHandler(logging.NullHandler())  # else a broken request is printed
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False  # else a broken request, as of a browser's spare connection, is printed
 _HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
 
 
