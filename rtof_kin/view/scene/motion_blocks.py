@@ -161,7 +161,6 @@ class MotionBlocks:
         Raises:
             FileFormatError: the file is damaged, or this takes longer.
         """
-        self._thread.join(0.0 if self.available >= frames else 0.002)
         waited = 0.0
         while self.available < frames:
             if waited > seconds or not self._thread.is_alive():

@@ -216,8 +216,8 @@ class MotionScene:
         frames = self._motion.available
         if self._measurements is not None:
             frames = min(frames, self._measurements.available)
-        if self._second is not None and self._second.available < len(self._second):
-            last = self._second.times[max(self._second.available - 1, 0)]
+        if self._second is not None and (known := self._second.available) < len(self._second):
+            last = self._second.times[known - 1] if known else -np.inf
             frames = min(frames, int(np.searchsorted(self._motion.times, last)))
         return frames
 
