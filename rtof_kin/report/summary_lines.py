@@ -127,17 +127,19 @@ def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
 
 
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
-    """Camera and sensors in words, and which of them the mode of reconstruction does not use."""
+    """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
     names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
+    cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
+    image = "one camera" if cameras <= 1 else f"{cameras} cameras"
     if not summary.inputs.get("camera"):
         return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
     if summary.mode == IMAGE_FREE:
-        return f"{count} ({names}); the camera was not used"
+        return f"{count} ({names}); the camera{' was' if cameras <= 1 else 's were'} not used"
     if summary.mode in IMAGE_ALONE:
-        return "one camera alone" + (f"; {count} recorded, but not used" if carriers else "")
-    return f"one camera and {count} ({names})" if carriers else "one camera alone"
+        return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
+    return f"{image} and {count} ({names})" if carriers else f"{image} alone"
 
 
 def _in_words(text: str, analysis: MotionAnalysis) -> str:
