@@ -15,7 +15,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.view.scene.local_server import INSTALL
+from rtof_kin.view.install import INSTALL
 from rtof_kin.vision.video_file import library
 
 _PATIENCE: Final = 2.0

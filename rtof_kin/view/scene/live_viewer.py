@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.view.provenance_colours import PALETTE
 from rtof_kin.view.scene.block_content import block_content
 from rtof_kin.view.scene.layers import PathLayer
 from rtof_kin.view.scene.live_client import LiveClient
@@ -107,5 +107,5 @@ class LiveViewer:
         while seconds - points[0][0] > _PATH_S:
             points.pop(0)
         if len(points) > 1:
-            colours = np.array([COLOURS[Provenance(kind)] for _, _, kind in points], dtype=np.uint8)
+            colours = PALETTE[[kind for _, _, kind in points]]
             self._path.show(np.array([p for _, p, _ in points]), colours)

@@ -23,7 +23,7 @@ from rtof_kin.view.scene.motion_blocks import MotionBlocks
 from rtof_kin.view.scene.motion_scene import MotionScene
 from rtof_kin.view.scene.playback import Playback
 from rtof_kin.view.scene.video_frames import VideoFrames
-from rtof_kin.view.scene.words import Verdict, read_verdict
+from rtof_kin.view.verdict import Verdict, read_verdict
 
 FASTEST: Final = 60.0
 """[Hz] at which frames are sent."""
