@@ -20,7 +20,8 @@ from rtof_kin.report.clinical_findings import SECOND_PELVIS
 ISB: Final = "isb"
 XZY: Final = "xzy"
 OPENSIM: Final = "opensim"
-_SECOND_SHOULDER: Final = "shoulder_xzy_"
+SECOND_SHOULDER: Final = "shoulder_xzy_"
+"""Begins the names of the shoulder angles in the sequence for hanging arms, after their side."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ def angle_name(row: AngleRow) -> AngleName:
         name, conventions = name.replace(SECOND_PELVIS, "pelvis"), (OPENSIM,)
     elif name.startswith("pelvis_"):
         conventions = (ISB, XZY)
-    elif name.startswith(_SECOND_SHOULDER):
-        name, conventions = name.replace(_SECOND_SHOULDER, "shoulder_"), (XZY,)
+    elif name.startswith(SECOND_SHOULDER):
+        name, conventions = name.replace(SECOND_SHOULDER, "shoulder_"), (XZY,)
     elif name.startswith("shoulder_"):
         conventions = (ISB, OPENSIM)
     return AngleName(

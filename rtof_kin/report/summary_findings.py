@@ -19,10 +19,9 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.angle_names import SECOND_SHOULDER
 from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
-SECOND_SHOULDER: Final = "_shoulder_xzy_"
-"""Part of the names of the shoulder angles in the sequence for hanging arms."""
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
 LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
