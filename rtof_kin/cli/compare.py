@@ -118,7 +118,8 @@ def _found_shift(clocks: Alignment | None) -> float:
 
 def _print_angles(found: Comparison, all_of_them: bool) -> None:
     """Table of the largest differences; errors only where there are curves."""
-    from rtof_kin.report.comparison.sentences import degrees, difference_text, label
+    from rtof_kin.report.angle_names import label
+    from rtof_kin.report.comparison.sentences import degrees, difference_text
 
     shown = found.angles if all_of_them else found.angles[:_SHOWN]
     curves = found.axis is not None

@@ -45,6 +45,15 @@ class AngleName:
         return self.opensim or f"{self.clinical} (no OpenSim coordinate)"
 
 
+def label(name: str) -> str:
+    """Return the name of an angle in words.
+
+    Args:
+        name: as in files.
+    """
+    return name.replace("_", " ")
+
+
 def side_and_name(name: str) -> tuple[str, str]:
     """Split the name of an angle into 'right', 'left' or '', and the rest.
 

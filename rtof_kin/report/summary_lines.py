@@ -22,11 +22,12 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence, shown_name
+from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
 
 MOST_FINDINGS: Final = 3
 DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
@@ -221,7 +222,7 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     widths = _half_widths(analysis)
     if widths and not warned:
         worst = max(widths, key=widths.__getitem__)
-        parts.append(f"the most uncertain angle is {shown_name(worst)}, ± {widths[worst]:.0f}°")
+        parts.append(f"the most uncertain angle is {label(worst)}, ± {widths[worst]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
     return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
 

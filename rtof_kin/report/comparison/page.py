@@ -8,8 +8,9 @@ from typing import Final
 
 from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.comparison.plot_data import comparison_data
-from rtof_kin.report.comparison.sentences import cautions, degrees, label, opening, place
+from rtof_kin.report.comparison.sentences import cautions, degrees, opening, place
 from rtof_kin.report.html import asset, bullets, self_contained, table
 
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
