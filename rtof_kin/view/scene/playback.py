@@ -29,11 +29,6 @@ class Playback:
         """Whether the time moves on."""
         return self._playing
 
-    @property
-    def speed(self) -> float:
-        """Relative to real time."""
-        return self._speed
-
     def at(self, now: float) -> float:
         """Return the time to show, s; playing ends at the last frame, or begins again.
 
