@@ -107,11 +107,11 @@ def table(
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     within = [*shown]
     body = []
-    for number, row in enumerate(rows):
+    for number, row in enumerate(map(list, rows)):
         only = f' data-in="{within[number]}"' if within else ""
         cells = [f'<td data-label="{name}">{cell}</td>' for name, cell in zip(names, row, strict=True)]
         if row_headers:
-            cells[0] = f'<th scope="row">{cells[0].partition(">")[2].removesuffix("</td>")}</th>'
+            cells[0] = f'<th scope="row">{row[0]}</th>'
         body.append(f"<tr{only}>{''.join(cells)}</tr>")
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     top = f'<table class="{f"stack {kind}".strip()}">{title}<thead><tr>{head}</tr></thead>'

@@ -44,7 +44,7 @@ def test_waiting_for_a_frame_does_not_lose_it() -> None:
     playback = Playback(0.0, 10.0)
     playback.play(0.0)
     for now in np.arange(1.0, 3.0, 0.1):
-        playback.hold(1.0, float(now))
+        playback.seek(1.0, float(now))
     assert playback.playing
     assert playback.at(3.0) == pytest.approx(1.1)
 

@@ -171,7 +171,7 @@ class MotionViewer:
         motion = self._files.motion
         if block is None:
             self.controls.changed = True
-            self.playback.hold(wanted, now)
+            self.playback.seek(wanted, now)
             share = 100 * motion.available / len(motion)
             self.controls.tell(f"loading: {share:.0f} % of the motion can be shown yet")
             return
