@@ -80,12 +80,14 @@ def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.report.comparison.inputs import distinct, read_compared
 
-    names = [name.strip() for name in (options.angles or "").split(",") if name.strip()]
+    given = (name.strip() for name in (options.angles or "").split(","))
+    names = list(dict.fromkeys(filter(None, given)))
     if options.sides == (options.b is not None):
         raise InvalidInputError("compare: give two motions, or one with --sides")
     shifted = options.align or options.shift is not None
     if shifted and (options.sides or options.by not in (None, "time")):
         raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
+    clocks = None
     if options.sides:
         a, b = sides_of(read_compared(options.a))
         choice = choose_sides(a, b, options.by)
@@ -93,11 +95,12 @@ def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
         a, b = read_compared(options.a), read_compared(options.b)
         first, second = distinct(a, b, (options.a, options.b))
         a, b = replace(a, name=first), replace(b, name=second)
-        choice = choose_axis(a, b, agreement(a, b), "time" if shifted else options.by)
-    shift, clocks = options.shift or 0.0, None
-    if choice.by == "time" and not options.sides:
-        if options.align:
-            shift = _found_shift(agreement(a, b))
+        clocks = agreement(a, b)
+        choice = choose_axis(a, b, clocks, "time" if shifted else options.by)
+    shift = _found_shift(clocks) if options.align else options.shift or 0.0
+    if choice.by != "time":
+        clocks = None
+    elif shift:
         clocks = agreement(a, b, shift)
     kind = options.repetitions or choice.kind
     return compare(a, b, choice.by, names=names, shift=shift, alignment=clocks, kind=kind), choice.why
@@ -115,7 +118,8 @@ def _found_shift(clocks: Alignment | None) -> float:
 
 def _print_angles(found: Comparison, all_of_them: bool) -> None:
     """Table of the largest differences; errors only where there are curves."""
-    from rtof_kin.report.comparison.sentences import degrees, difference_text, label
+    from rtof_kin.report.angle_names import label
+    from rtof_kin.report.comparison.sentences import degrees, difference_text
 
     shown = found.angles if all_of_them else found.angles[:_SHOWN]
     curves = found.axis is not None

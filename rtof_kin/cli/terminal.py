@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
-_STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
+STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
+"""Style of the terminal by verdict."""
 SCORE_COLUMNS = {
     "mpjpe_rr_mm": "relative\nto root\n[mm]",
     "mpjpe_mm": "absolute\n\n[mm]",
@@ -143,7 +144,7 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
         "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin analyse {folder} -o ANGLES",
     }
     for name, text in lines.items():
-        style = _STYLES.get(headline.grade.value, "") if name == "caution" else ""
+        style = STYLES.get(headline.grade.value, "") if name == "caution" else ""
         out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
 
 
@@ -184,7 +185,7 @@ def print_sections(headline: Headline) -> None:
     for verdict in headline.sections:
         if verdict.section != "truth":  # see `print_scores`
             grade = verdict.grade.value
-            table.add_row(verdict.section, Text(grade, _STYLES.get(grade, "")), "\n".join(verdict.reasons))
+            table.add_row(verdict.section, Text(grade, STYLES.get(grade, "")), "\n".join(verdict.reasons))
     out.print(table)
 
 
@@ -194,7 +195,7 @@ def print_headline(headline: Headline, what: str = "") -> None:
     Args:
         headline: of the audit. what: prefix of the line.
     """
-    out.print(f"{what}{headline.line}", style=_STYLES.get(headline.grade.value, ""), soft_wrap=True)
+    out.print(f"{what}{headline.line}", style=STYLES.get(headline.grade.value, ""), soft_wrap=True)
     print_sections(headline)
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rich.text import Text
 
-from rtof_kin.cli.terminal import command, out, progress
+from rtof_kin.cli.terminal import STYLES, command, out, progress
 
 if TYPE_CHECKING:
     from rtof_kin.view.scene.viewer import Opened
@@ -137,8 +137,6 @@ def _live(options: argparse.Namespace) -> None:
 
 # --- what is said --------------------------------------------------------------------------------
 
-_STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}
-
 
 def _tell(files: Opened, options: argparse.Namespace) -> None:
     """Print what is shown."""
@@ -146,15 +144,13 @@ def _tell(files: Opened, options: argparse.Namespace) -> None:
     parts = [f"{motion.times[-1] - motion.times[0]:.1f} s at {motion.rate_hz:.0f} Hz"]
     if given is not None:
         first = given.first
-        parts += (
-            [f"{len(first.views)} camera" + ("s" if len(first.views) != 1 else "")] if first.views else []
-        )
+        parts += [f"{len(first.views)} camera{'s' if len(first.views) > 1 else ''}"] if first.views else []
         parts += [f"{len(first.sensors)} IMUs"] if first.sensors else []
         parts += ["the truth"] if first.truth is not None else []
     if options.second is not None:
         parts.append(f"beside it {options.second}")
     _line("shows", f"{options.motion}: {', '.join(parts)}")
-    _line("verdict", files.verdict.line, _STYLES.get(files.verdict.grade, ""))
+    _line("verdict", files.verdict.line, STYLES.get(files.verdict.grade, ""))
     for note in files.notes:
         _line("missing", note)
 

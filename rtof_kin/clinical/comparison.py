@@ -278,7 +278,7 @@ def _pairs(
     spans = [x.strides if by == "cycle" else {"": x.repetitions.get(kind, ())} for x in (a, b)]
     for one, own in zip((a, b), spans, strict=True):
         if not any(own.values()):
-            what = "complete gait cycle" if by == "cycle" else f"{kind.replace('_', ' ')}"
+            what = "complete gait cycle" if by == "cycle" else kind.replace("_", " ")
             raise InvalidInputError(f"compare: {one.name} has no {what}; compare by another axis (--by)")
     return PHASES, over_phases(a.angles, b.angles, names, *spans)
 

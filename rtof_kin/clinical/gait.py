@@ -10,13 +10,11 @@ import numpy as np
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
-from rtof_kin.clinical.gait_recognition import GaitVerdict, recognise_gait
+from rtof_kin.clinical.gait_recognition import STANCE, UNSTEADY, GaitVerdict, recognise_gait
 from rtof_kin.clinical.strides import LONGEST_STRIDE, Stride, find_strides
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
-UNSTEADY: Final = 0.15  # coefficient of variation of stride times above which a note is given
-LEAST_STANCE: Final = 0.55  # median stance share below which a note is given: walking has a double support
 PHASES: Final = np.linspace(0.0, 1.0, 101)
 """Samples of a cycle, share of the time from heel strike to heel strike."""
 MEASURES: Final = ("stride_time", "cadence", "stride_length", "speed", "stance_share")
@@ -134,9 +132,9 @@ def _warnings(side: str, strides: list[Stride]) -> list[str]:
                 f"{side}: stride times are {mean:.2f} +- {spread:.2f} s, which is not steady walking; means "
                 "and curves combine different movements"
             )
-    if strides and np.median([stride.stance_share for stride in strides]) < LEAST_STANCE:
+    if strides and np.median([stride.stance_share for stride in strides]) < STANCE[0]:
         notes.append(
-            f"{side}: stance takes less than {100 * LEAST_STANCE:.0f} % of the stride: running, or not gait; "
+            f"{side}: stance takes less than {100 * STANCE[0]:.0f} % of the stride: running, or not gait; "
             "event detection assumes walking"
         )
     return notes

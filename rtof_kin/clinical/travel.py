@@ -130,12 +130,11 @@ def _path_length(poses: PoseSequence, path: Array) -> float:
     smooth = signals.low_pass_known(poses.times, path, CUTOFF_HZ)
     length = 0.0 if runs else float("nan")
     for start, stop in runs:
-        anchor = smooth[start]
+        anchor, way = smooth[start], 0.0
         for point in smooth[start:stop]:
             if (step := float(np.linalg.norm(point - anchor))) >= LEAST_WAY:
-                length, anchor = length + step, point
-        rest = float(np.linalg.norm(smooth[stop - 1] - anchor))
-        length += rest if length else 0.0
+                way, anchor = way + step, point
+        length += way + float(np.linalg.norm(smooth[stop - 1] - anchor)) if way else 0.0
     return length
 
 

@@ -20,7 +20,8 @@ from rtof_kin.report.clinical_findings import SECOND_PELVIS
 ISB: Final = "isb"
 XZY: Final = "xzy"
 OPENSIM: Final = "opensim"
-_SECOND_SHOULDER: Final = "shoulder_xzy_"
+SECOND_SHOULDER: Final = "shoulder_xzy_"
+"""Begins the names of the shoulder angles in the sequence for hanging arms, after their side."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,15 @@ class AngleName:
     def opensim_title(self) -> str:
         """Name in the OpenSim convention, which says so where there is no coordinate."""
         return self.opensim or f"{self.clinical} (no OpenSim coordinate)"
+
+
+def label(name: str) -> str:
+    """Return the name of an angle in words.
+
+    Args:
+        name: as in files.
+    """
+    return name.replace("_", " ")
 
 
 def side_and_name(name: str) -> tuple[str, str]:
@@ -69,8 +79,8 @@ def angle_name(row: AngleRow) -> AngleName:
         name, conventions = name.replace(SECOND_PELVIS, "pelvis"), (OPENSIM,)
     elif name.startswith("pelvis_"):
         conventions = (ISB, XZY)
-    elif name.startswith(_SECOND_SHOULDER):
-        name, conventions = name.replace(_SECOND_SHOULDER, "shoulder_"), (XZY,)
+    elif name.startswith(SECOND_SHOULDER):
+        name, conventions = name.replace(SECOND_SHOULDER, "shoulder_"), (XZY,)
     elif name.startswith("shoulder_"):
         conventions = (ISB, OPENSIM)
     return AngleName(

@@ -27,12 +27,24 @@ def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any], foot: str 
         parts: name in the template -> HTML. plots: data for the script. foot: text on printed pages.
     """
     style = asset("page.css") + fill(asset("report.css"), {"foot": css_string(foot)})
-    script = "".join(asset(name) for name in _SCRIPTS)
+    return self_contained("page.html", style, _SCRIPTS, parts, plots)
+
+
+def self_contained(
+    template: str, style: str, scripts: Iterable[str], parts: Mapping[str, str], plots: Mapping[str, Any]
+) -> str:
+    """Return a page with its style, script and data, and their hashes for the content security policy.
+
+    Args:
+        template: asset with these names in it. style: sheet. scripts: assets, in their order.
+        parts: other names in the template -> HTML. plots: data for the script.
+    """
+    script = "".join(asset(name) for name in scripts)
     data = json.dumps(plots, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
         data = data.replace(character, f"\\u{ord(character):04x}")
     own = {"style": style, "style_hash": source_hash(style), "script": script}
-    return fill(asset("page.html"), {**parts, **own, "script_hash": source_hash(script), "data": data})
+    return fill(asset(template), {**parts, **own, "script_hash": source_hash(script), "data": data})
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:
@@ -95,11 +107,11 @@ def table(
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
     within = [*shown]
     body = []
-    for number, row in enumerate(rows):
+    for number, row in enumerate(map(list, rows)):
         only = f' data-in="{within[number]}"' if within else ""
         cells = [f'<td data-label="{name}">{cell}</td>' for name, cell in zip(names, row, strict=True)]
         if row_headers:
-            cells[0] = f'<th scope="row">{cells[0].partition(">")[2].removesuffix("</td>")}</th>'
+            cells[0] = f'<th scope="row">{row[0]}</th>'
         body.append(f"<tr{only}>{''.join(cells)}</tr>")
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     top = f'<table class="{f"stack {kind}".strip()}">{title}<thead><tr>{head}</tr></thead>'

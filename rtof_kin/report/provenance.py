@@ -44,6 +44,7 @@ def input_provenance(result: Reconstruction) -> Data:
         },
         "floor_height_m": recording.floor_height,
         "camera": _camera(result),
+        "cameras": 0 if result.keypoints is None else 1 + len(recording.views),
         "camera_estimate": None if result.camera is None else {
             "columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()],
         },

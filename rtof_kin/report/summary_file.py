@@ -14,6 +14,7 @@ from rtof_kin.report.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"
 _NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s2")  # suffixes of fields that are numbers
+_COUNTS: Final = ("first_frame", "cameras")
 _LISTS: Final = ("lever_arm_m", "landmarks")
 
 
@@ -100,7 +101,7 @@ def _check_table(name: str, table: Any, skipped: Collection[str] = ()) -> None:
     for field, value in table.items():
         if field in skipped or value is None:
             continue
-        number = field.endswith(_NUMBERS) or field == "first_frame"
+        number = field.endswith(_NUMBERS) or field in _COUNTS
         values = value if field in _LISTS and isinstance(value, list) else [value]
         if not all(isinstance(part, int | float if number else str | bool) for part in values):
             raise InvalidInputError(f"{name}, {field}: {str(value)[:40]!r} is not valid")

@@ -19,10 +19,9 @@ from rtof_kin.clinical.angle_table import SIDES, AngleTable
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.angle_names import SECOND_SHOULDER, label
 from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
-SECOND_SHOULDER: Final = "_shoulder_xzy_"
-"""Part of the names of the shoulder angles in the sequence for hanging arms."""
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
 LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
@@ -103,15 +102,6 @@ def compared_pairs(analysis: MotionAnalysis) -> int:
     return sum(name.replace("right", "left", 1) in names for name in names if name.startswith("right_"))
 
 
-def shown_name(name: str) -> str:
-    """Return the name of an angle in words, as in the table of a report.
-
-    Args:
-        name: as in files.
-    """
-    return name.replace("_", " ")
-
-
 def with_band(value: float, sigma: float) -> str:
     """Return an angle with the half width of its 95 % band, in degrees.
 
@@ -132,7 +122,7 @@ def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iter
             sigma = float(np.hypot(right.range_sigma, left.range_sigma))
             if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 less = "left" if difference > 0 else "right"
-                name = shown_name(angle.name.removeprefix("right_"))
+                name = label(angle.name.removeprefix("right_"))
                 text = (
                     f"{name}: range {with_band(right.range, right.range_sigma)} right, "
                     f"{with_band(left.range, left.range_sigma)} left, that is "
@@ -156,7 +146,7 @@ def _beyond_limits(
         ):  # fmt: skip
             if excess > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 text = (
-                    f"{shown_name(name)}: {'lowest' if end == row.low else 'highest'} angle "
+                    f"{label(name)}: {'lowest' if end == row.low else 'highest'} angle "
                     f"{with_band(end, sigma)}, beyond the anatomical limit of {np.degrees(limit):.0f}°"
                 )
                 yield Finding(joints[name].name.removeprefix(f"{joints[name].side}_"), text, excess / sigma)

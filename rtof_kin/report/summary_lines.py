@@ -22,11 +22,12 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence, shown_name
+from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
 
 MOST_FINDINGS: Final = 3
 DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
@@ -127,17 +128,19 @@ def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
 
 
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
-    """Camera and sensors in words, and which of them the mode of reconstruction does not use."""
+    """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
     names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
+    cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
+    image = "one camera" if cameras <= 1 else f"{cameras} cameras"
     if not summary.inputs.get("camera"):
         return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
     if summary.mode == IMAGE_FREE:
-        return f"{count} ({names}); the camera was not used"
+        return f"{count} ({names}); the camera{' was' if cameras <= 1 else 's were'} not used"
     if summary.mode in IMAGE_ALONE:
-        return "one camera alone" + (f"; {count} recorded, but not used" if carriers else "")
-    return f"one camera and {count} ({names})" if carriers else "one camera alone"
+        return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
+    return f"{image} and {count} ({names})" if carriers else f"{image} alone"
 
 
 def _in_words(text: str, analysis: MotionAnalysis) -> str:
@@ -219,7 +222,7 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     widths = _half_widths(analysis)
     if widths and not warned:
         worst = max(widths, key=widths.__getitem__)
-        parts.append(f"the most uncertain angle is {shown_name(worst)}, ± {widths[worst]:.0f}°")
+        parts.append(f"the most uncertain angle is {label(worst)}, ± {widths[worst]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
     return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rtof_kin.data.poses import Provenance
 
 Rgb = tuple[int, int, int]
@@ -16,6 +19,8 @@ COLOURS: Final[dict[Provenance, Rgb]] = {
     Provenance.NOBODY: (150, 150, 150),
 }
 """RGB by provenance, distinguishable with a colour vision deficiency (Okabe and Ito, 2008)."""
+PALETTE: Final[NDArray[np.uint8]] = np.array([COLOURS[kind] for kind in sorted(Provenance)], dtype=np.uint8)
+"""(kinds, 3) the same, by the number of the provenance."""
 WORDS: Final[dict[Provenance, str]] = {
     Provenance.CAMERA_AND_IMU: "camera and IMU",
     Provenance.CAMERA: "camera",

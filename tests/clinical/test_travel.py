@@ -118,6 +118,17 @@ def test_sensors_alone_drift_and_gaps_are_noted() -> None:
     assert way.path_length == pytest.approx(1.1 * 4.5, abs=0.1)
 
 
+def test_a_short_way_after_a_gap_does_not_count() -> None:
+    motion = walking(6.0, speed=1.1)
+    p = np.array(motion.poses.p_world_joint)
+    provenance, half = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8), len(p) // 2
+    provenance[half : half + 20] = Provenance.PRIOR
+    p[half:, :, :2] -= p[half:, :1, :2]
+    p[half:, :, 0] += np.linspace(0, 0.12, len(p) - half)[:, None]  # less than LEAST_WAY
+    way = of(replace(motion, poses=replace(motion.poses, p_world_joint=p, provenance=provenance)))
+    assert way.path_length == pytest.approx(1.1 * motion.times[half - 1], abs=0.03)
+
+
 def test_real_walking_has_its_way() -> None:
     way = of(walk())
     assert 3.5 < way.path_length < 6.0

@@ -30,11 +30,13 @@ TIMES = np.arange(240) / 60
 SENSORS = ("RightUpLeg", "LeftUpLeg", "RightLeg")
 
 
-def summary(mode: str = "rtof", camera: bool = True, results: Any = None, **subject: Any) -> Summary:
+def summary(
+    mode: str = "rtof", camera: bool = True, results: Any = None, cameras: int | None = None, **subject: Any
+) -> Summary:
     inputs = {
         "subject": subject, "camera": {"width_px": 1920} if camera else None,
         "sensors": [{"name": name, "segment": name} for name in SENSORS],
-    }  # fmt: skip
+    } | ({} if cameras is None else {"cameras": cameras})  # fmt: skip
     return Summary("walk", mode, "", Session(), inputs, results)
 
 
@@ -107,6 +109,18 @@ def test_turning_in_place_is_told_in_degrees() -> None:
 )
 def test_only_what_a_mode_uses_is_named_as_its_source(mode: str, camera: bool, text: str) -> None:
     assert lines(squatting(), mode=mode, camera=camera)["What"].text.endswith(text)
+
+
+@pytest.mark.parametrize(
+    ("mode", "text"),
+    [
+        ("rtof", "from 2 cameras and 3 sensors (both thighs, right shank)."),
+        ("rto", "from 2 cameras alone; 3 sensors recorded, but not used."),
+        ("imu", "from 3 sensors (both thighs, right shank); the cameras were not used."),
+    ],
+)
+def test_all_cameras_are_counted(mode: str, text: str) -> None:
+    assert lines(squatting(), mode=mode, cameras=2)["What"].text.endswith(text)
 
 
 def test_segments_with_sensors_are_named_in_words() -> None:

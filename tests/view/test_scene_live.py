@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from scene_support import walking
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.data.poses import Provenance
+from rtof_kin.live.outputs.joint_state import JointStates
 from rtof_kin.live.outputs.websocket_server import WebSocketServer
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.view.provenance_colours import COLOURS
@@ -59,6 +63,30 @@ def test_addresses_of_other_machines_are_refused(text: str) -> None:
 def test_nobody_there_and_somebody_else_are_told() -> None:
     with pytest.raises(SourceError, match="no answer"):
         LiveClient("ws://127.0.0.1:9/")
+
+
+def test_unknown_messages_are_told_and_do_not_pile_up_connections() -> None:
+    server_of = pytest.importorskip("websockets.sync.server")
+    hello = json.dumps({"skeleton": JointStates(walking(1).skeleton).description(), "floor_m": None})
+    open_now: set[object] = set()
+    seen: list[int] = []
+
+    def attend(connection: Any) -> None:
+        open_now.add(connection)
+        seen.append(len(open_now))
+        connection.send(hello)
+        connection.send("no JSON")
+        with suppress(Exception):
+            connection.recv(timeout=20.0)
+        open_now.discard(connection)
+
+    with server_of.serve(attend, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        with LiveClient(f"ws://127.0.0.1:{server.socket.getsockname()[1]}/") as client:
+            until(lambda: len(seen) >= 3)
+            assert "not a message of rtof-kin live" in client.sentences[-1]
+        server.shutdown()
+    assert max(seen) == 1
 
 
 def test_estimates_are_shown_where_they_are() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -43,7 +44,7 @@ def test_waiting_for_a_frame_does_not_lose_it() -> None:
     playback = Playback(0.0, 10.0)
     playback.play(0.0)
     for now in np.arange(1.0, 3.0, 0.1):
-        playback.hold(1.0, float(now))
+        playback.seek(1.0, float(now))
     assert playback.playing
     assert playback.at(3.0) == pytest.approx(1.1)
 
@@ -68,6 +69,19 @@ def test_blocks_are_computed_once_and_only_what_can_be_read() -> None:
             time.sleep(0.005)
         assert sorted(made) == [(0, 100), (100, 200), (200, 250)]
     finally:
+        cache.close()
+
+
+def test_waiting_is_also_for_what_is_not_yet_read() -> None:
+    ready = [0]
+    cache = BlockCache(10, lambda: ready[0], lambda start, stop: (start, stop))
+    reader = threading.Timer(0.1, lambda: ready.__setitem__(0, 10))
+    reader.start()
+    try:
+        assert cache.at(3) is None
+        assert cache.at(3, 5.0) == ((0, 10), 3)
+    finally:
+        reader.join()
         cache.close()
 
 

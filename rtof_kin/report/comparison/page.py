@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from html import escape
 from typing import Final
 
 from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.comparison.plot_data import comparison_data
-from rtof_kin.report.comparison.sentences import cautions, degrees, label, opening, place
-from rtof_kin.report.html import asset, bullets, fill, source_hash, table
+from rtof_kin.report.comparison.sentences import cautions, degrees, opening, place
+from rtof_kin.report.html import asset, bullets, self_contained, table
 
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _STYLES: Final = ("page.css", "comparison.css")
@@ -32,10 +32,6 @@ def page(found: Comparison, why: str = "") -> str:
     Args:
         found: the comparison. why: of the choice of the axis.
     """
-    style, script = ("".join(asset(name) for name in names) for names in (_STYLES, _SCRIPTS))
-    data = json.dumps(comparison_data(found), separators=(",", ":"), allow_nan=False)
-    for character in "<>&":
-        data = data.replace(character, f"\\u{ord(character):04x}")
     careful = cautions(found)
     parts = {
         "title": escape(f"{found.a.name} and {found.b.name}: comparison of joint angles"),
@@ -48,13 +44,9 @@ def page(found: Comparison, why: str = "") -> str:
         "errors": _errors(found),
         "curves": "" if found.axis is not None else f"<p>{_RANGES}</p>",
         "left_out": _left_out(found),
-        "style": style,
-        "style_hash": source_hash(style),
-        "script": script,
-        "script_hash": source_hash(script),
-        "data": data,
     }
-    return fill(asset("comparison.html"), parts)
+    style = "".join(map(asset, _STYLES))
+    return self_contained("comparison.html", style, _SCRIPTS, parts, comparison_data(found))
 
 
 def _difference_rows(found: Comparison) -> Iterator[tuple[str, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.report.comparison.sentences import label
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 
 DIFFERENCE: Final = "difference"

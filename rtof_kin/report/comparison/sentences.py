@@ -10,6 +10,7 @@ from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_alignment import POOR, Alignment
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.report.angle_names import label
 
 _MOST: Final = 3  # changes that are named
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
@@ -73,11 +74,6 @@ def cautions(found: Comparison) -> list[str]:
     if found.by == "cycle" or a.other_system or b.other_system:
         lines += [f"{one.name}: {note}" for one in noted for note in one.notes]
     return lines
-
-
-def label(name: str) -> str:
-    """Return the name of an angle with spaces."""
-    return name.replace("_", " ")
 
 
 def degrees(value: float, sign: bool = False, digits: int = 1) -> str:

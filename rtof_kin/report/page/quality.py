@@ -32,6 +32,8 @@ def recording_section(motion: MotionSequence, summary: Summary, session: Session
     image = f"{camera.get('width_px')} x {camera.get('height_px')} px" if camera else "none"
     if camera and camera.get("rate_hz"):
         image += f", {camera['rate_hz']:.4g} Hz"
+    if (cameras := inputs.get("cameras", 1)) > 1:
+        image += f"; the first of {cameras} cameras"
     labels = ("subject", "operator", "date", "place", "protocol")
     rows = [
         *([label.title(), getattr(session, label) or "not stated"] for label in labels),

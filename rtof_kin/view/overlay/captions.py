@@ -44,8 +44,6 @@ class CaptionTexts:
     """Shown while they last."""
     provenances: tuple[Provenance, ...] = ()
     """For the legend."""
-    sides: bool = True
-    """Whether the legend tells right from left."""
     detected: bool = False
     """Whether detected points are drawn."""
     bands: bool = False
@@ -177,10 +175,8 @@ def _items(texts: CaptionTexts, style: SkeletonStyle) -> list[_Item]:
     """Return the entries of a legend."""
     shown = sorted(texts.provenances, reverse=True)
     items = [_Item(WORDS[how], style.bone_stroke(how, right=False)) for how in shown]
-    if texts.sides:
-        plain = (120, 120, 120)
-        items += [_Item("right", Stroke(plain, style.bone, WHITE, style.edge))]
-        items += [_Item("left, middle", Stroke(plain, style.bone, BLACK, style.edge))]
+    for text, edge in (("right", WHITE), ("left, middle", BLACK)):
+        items.append(_Item(text, Stroke((120, 120, 120), style.bone, edge, style.edge)))
     if texts.detected:
         items.append(_Item("detected point", None))
     if texts.bands:

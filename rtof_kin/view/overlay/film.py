@@ -12,11 +12,9 @@ import numpy as np
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
-from rtof_kin.core.files.text import load_json
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
-from rtof_kin.formats.motion_npz import motion_folder, read_motion_npz
-from rtof_kin.report.summary_file import SUMMARY
+from rtof_kin.formats.motion_npz import MOTION, motion_folder, read_motion_npz
 from rtof_kin.view.overlay.angle_labels import angle_labels
 from rtof_kin.view.overlay.canvas import Image
 from rtof_kin.view.overlay.captions import CaptionTexts
@@ -41,12 +39,12 @@ from rtof_kin.view.overlay.painter import Painter
 from rtof_kin.view.overlay.picture_view import PictureView, ScaledView, virtual_view
 from rtof_kin.view.overlay.projected_motion import ProjectedMotion
 from rtof_kin.view.overlay.settings import OverlaySettings
+from rtof_kin.view.verdict import Verdict, read_verdict
 
 Progress = Callable[[str, int, int], None]
 _STAGE: Final = "draw"
 _GRADES: Final = ("warn", "fail")
-_USUAL_HZ: Final = 30.0
-"""Assumed of a video that does not state its frame rate."""
+"""Verdicts that are shown."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +57,8 @@ class ResultFiles:
     """Mode of the reconstruction."""
     measurements: Measurements
     """What it was computed from."""
-    grade: str
-    """'warn', 'fail', or '' for any other verdict or none."""
-    verdict: str
-    """Sentence of the verdict."""
+    verdict: Verdict
+    """Of the summary."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +92,7 @@ def read_result(folder: str | Path) -> ResultFiles:
             what to do.
     """
     folder = motion_folder(folder)
-    saved = read_motion_npz(folder / "motion.npz")
+    saved = read_motion_npz(folder / MOTION)
     if not (folder / MEASUREMENTS).is_file():
         raise FileFormatError(
             folder / MEASUREMENTS, "is missing, which has the cameras and the times of the video: this "
@@ -105,14 +101,7 @@ def read_result(folder: str | Path) -> ResultFiles:
     measurements = read_measurements_npz(folder / MEASUREMENTS)
     if not np.array_equal(measurements.times, saved.poses.times):
         raise FileFormatError(folder / MEASUREMENTS, "is not of the motion.npz beside it; reconstruct again")
-    summary = load_json(folder / SUMMARY) if (folder / SUMMARY).is_file() else {}
-    verdict = summary.get("verdict") if isinstance(summary, dict) else None
-    verdict = verdict if isinstance(verdict, dict) else {}
-    grade = str(verdict.get("grade", ""))
-    return ResultFiles(
-        saved.motion(), saved.mode, measurements, grade if grade in _GRADES else "",
-        str(verdict.get("headline", "")),
-    )  # fmt: skip
+    return ResultFiles(saved.motion(), saved.mode, measurements, read_verdict(folder))
 
 
 def write_overlay(
@@ -147,7 +136,8 @@ def write_overlay(
     scaled = ScaledView(chosen, scale, *size, times)
     painter = _painter(result, scaled, settings)
     with new_file(output, overwrite) as file:
-        writer: FilmWriter = GifWriter(file, _rate(source)) if gif else Mp4Writer(file, size, _rate(source))
+        rate = source.rate_hz
+        writer: FilmWriter = GifWriter(file, rate) if gif else Mp4Writer(file, size, rate)
         with writer:
             frames, without = _draw(source, painter, writer, size, settings, progress)
         if frames == 0:
@@ -196,8 +186,8 @@ def _painter(result: ResultFiles, view: PictureView, settings: OverlaySettings) 
     projected = ProjectedMotion(result.motion, view)
     texts = CaptionTexts(
         title=_title(result) if settings.title is None else " ".join(settings.title.split()),
-        grade=result.grade,
-        verdict=result.verdict,
+        grade=result.verdict.grade if result.verdict.grade in _GRADES else "",
+        verdict=result.verdict.text,
         faults=result.measurements.faults,
         provenances=projected.provenances,
         detected=settings.points,
@@ -219,13 +209,6 @@ def _output_size(size: tuple[int, int], width_px: int | None, gif: bool) -> tupl
     fits = min(1.0, GIF_WIDTH / size[0], GIF_HEIGHT / size[1]) if gif else 1.0
     width = width_px or int(size[0] * fits)
     return width, max(round(size[1] * width / size[0]), 1)
-
-
-def _rate(source: FilmSource) -> float:
-    """Return the mean rate of the pictures in the file that is written, Hz."""
-    if isinstance(source, VideoSource):
-        return (source.metadata.rate_hz or _USUAL_HZ) / source.metadata.slowed
-    return source.rate_hz if isinstance(source, PlainSource) else _USUAL_HZ
 
 
 def _draw(

@@ -22,6 +22,8 @@ _ASPECT: Final = 0.01
 """Largest relative difference of aspect ratios of the same picture: encoders cut or add some pixels."""
 _ROUNDING_PX: Final = 2.0
 """Largest difference of a side by rounding."""
+_USUAL_HZ: Final = 30.0
+"""Assumed of a video that does not state its frame rate."""
 _RATE: Final = 0.02
 """Largest relative difference of frame rates that is not pointed out."""
 
@@ -50,6 +52,11 @@ class FilmSource(Protocol):
         """Width and height, px."""
         ...
 
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the pictures in the file that is written, Hz."""
+        ...
+
     def pictures(self) -> Iterator[Picture]:
         """Generate the pictures."""
         ...
@@ -68,6 +75,11 @@ class VideoSource:
     def size(self) -> tuple[int, int]:
         """Width and height, px."""
         return self.metadata.width_px, self.metadata.height_px
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the frames in the file, Hz."""
+        return (self.metadata.rate_hz or _USUAL_HZ) / self.metadata.slowed
 
     def pictures(self) -> Iterator[Picture]:
         """Generate the frames; stamps are those of the file, also of slow motion."""

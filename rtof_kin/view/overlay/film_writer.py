@@ -13,6 +13,7 @@ from typing import Any, Final, Protocol, Self
 import numpy as np
 
 from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
+from rtof_kin.view.install import INSTALL
 from rtof_kin.view.overlay.canvas import Image
 from rtof_kin.vision.video_file import library
 
@@ -25,7 +26,6 @@ GIF_RATE_HZ: Final = 15.0
 """Highest frame rate of a GIF."""
 _MOST_OF_GIF: Final = 900
 """Most pictures of a GIF, which are in memory until it is written."""
-_INSTALL: Final = "pip install 'rtof_kin[view]'"
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
@@ -68,7 +68,7 @@ class Mp4Writer:
 
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         """Take the file, width and height of the pictures, and their mean rate."""
-        self._av = library("av", _INSTALL)
+        self._av = library("av", INSTALL)
         known = [name for name in _ENCODERS if name in self._av.codecs_available]
         if not known:
             raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")

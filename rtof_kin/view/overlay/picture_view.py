@@ -16,7 +16,9 @@ from rtof_kin.data.camera import Camera
 Frames = NDArray[np.int_]
 _SIZE: Final = (1280, 720)  # [px] of a virtual camera's picture
 _FOCAL_PX: Final = 1400.0
-_MARGIN: Final = 1.25  # of the distance at which the person just fits into the picture
+_CLOSER: Final = 0.78125
+"""Distance of the camera, over that at which a sphere around all points just fits into the picture: people
+are narrower than the sphere."""
 _STANDS: Final = 2.5  # [m] largest radius of a motion that is seen whole; a larger one is followed
 
 
@@ -107,9 +109,9 @@ def virtual_view(motion: MotionSequence) -> VirtualView:
 
 
 def _distant_enough(points: Array, middle: Array, ahead: Array) -> Camera:
-    """Return the camera in the direction `ahead` at the least distance from which all points are seen."""
+    """Return the camera in the direction `ahead` at a distance from which all points are seen."""
     radius = float(np.linalg.norm(points - middle, axis=-1).max())
-    distance = radius + _MARGIN * radius * 2 * _FOCAL_PX / min(_SIZE) / 1.6
+    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)
     position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
     return Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE)
 

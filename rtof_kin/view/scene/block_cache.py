@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -16,6 +16,8 @@ _KEPT: Final = 8
 """Blocks that are kept."""
 _AHEAD: Final = 0.4
 """Part of a block after which the next one is computed."""
+_POLL: Final = 0.01
+"""[s] between two looks at how far a file was read."""
 T = TypeVar("T")
 
 
@@ -35,25 +37,26 @@ class BlockCache(Generic[T]):
         self._size = block
         self._blocks: OrderedDict[int, Future[T]] = OrderedDict()
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="blocks")
-        self._lock = threading.Lock()
 
     def at(self, frame: int, seconds: float = 0.0) -> tuple[T, int] | None:
         """Return the block of a frame and the frame's place in it; None while that is read or computed.
 
         Args:
-            frame: number. seconds: to wait for it.
+            frame: number. seconds: to wait until it is read and computed.
 
         Raises:
             RtofError: the block cannot be read.
         """
         number, place = divmod(frame, self._size)
-        found = self._block(number)
+        deadline = time.monotonic() + seconds
+        while (found := self._block(number)) is None and time.monotonic() < deadline:
+            time.sleep(_POLL)
         if place > _AHEAD * self._size:
             self._block(number + 1)
         if found is None:
             return None
         try:
-            return found.result(timeout=seconds), place
+            return found.result(timeout=max(deadline - time.monotonic(), 0.0)), place
         except TimeoutError:
             return None
 
@@ -64,16 +67,15 @@ class BlockCache(Generic[T]):
     def _block(self, number: int) -> Future[T] | None:
         """Return a block that is or will be computed; None if it cannot be read yet."""
         start, stop = number * self._size, min((number + 1) * self._size, self.frames)
-        with self._lock:
-            if number in self._blocks:
-                self._blocks.move_to_end(number)
-                return self._blocks[number]
-            if start >= stop or self._available() < stop:
-                return None
-            try:
-                self._blocks[number] = self._worker.submit(self._compute, start, stop)
-            except RuntimeError as error:  # closed
-                raise RtofError("the viewer was closed") from error
-            while len(self._blocks) > _KEPT:
-                self._blocks.popitem(last=False)[1].cancel()
+        if number in self._blocks:
+            self._blocks.move_to_end(number)
             return self._blocks[number]
+        if start >= stop or self._available() < stop:
+            return None
+        try:
+            self._blocks[number] = self._worker.submit(self._compute, start, stop)
+        except RuntimeError as error:  # closed
+            raise RtofError("the viewer was closed") from error
+        while len(self._blocks) > _KEPT:
+            self._blocks.popitem(last=False)[1].cancel()
+        return self._blocks[number]

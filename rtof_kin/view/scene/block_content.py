@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.view.provenance_colours import PALETTE
 from rtof_kin.view.scene.solids import SegmentSolids
 
 QUANTILE_95: Final = 2.795483
@@ -32,7 +32,6 @@ _SHORT: Final = 0.45
 """Relative length of the axes of other joints."""
 _FAINT: Final = 0.35
 """Opacity of a segment that is not valid."""
-_PALETTE: Final = np.array([COLOURS[Provenance(i)] for i in range(len(Provenance))], dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ def block_content(
         centers=_float(p + np.einsum("njik,jk->nji", R, solids.centers)),
         solids_wxyz=_quaternions(R @ solids.R_bone_solid),
         shown=_float(there),
-        colours=_PALETTE[segment_provenance(poses, skeleton)],
+        colours=PALETTE[segment_provenance(poses, skeleton)],
         opacities=_float(np.where(poses.valid, 1.0, _FAINT)),
         p_joint=_float(p),
         joints_wxyz=_quaternions(R),

@@ -28,7 +28,6 @@ _POINT: Final = 0.009
 """Size of a point relative to the depth."""
 _BEHIND: Final = 1.003
 """Depth of the image relative to that of the points."""
-_UNKNOWN_TURN: Final = np.full((3, 3), np.nan)
 
 
 @dataclass(frozen=True)
@@ -127,9 +126,8 @@ class CameraLayer:
         Args:
             block: of this camera. i: frame in it. depth: of the image before the camera, m.
         """
-        R = block.R_world_camera[i]
         self._depth = depth
-        self._show_pose(R if np.isfinite(R).all() else _UNKNOWN_TURN)
+        self._show_pose(block.R_world_camera[i])
         for what, points in (("detected", block.detected[i]), ("reprojected", block.reprojected[i])):
             seen = points[np.isfinite(points).all(axis=-1)]
             self.points[what].points = seen.astype(np.float32)

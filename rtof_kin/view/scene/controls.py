@@ -11,7 +11,8 @@ import numpy as np
 
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.playback import SPEEDS, Playback
-from rtof_kin.view.scene.words import Verdict, legend_html, sentences_html, verdict_html
+from rtof_kin.view.scene.words import legend_html, sentences_html, verdict_html
+from rtof_kin.view.verdict import Verdict
 
 _RELATIVE, _WORLD = "relative to the root", "in world"
 _SLIDER_STEP: Final = 0.001

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
@@ -15,7 +15,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.view.scene.local_server import INSTALL
+from rtof_kin.view.install import INSTALL
 from rtof_kin.vision.video_file import library
 
 _PATIENCE: Final = 2.0
@@ -82,10 +82,12 @@ class LiveClient:
         self.received, self.connected = 0, True
         self._stop = threading.Event()
         try:
-            self._socket = self._open()
-            first = self._message(self._socket.recv(timeout=_PATIENCE))
-            self.skeleton, self.floor = _described(first)
-        except (OSError, TimeoutError, self._errors) as error:
+            with ExitStack() as failed:
+                self._socket = failed.enter_context(self._open())
+                first = self._message(self._socket.recv(timeout=_PATIENCE))
+                self.skeleton, self.floor = _described(first)
+                failed.pop_all()
+        except (OSError, self._errors) as error:
             raise SourceError(
                 f"{url}: no answer ({error or 'timeout'}); start rtof-kin live --out ws first"
             ) from error
@@ -127,18 +129,19 @@ class LiveClient:
     def _run(self) -> None:
         while not self._stop.is_set():
             try:
-                for text in self._socket:
-                    self._take(self._message(text))
+                with self._socket:
+                    for text in self._socket:
+                        self._take(self._message(text))
             except (OSError, RtofError, self._errors) as error:
                 with self._lock:
                     self._sentences = [str(error)]
-            while not self._stop.is_set():
-                self.connected = False
-                with suppress(OSError, TimeoutError, self._errors):
+            self.connected = False
+            while not self._stop.wait(_AGAIN):
+                with suppress(OSError, self._errors):
                     self._socket = self._open()
                     self.connected = True
                     break
-                self._stop.wait(_AGAIN)
+        self._socket.close()
 
     def _message(self, text: Any) -> dict[str, Any]:
         try:

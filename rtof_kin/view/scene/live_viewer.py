@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.view.provenance_colours import PALETTE
 from rtof_kin.view.scene.block_content import block_content
 from rtof_kin.view.scene.layers import PathLayer
 from rtof_kin.view.scene.live_client import LiveClient
@@ -43,7 +44,7 @@ class LiveViewer:
         self.stage = Stage(server, None, client.skeleton, floor=client.floor)
         self.person = Person(server, "/world/motion", client.skeleton, confidence=False)
         self._path = PathLayer(server, "/world/motion/root path")
-        self._points: list[tuple[float, np.ndarray[Any, Any], int]] = []
+        self._points: list[tuple[float, Array, int]] = []
         self.shown, self._last, self._at = 0, -np.inf, time.monotonic()
         gui = server.gui
         self.status = gui.add_html(sentences_html([f"live, from {client.url}: waiting for a pose"]))
@@ -97,7 +98,7 @@ class LiveViewer:
             self._show_path(float(poses.times[0]), content.p_root[0], int(poses.provenance[0, 0]))
             self.stage.follow(content.p_root[0])
 
-    def _show_path(self, seconds: float, p_root: np.ndarray[Any, Any], provenance: int) -> None:
+    def _show_path(self, seconds: float, p_root: Array, provenance: int) -> None:
         points = self._points
         if points and 0 <= seconds - points[-1][0] < _PATH_STEP:
             return
@@ -107,5 +108,5 @@ class LiveViewer:
         while seconds - points[0][0] > _PATH_S:
             points.pop(0)
         if len(points) > 1:
-            colours = np.array([COLOURS[Provenance(kind)] for _, _, kind in points], dtype=np.uint8)
+            colours = PALETTE[[kind for _, _, kind in points]]
             self._path.show(np.array([p for _, p, _ in points]), colours)

@@ -9,10 +9,9 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from rtof_kin.core.errors import RtofError, SourceError
+from rtof_kin.view.install import INSTALL
 from rtof_kin.vision.video_file import library
 
-INSTALL: Final = "pip install 'rtof_kin[view]'"
-"""Command that installs what the viewer needs."""
 LOOPBACK: Final = "127.0.0.1"
 _REFUSED: Final = 1008
 """Code of WebSocket for a policy that is violated."""
@@ -65,7 +64,7 @@ def _keep_local(server: Any) -> None:
     """Take away the relay, and refuse clients that belong to another page."""
     messages = library("viser._messages", INSTALL)
     connections = server._websock_server
-    connections._live_connections.copy()
+    connections._live_connections.copy()  # raises here, not in the first client, if it has another name
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         connections.unregister_handler(kind)
     own = {(name, server.get_port()) for name in (LOOPBACK, "localhost")}

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_npz import SCHEMA_VERSION
 from rtof_kin.view.scene.npz_blocks import NpzBlocks
+from rtof_kin.view.scene.scanned_file import ScannedFile
 
 _POSES: Final = ("p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed")
 _COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
@@ -28,7 +28,7 @@ _HEADER: Final = ("schema_version", "names", "joint_offsets", "skeleton", "mode"
 _HEADER_BYTES: Final = 2**20
 
 
-class MotionBlocks:
+class MotionBlocks(ScannedFile):
     """Frames of a ``motion.npz``, which become readable from the first on while a thread passes over it.
 
     Attributes:
@@ -44,16 +44,12 @@ class MotionBlocks:
         Raises:
             FileFormatError: missing, damaged, of a newer schema, or not a motion.
         """
-        self.path = path
         with ExitStack() as failed:
-            self._open(path, failed)
+            rows = self._open(path, failed)
             failed.pop_all()
-        self._stop = threading.Event()
-        self._problem: RtofError | None = None
-        self._thread = threading.Thread(target=self._pass, name="reading the motion", daemon=True)
-        self._thread.start()
+        super().__init__(path, rows)
 
-    def _open(self, path: Path, failed: ExitStack) -> None:
+    def _open(self, path: Path, failed: ExitStack) -> NpzBlocks:
         header = read_npz_as_saved(path, _HEADER_BYTES, kinds="iubfU", names=_HEADER)
         try:
             if (version := int(header["schema_version"])) > SCHEMA_VERSION:
@@ -66,37 +62,21 @@ class MotionBlocks:
             self.mode = str(header["mode"])
             pairs = header.get("confidence_pairs", np.empty((0, 2), dtype="U1"))
             self._pairs = tuple((str(parent), str(child)) for parent, child in pairs)
-            self._rows = NpzBlocks(path, _ROWS)
-            failed.callback(self._rows.close)
-            self.times: Array = checked_times("motion times", self._rows.whole("times"))
+            rows = NpzBlocks(path, _ROWS)
+            failed.callback(rows.close)
+            self.times: Array = checked_times("motion times", rows.whole("times"))
         except FileFormatError:
             raise
         except KeyError as error:
             raise FileFormatError(path, f"the array {error} is missing; reconstruct again") from error
         except (RtofError, ValueError, TypeError) as error:
             raise FileFormatError(path, str(error)) from error
-        if missing := [name for name in ("q", *_POSES) if name not in self._rows]:
+        if missing := [name for name in ("q", *_POSES) if name not in rows]:
             raise FileFormatError(path, f"the array {missing[0]!r} is missing; reconstruct again")
+        return rows
 
     def __len__(self) -> int:
         return len(self.times)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def available(self) -> int:
-        """Number of frames, from the first, that can be read.
-
-        Raises:
-            FileFormatError: the file turned out to be damaged.
-        """
-        if self._problem is not None:
-            raise self._problem
-        return self._rows.available
 
     @property
     def rate_hz(self) -> float:
@@ -151,32 +131,3 @@ class MotionBlocks:
         p = self._rows.rows("p_world_joint", start, stop)[::step, 0]
         provenance = self._rows.rows("provenance", start, stop)[::step, 0]
         return np.array(p, dtype=float), np.clip(provenance, 0, max(Provenance)).astype(np.uint8)
-
-    def wait(self, frames: int, seconds: float = 60.0) -> None:
-        """Wait until frames can be read.
-
-        Args:
-            frames: number of them, from the first. seconds: at most.
-
-        Raises:
-            FileFormatError: the file is damaged, or this takes longer.
-        """
-        self._thread.join(0.0 if self.available >= frames else 0.002)
-        waited = 0.0
-        while self.available < frames:
-            if waited > seconds or not self._thread.is_alive():
-                raise FileFormatError(self.path, f"not read within {seconds:g} s; copy it to a faster disk")
-            self._thread.join(0.01)
-            waited += 0.01
-
-    def close(self) -> None:
-        """Stop reading."""
-        self._stop.set()
-        self._thread.join(10.0)
-        self._rows.close()
-
-    def _pass(self) -> None:
-        try:
-            self._rows.scan(self._stop)
-        except RtofError as error:
-            self._problem = error

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.measurements import Measurements
-from rtof_kin.data.poses import Provenance
-from rtof_kin.view.provenance_colours import COLOURS
+from rtof_kin.view.provenance_colours import PALETTE
 from rtof_kin.view.scene.block_cache import BlockCache
 from rtof_kin.view.scene.block_content import BlockContent, block_content
 from rtof_kin.view.scene.camera_layer import DEPTH, CameraBlock, CameraLayer, camera_block
@@ -31,7 +30,6 @@ _SAME_TIME: Final = 0.05
 """[s] By which times of two motions may differ for one frame."""
 _BEHIND: Final = 1.25, 0.8
 """Depth of the image behind the person: relative to the person's distance, and added, m."""
-_PALETTE: Final = np.array([COLOURS[Provenance(i)] for i in range(len(Provenance))], dtype=np.uint8)
 
 
 class Layer(Enum):
@@ -216,8 +214,8 @@ class MotionScene:
         frames = self._motion.available
         if self._measurements is not None:
             frames = min(frames, self._measurements.available)
-        if self._second is not None and self._second.available < len(self._second):
-            last = self._second.times[max(self._second.available - 1, 0)]
+        if self._second is not None and (known := self._second.available) < len(self._second):
+            last = self._second.times[known - 1] if known else -np.inf
             frames = min(frames, int(np.searchsorted(self._motion.times, last)))
         return frames
 
@@ -267,7 +265,7 @@ class MotionScene:
         margin = int(_PATH_S * self._motion.rate_hz)
         start, stop = max(start - margin, 0), min(stop + margin, len(self._motion))
         p, provenance = self._motion.root(start, stop, max((stop - start) // _PATH_POINTS, 1))
-        return p, _PALETTE[provenance]
+        return p, PALETTE[provenance]
 
     def _show_path(self, frame: int) -> None:
         found = self._paths.at(frame)

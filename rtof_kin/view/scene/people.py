@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -108,7 +109,8 @@ class Sensors:
         R_sensor = measurements.R_world_sensor
         known = np.isfinite(at).all(axis=-1) & np.isfinite(R_sensor).all(axis=(-2, -1))
         turned = np.where(known[..., None, None], R_sensor, np.eye(3))
-        return SensorBlock(np.where(known[..., None], at, 0.0), so3.to_quat_wxyz(turned), known)
+        placed = np.where(known[..., None], at, 0.0).astype(np.float32)
+        return SensorBlock(placed, so3.to_quat_wxyz(turned).astype(np.float32), known)
 
     def show(self, block: SensorBlock, i: int) -> None:
         """Show one frame.
@@ -119,15 +121,13 @@ class Sensors:
         self.layer.show(block.p_world[i], block.quat_wxyz[i], block.measured[i])
 
 
+@dataclass(frozen=True)
 class SensorBlock:
     """Sensors in the frames of a block."""
 
-    def __init__(self, p_world: Array, quat_wxyz: Array, measured: Mask):
-        """Keep places, orientations and where both are known.
-
-        Args:
-            p_world: (n, S, 3) m, 0 where unknown. quat_wxyz: (n, S, 4). measured: (n, S).
-        """
-        self.p_world: NDArray[np.float32] = p_world.astype(np.float32)
-        self.quat_wxyz: NDArray[np.float32] = quat_wxyz.astype(np.float32)
-        self.measured = measured
+    p_world: NDArray[np.float32]
+    """(n, S, 3) m; 0 where unknown."""
+    quat_wxyz: NDArray[np.float32]
+    """(n, S, 4) measured orientations."""
+    measured: Mask
+    """(n, S) whether place and orientation are known."""

@@ -29,11 +29,6 @@ class Playback:
         """Whether the time moves on."""
         return self._playing
 
-    @property
-    def speed(self) -> float:
-        """Relative to real time."""
-        return self._speed
-
     def at(self, now: float) -> float:
         """Return the time to show, s; playing ends at the last frame, or begins again.
 
@@ -63,7 +58,7 @@ class Playback:
             self._time, self._since, self._playing = time, now, playing
 
     def seek(self, time: float, now: float) -> None:
-        """Go to a time.
+        """Go to a time, without pausing.
 
         Args:
             time: s; limited to those of the motion. now: of the clock, s.
@@ -80,11 +75,3 @@ class Playback:
         time = self.at(now)
         with self._lock:
             self._time, self._since, self._speed = time, now, speed
-
-    def hold(self, time: float, now: float) -> None:
-        """Wait at a time that cannot be shown yet, without pausing.
-
-        Args:
-            time: s. now: of the clock, s.
-        """
-        self.seek(time, now)

@@ -102,11 +102,6 @@ class Stage:
             self._at = np.array([-p_root[0], -p_root[1], 0.0])
         self.world.position = self._at
 
-    @property
-    def origin(self) -> Array:
-        """(3,) m, where the world's origin is in the browser."""
-        return self._at
-
 
 def _light(scene: Any) -> None:
     """Light the scene from above and the sides, without maps and shadows, which weak machines cannot draw."""

@@ -11,11 +11,13 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.text import write_text
+from rtof_kin.view.install import INSTALL
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.viewer import Opened
-from rtof_kin.view.scene.words import Verdict, legend_html, verdict_html
+from rtof_kin.view.scene.words import legend_html, verdict_html
+from rtof_kin.view.verdict import Verdict
 from rtof_kin.vision.video_file import library
 
 LARGEST_MB: Final = 50.0
@@ -32,7 +34,8 @@ _POLICY: Final = (
     "connect-src data: blob:; base-uri 'none'; form-action 'none'"
 )
 """The browser loads nothing from elsewhere."""
-_PATIENCE: Final = 60.0
+_PATIENCE: Final = 3600.0
+"""[s] until a frame is read; a file of hours takes minutes."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -91,16 +94,15 @@ def write_static_page(
     """
     times = files.motion.times
     frames = frames_of_page(times, start, stop, rate_hz)
-    files.motion.wait(frames[-1] + 1, 3600.0)
+    rate = min(rate_hz, files.motion.rate_hz)
     scene = MotionScene(server, files.motion, files.measurements, files.second)
     try:
         if Layer.CONFIDENCE in scene.layers:
             scene.set_visible(Layer.CONFIDENCE, False)
         base, each = _sizes(server, scene, frames)
-        rate = rate_hz
         most = max(int((largest_mb - base) / each), 0)
         if thin := len(frames) > most:
-            rate = rate_hz * most / len(frames)
+            rate *= most / len(frames)
             if rate < SLOWEST_HZ:
                 raise InvalidInputError(
                     f"{path}: would need {base + each * len(frames):.0f} MB, and more than {largest_mb:g} MB "
@@ -121,10 +123,10 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
     spread = np.linspace(0, len(frames) - 1, min(_TRIAL, len(frames))).astype(int)
     serializer = server.get_scene_serializer()
     for i in spread:
-        scene.show(frames[i], _PATIENCE)
+        _show(scene, frames[i])
         serializer.insert_sleep(0.02)
     size = len(serializer.serialize()) * 4 / 3 / 1e6
-    page = Path(library("viser").__file__).parent / "client" / "build" / "index.html"
+    page = Path(library("viser", INSTALL).__file__).parent / "client" / "build" / "index.html"
     return page.stat().st_size / 1e6, size / len(spread)
 
 
@@ -132,15 +134,21 @@ def _recorded(
     server: Any, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None
 ) -> str:  # fmt: skip
     """Return viser's page with the frames at their times; it begins again at the end."""
-    scene.show(frames[0], _PATIENCE)
+    _show(scene, frames[0])
     serializer = server.get_scene_serializer()
     ends = np.append(times[frames], times[frames[-1]] + 1.0)  # the last frame stays for a second
     for number, frame in enumerate(frames):
-        scene.show(frame, _PATIENCE)
+        _show(scene, frame)
         serializer.insert_sleep(float(ends[number + 1] - ends[number]))
         if progress is not None:
             progress("page", number + 1, len(frames))
     return str(serializer.as_html())
+
+
+def _show(scene: MotionScene, frame: int) -> None:
+    """Show a frame as soon as all files are read that far."""
+    if scene.show(frame, _PATIENCE) is None:
+        raise RtofError(f"frame {frame} was not read within {_PATIENCE:g} s; copy the files to a faster disk")
 
 
 def _part(times: Array, frames: list[int]) -> str:

@@ -23,7 +23,7 @@ from rtof_kin.view.scene.motion_blocks import MotionBlocks
 from rtof_kin.view.scene.motion_scene import MotionScene
 from rtof_kin.view.scene.playback import Playback
 from rtof_kin.view.scene.video_frames import VideoFrames
-from rtof_kin.view.scene.words import Verdict, read_verdict
+from rtof_kin.view.verdict import Verdict, read_verdict
 
 FASTEST: Final = 60.0
 """[Hz] at which frames are sent."""
@@ -171,7 +171,7 @@ class MotionViewer:
         motion = self._files.motion
         if block is None:
             self.controls.changed = True
-            self.playback.hold(wanted, now)
+            self.playback.seek(wanted, now)
             share = 100 * motion.available / len(motion)
             self.controls.tell(f"loading: {share:.0f} % of the motion can be shown yet")
             return

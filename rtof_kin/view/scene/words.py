@@ -3,61 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import Final
 
-from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.text import load_json
 from rtof_kin.data.poses import Provenance
-from rtof_kin.report.summary_file import SUMMARY
 from rtof_kin.view.provenance_colours import COLOURS, WORDS, Rgb
 from rtof_kin.view.scene.camera_layer import DETECTED, REPROJECTED
 from rtof_kin.view.scene.people import SECOND, TRUTH
+from rtof_kin.view.verdict import Verdict
 
 GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}
 """RGB by verdict."""
 _UNKNOWN: Final = (90, 90, 90)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the summary says about a motion."""
-
-    grade: str
-    """'pass', 'warn' or 'fail'; empty where there is no verdict."""
-    text: str
-    """Sentence with the reason."""
-    recording: str
-    """Name of the recording; empty if unknown."""
-
-    @property
-    def line(self) -> str:
-        """Grade and reason in one line."""
-        return f"{self.grade or 'no verdict'}: {self.text}"
-
-
-def read_verdict(folder: Path) -> Verdict:
-    """Return the verdict of a motion's summary.
-
-    Args:
-        folder: of the motion.
-
-    Raises:
-        FileFormatError: the summary is no JSON.
-    """
-    path = folder / SUMMARY
-    if not path.is_file():
-        return Verdict("", f"there is no {SUMMARY} beside the motion; reconstruct again", "")
-    data = load_json(path)
-    if not isinstance(data, dict):
-        raise FileFormatError(path, "not the summary of a reconstruction")
-    found = data.get("verdict")
-    found = found if isinstance(found, dict) else {}
-    grade = str(found.get("grade", ""))
-    text = str(found.get("headline", "the summary has none; reconstruct again"))
-    return Verdict(grade if grade in GRADES else "", text, str(data.get("recording", "")))
 
 
 def verdict_html(verdict: Verdict) -> str:
