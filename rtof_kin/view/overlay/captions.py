@@ -176,7 +176,10 @@ def font_size(width_px: int, height_px: int) -> int:
 def _items(texts: CaptionTexts, style: SkeletonStyle) -> list[_Item]:
     """Return the entries of a legend."""
     shown = sorted(texts.provenances, reverse=True)
-    items = [_Item(WORDS[how], style.bone_stroke(how, right=False)) for how in shown]
+    words = WORDS | {Provenance.PRIOR: WORDS[Provenance.NOBODY]}
+    items = list(
+        {words[how]: _Item(words[how], style.bone_stroke(how, right=False)) for how in shown}.values()
+    )
     if texts.sides:
         plain = (120, 120, 120)
         items += [_Item("right", Stroke(plain, style.bone, WHITE, style.edge))]
