@@ -28,8 +28,8 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "compare", _compare, "two motions, or the left and right side of one, angle by angle",
         "A and B are outputs of reconstruct or run, a motion.npz, or a .mot or .sto of another system. "
-        "Prints what is compared and how, which angles have changed, and differences B - A with standard "
-        "deviations and errors; -o writes a page with the curves, a table and JSON.",
+        "Prints what is compared and how, which angles have changed, and differences B - A with 95 % "
+        "intervals and errors; -o writes a page with the curves, a table and JSON.",
     )  # fmt: skip
     parser.add_argument("a", metavar="OUT_A", help="the first motion; its clock is used")
     parser.add_argument("b", metavar="OUT_B", nargs="?", help="the second motion")

@@ -33,10 +33,11 @@ def add_commands(commands: Any) -> None:
 def _report(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.core.files.text import write_text
+    from rtof_kin.formats.motion_npz import motion_folder
     from rtof_kin.recording.session import Session
     from rtof_kin.report.page import PAGE, report
 
-    folder = Path(options.motion)
+    folder = motion_folder(options.motion)
     path = Path(options.output or folder / PAGE)
     check_new_file(path, options.overwrite)
     session = Session(**{field.name: getattr(options, field.name) for field in fields(Session)})
@@ -111,12 +112,12 @@ def _print_way_down(study: Any) -> None:
 def _add_report(commands: Any) -> None:
     parser = command(
         commands, "report", _report, "one page of a reconstructed motion that opens in any browser",
-        "MOTION is the output of reconstruct. The page begins with a summary; ranges of motion, curves, an "
-        "animated skeleton, gait, torques, quality, the items to report of a study with inertial sensors and "
-        "the audit follow. It reads on a phone and on paper, and needs no network.",
+        "MOTION is the output of reconstruct or run. The page begins with a summary; ranges of motion, "
+        "curves, an animated skeleton, gait, torques, quality, the items to report of a study with inertial "
+        "sensors and the audit follow. It reads on a phone and on paper, and needs no network.",
     )  # fmt: skip
-    parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct")
-    add_output(parser, "", "file to write; default: report.html in MOTION")
+    parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct or run")
+    add_output(parser, "", "file to write; default: report.html beside the motion")
     labels = {
         "subject": "name or code of the subject", "operator": "operator",
         "date": "day of the recording, as 2026-01-31", "place": "place", "protocol": "protocol",

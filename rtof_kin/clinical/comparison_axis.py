@@ -82,7 +82,7 @@ def repeated_axis(a: Compared, b: Compared) -> Choice | None:
         return Choice("cycle", "both are walking, with complete gait cycles")
     for kind in KINDS:
         if min(len(x.repetitions.get(kind, ())) for x in (a, b)) >= _LEAST_REPEATS:
-            return Choice("repetition", f"both have repetitions ({kind.replace('_', ' ')})", kind)
+            return Choice("repetition", "both have two repetitions or more", kind)
     return None
 
 

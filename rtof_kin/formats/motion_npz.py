@@ -78,8 +78,20 @@ def motion_path(path: str | Path) -> Path:
 
 
 def motion_folder(path: str | Path) -> Path:
-    """Return the folder of the motion's file; arguments and errors as for `motion_path`."""
-    return motion_path(path).parent
+    """Return the folder of the motion's file.
+
+    Args:
+        path: as for `motion_path`.
+
+    Raises:
+        FileFormatError: there is no such folder or file, or no motion in it.
+    """
+    found = motion_path(path)
+    if not found.is_file():
+        raise FileFormatError(found, "there is no such file; name the output folder of reconstruct or run")
+    if found.suffix != ".npz":
+        raise FileFormatError(found, "is no motion; name the output folder of reconstruct or run")
+    return found.parent
 
 
 def write_motion_npz(

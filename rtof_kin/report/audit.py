@@ -35,6 +35,8 @@ _DETECTORS: Final = (
     "detector's usual errors reach (benchmarks/results/audit.md), the second twice that"
 )
 _USER: Final = "a convention of this report"
+_UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
+"""Limits of the share of unseen frames, of points that are out of sight in most views from side or back."""
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
 
@@ -86,7 +88,7 @@ def _streams(result: Reconstruction) -> Iterator[AuditResult]:
         missing = 1 - landmarks.seen.mean(axis=0)
         note = "occluded, out of the image, or not detected"
         shares += [
-            ("share of frames unseen", landmark, share, 10.0, 90.0, note)
+            ("share of frames unseen", landmark, share, *_UNSEEN.get(landmark, (10.0, 90.0)), note)
             for landmark, share in zip(landmarks.names, missing, strict=True)
         ]
     if result.bone_imus is not None:

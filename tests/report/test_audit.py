@@ -83,6 +83,17 @@ def test_an_unobserved_leg_is_named(good: Reconstruction) -> None:
     assert "never observed" in of(off, "image", "LeftLeg").text
 
 
+def test_an_ear_that_a_side_view_hides_is_no_failure(good: Reconstruction) -> None:
+    assert good.keypoints is not None
+    names = tuple("LeftEar" if name == "LeftHand" else name for name in good.keypoints.names)
+    side = replace(good, keypoints=replace(good.keypoints, names=names))
+    assert of(with_keypoints(side, ("LeftEar",), np.nan), "streams", "LeftEar", "unseen").grade is Grade.WARN
+    seen = good.keypoints.uv_px.copy()
+    seen[: int(0.8 * len(seen)), names.index("LeftEar")] = np.nan
+    most = replace(side, keypoints=replace(good.keypoints, names=names, uv_px=seen))
+    assert of(most, "streams", "LeftEar", "unseen").grade is Grade.PASS
+
+
 @pytest.mark.parametrize(("axis", "name"), [("x", "across the bone"), ("z", "about the bone")])
 def test_a_rotated_sensor_has_a_residual_across_or_about_its_bone(
     good: Reconstruction, axis: str, name: str

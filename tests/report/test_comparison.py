@@ -51,12 +51,15 @@ def said(found: Comparison, why: str = "") -> str:
 
 def test_first_lines_say_what_how_and_what_changed(planted_change: Comparison) -> None:
     lines = opening(planted_change, "both are alike")
-    assert lines[0] == "A is <b>before</b>, B is after & </script>; differences are B - A."
+    assert lines[0].startswith(
+        "A is <b>before</b>, B is after & </script>; differences are B - A, \u00b1 half of the "
+    )
+    assert lines[0].endswith("the 95 % interval of the angle alone.")
     assert "same instants, 0.00 to 4.98 s" in lines[1]
     assert "100 % of the frames, by angle, are observed" in lines[1]
     assert "Chosen because both are alike." in lines[1]
     assert "1 of 3 angles has changed" in lines[2]
-    assert "right knee flexion (mean) by +15.0 \u00b1 2.8 deg" in lines[2]
+    assert "right knee flexion (mean) by +15.0 \u00b1 5.5 deg" in lines[2]
 
 
 def test_not_shown_is_told_from_equal() -> None:

@@ -109,6 +109,12 @@ def test_the_motion_is_found_in_the_output_of_reconstruct_and_run(folder: Path, 
     assert motion_folder(of_run) == of_run / "motion"
     with pytest.raises(FileFormatError, match="output folder of reconstruct or run"):
         motion_path(tmp_path)
+    for wrong in ("nowhere", "walk.mp4"):
+        (tmp_path / "walk.mp4").touch()
+        with pytest.raises(
+            FileFormatError, match=f"{wrong}: .*; name the output folder of reconstruct or run"
+        ):
+            motion_folder(tmp_path / wrong)
 
 
 def test_summary_of_a_reconstruction(result: Reconstruction, folder: Path) -> None:

@@ -69,3 +69,16 @@ def test_labels_without_room_are_left_out() -> None:
     boxes = LabelLayout().place(crowd, Box(0, 40, 300, 60))
     assert 0 < len(boxes) < 30
     assert not LabelLayout().place(crowd, Box(0, 40, 50, 10))
+
+
+def test_a_label_at_the_edge_does_not_stand_beside_the_point_of_another_one() -> None:
+    knees = [Label("L knee", 140.0, 220.0, 90, 18), Label("R knee", 80.0, 200.0, 90, 18, True)]
+    boxes = LabelLayout().place(knees, PICTURE)
+
+    def distance(name: str, other: Label) -> float:
+        box = boxes[name]
+        nearest = np.clip([other.x, other.y], [box.left, box.top], [box.right, box.bottom])
+        return float(np.hypot(*(nearest - [other.x, other.y])))
+
+    for own, other in (knees, knees[::-1]):
+        assert distance(own.name, own) < distance(own.name, other)

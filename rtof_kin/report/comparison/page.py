@@ -10,7 +10,7 @@ from rtof_kin.clinical.comparison import AngleComparison, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.report.angle_names import label
 from rtof_kin.report.comparison.plot_data import comparison_data
-from rtof_kin.report.comparison.sentences import cautions, degrees, opening, place
+from rtof_kin.report.comparison.sentences import cautions, degrees, difference_text, opening, place
 from rtof_kin.report.html import asset, bullets, self_contained, table
 
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
@@ -57,10 +57,10 @@ def _difference_rows(found: Comparison) -> Iterator[tuple[str, ...]]:
 
 
 def _change_cells(change: Change) -> tuple[str, ...]:
-    sd = f" &plusmn; {degrees(change.sigma)}" if degrees(change.sigma) else ""
+    size, *half = difference_text(change).partition(" ")
     low, high = (degrees(end, True) for end in change.interval)
     p = f"{change.p_adjusted:.3f}" if change.p_adjusted == change.p_adjusted else ""
-    difference = f"<b>{degrees(change.difference, True)}</b>{sd}"
+    difference = f"<b>{size}</b>{escape(''.join(half))}"
     return (
         change.measure, difference,
         f'<span class="grade {_MARKS[change.verdict]}">{change.verdict.value}</span>',

@@ -12,6 +12,7 @@ from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.report.angle_names import label
 
+_REPEATED: Final = {"squat": "bend of the knees (squat or lunge)", "sit_to_stand": "rise from a seat"}
 _MOST: Final = 3  # changes that are named
 _LATE: Final = 0.04  # [s] a better shift than this is pointed out
 _BETTER: Final = 0.02  # if the agreement is better by this
@@ -30,7 +31,7 @@ def opening(found: Comparison, why: str) -> list[str]:
         lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
     doubt = _doubt(found)
     lines += [doubt] if doubt else []
-    lines.append(f"A is {found.a.name}, B is {found.b.name}; differences are B - A.")
+    lines.append(f"A is {found.a.name}, B is {found.b.name}; differences are B - A{_meaning(found)}.")
     lines.append(_axis(found) + (f" Chosen because {why}." if why else ""))
     return [*lines, *_changes(found)]
 
@@ -89,7 +90,7 @@ def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
 
 
 def change_text(one: AngleComparison, change: Change) -> str:
-    """Return a change in words, e.g. 'right knee flexion (mean) by -12.1 \u00b1 3.0 deg'.
+    """Return a change in words, e.g. 'right knee flexion (mean) by -12.1 \u00b1 6.0 deg'.
 
     Args:
         one: the angle. change: of it.
@@ -98,13 +99,14 @@ def change_text(one: AngleComparison, change: Change) -> str:
 
 
 def difference_text(change: Change) -> str:
-    """Return a difference with its standard deviation, degrees, e.g. '-12.1 \u00b1 3.0'.
+    """Return a difference with half of its 95 % interval, degrees, as in the report, e.g. '-12.1 \u00b1 6.0'.
 
     Args:
         change: of an angle.
     """
-    sd = f" \u00b1 {degrees(change.sigma)}" if np.isfinite(change.sigma) else ""
-    return degrees(change.difference, True) + sd
+    half = change.interval[1] - change.difference
+    band = f" \u00b1 {degrees(half)}" if np.isfinite(half) else ""
+    return degrees(change.difference, True) + band
 
 
 def place(found: Comparison, at: float) -> str:
@@ -114,6 +116,12 @@ def place(found: Comparison, at: float) -> str:
         found: the comparison. at: s, or share.
     """
     return f"{at:.2f} s" if found.by == "time" else f"{100 * at:.0f} %"
+
+
+def _meaning(found: Comparison) -> str:
+    """What follows a difference after \u00b1, where anything does."""
+    stated = any(np.isfinite(change.sigma) for one in found.angles for change in one.changes)
+    return ", \u00b1 half of the 95 % interval of the angle alone" if stated else ""
 
 
 def _same_values(found: Comparison) -> bool:
@@ -147,7 +155,7 @@ def _axis(found: Comparison) -> str:
         return f"{text}; {_used(found)}."
     if found.by == "range":
         return "Compared by the ranges of motion of the whole recordings, without a common axis."
-    what = "gait cycle, heel strike to heel strike" if found.by == "cycle" else found.kind.replace("_", " ")
+    what = "gait cycle, heel strike to heel strike" if found.by == "cycle" else _REPEATED[found.kind]
     counts = [max(one.repeats[i] for one in found.angles) for i in (0, 1)]
     times, each = ("stride", " on each side") if found.by == "cycle" else ("repetition", "")
     means = f"{_count(counts[0], times)} of A and {_count(counts[1], times)} of B{each}"
@@ -238,7 +246,8 @@ def _band_cautions(found: Comparison) -> list[str]:
                 "one comparison in five has a false 'changed' (docs/compare.md)"
             )
     same = found.a.recording != "" and found.a.recording == found.b.recording
-    if all(bands) and same and not found.identical:
+    sides = (found.a.name, found.b.name) == ("left", "right")
+    if all(bands) and same and not sides and not found.identical:
         lines.append(
             f"Both are of a recording called {found.a.recording!r}. If it is the same one, they share errors "
             "(of video, sensors and mounting), which cancel: the standard deviations, as of independent "

@@ -174,7 +174,10 @@ def font_size(width_px: int, height_px: int) -> int:
 def _items(texts: CaptionTexts, style: SkeletonStyle) -> list[_Item]:
     """Return the entries of a legend."""
     shown = sorted(texts.provenances, reverse=True)
-    items = [_Item(WORDS[how], style.bone_stroke(how, right=False)) for how in shown]
+    words = WORDS | {Provenance.PRIOR: WORDS[Provenance.NOBODY]}
+    items = list(
+        {words[how]: _Item(words[how], style.bone_stroke(how, right=False)) for how in shown}.values()
+    )
     for text, edge in (("right", WHITE), ("left, middle", BLACK)):
         items.append(_Item(text, Stroke((120, 120, 120), style.bone, edge, style.edge)))
     if texts.detected:

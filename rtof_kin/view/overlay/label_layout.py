@@ -18,6 +18,8 @@ _HEIGHTS: Final = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 """Vertical displacements that are tried, in heights of a line."""
 _TOLERATED: Final = 2
 """Points that a label may cover before it leaves its place."""
+_MISTAKEN: Final = 3
+"""Points that a label rather covers than to stand nearer to the point of another label than to its own."""
 _NOTHING: Final = np.zeros((0, 2))
 
 
@@ -58,24 +60,28 @@ class LabelLayout:
         used = list(taken)
         out: dict[str, Box] = {}
         for label in labels:
-            found = self._best(label, picture, avoided, used)
+            others = np.array([(one.x, one.y) for one in labels if one is not label]).reshape(-1, 2)
+            found = self._best(label, picture, avoided, used, others)
             if found is not None:
                 self._last[label.name], out[label.name] = found
                 used.append(found[1])
         return out
 
     def _best(
-        self, label: Label, picture: Box, avoided: Array, used: Sequence[Box]
+        self, label: Label, picture: Box, avoided: Array, used: Sequence[Box], others: Array
     ) -> tuple[Offset, Box] | None:
-        """Return the place of a label that covers the fewest points; the last one while it covers few."""
+        """Return the place of a label that covers the fewest points and is nearest to its own; the last one
+        while it covers few.
+        """
         last = self._last.get(label.name)
         best: tuple[Offset, Box] | None = None
-        fewest = len(avoided) + 1
+        fewest = len(avoided) + _MISTAKEN + 1
         for offset in _offsets(label, last):
-            box = Box(round(label.x) + offset[0], round(label.y) + offset[1], label.width, label.height)
+            left = min(max(round(label.x) + offset[0], picture.left), picture.right - label.width)
+            box = Box(left, round(label.y) + offset[1], label.width, label.height)
             if not box.inside(picture) or any(map(box.overlaps, used)):
                 continue
-            covered = _covered(box, avoided)
+            covered = _covered(box, avoided) + _MISTAKEN * _mistaken(label, box, others, offset == last)
             if covered == 0 or (offset == last and covered <= _TOLERATED):
                 return offset, box
             if covered < fewest:
@@ -88,6 +94,21 @@ def _covered(box: Box, points: Array) -> int:
     u, v = points.T
     inside = (u >= box.left) & (u < box.right) & (v >= box.top) & (v < box.bottom)
     return int(np.count_nonzero(inside))
+
+
+def _mistaken(label: Label, box: Box, others: Array, kept: bool) -> bool:
+    """Return whether a label seems to be that of another point (n, 2); if kept, only where this is clear."""
+    own = _distance(box, np.array([[label.x, label.y]]))[0]
+    return bool((_distance(box, others) < (0.5 if kept else 1.0) * own).any())
+
+
+def _distance(box: Box, points: Array) -> Array:
+    """Return the distances (n,) px of points (n, 2) from a box; 0 inside."""
+    u, v = points.T
+    across = np.maximum(np.maximum(box.left - u, u - box.right), 0.0)
+    down = np.maximum(np.maximum(box.top - v, v - box.bottom), 0.0)
+    out: Array = np.hypot(across, down)
+    return out
 
 
 def _offsets(label: Label, last: Offset | None) -> Iterator[Offset]:

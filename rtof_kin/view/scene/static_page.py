@@ -152,7 +152,9 @@ def _show(scene: MotionScene, frame: int) -> None:
 
 
 def _part(times: Array, frames: list[int]) -> str:
-    return f"{times[frames[0]]:.2f} to {times[frames[-1]]:.2f} s, {len(frames)} frames"
+    first = float(times[frames[0]])
+    begin = f"; 0 in the player is {first:.2f} s" if first >= 0.1 else ""
+    return f"{first:.2f} to {times[frames[-1]]:.2f} s, {len(frames)} frames{begin}"
 
 
 def _finished(text: str, verdict: Verdict, scene: MotionScene, part: str) -> str:
