@@ -24,7 +24,7 @@ from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.report.angle_names import label
 from rtof_kin.report.audit_results import Grade
-from rtof_kin.report.clinical_findings import NO_BANDS
+from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
 from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
@@ -182,7 +182,7 @@ def _half_widths(analysis: MotionAnalysis) -> dict[str, float]:
 
 def _how_good(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) -> str:
     share = 100 * float(motion.poses.position_observed.mean())
-    seen = f"Positions of joints were observed in {share:.0f} % of the frames."
+    seen = f"{share:.0f} % of the positions of joints were observed."
     reference = "".join(
         f" Against the reference, knees and elbows are {result.value:.1f}° off on average."
         for result in summary.results or ()
@@ -219,10 +219,9 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     if bridged > 0:
         parts.append(f"gaps were bridged in {100 * bridged:.0f} % of the frames")
     parts += [note for note in analysis.travel.notes if note == DRIFT]
-    widths = _half_widths(analysis)
-    if widths and not warned:
-        worst = max(widths, key=widths.__getitem__)
-        parts.append(f"the most uncertain angle is {label(worst)}, ± {widths[worst]:.0f}°")
+    wide = (_SIDE.sub("", label(name)) for name, half in _half_widths(analysis).items() if half > WIDEST[1])
+    if doubtful := list(dict.fromkeys(wide)):
+        parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
     return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
 

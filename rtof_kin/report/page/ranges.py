@@ -22,6 +22,8 @@ _BOTH: Final = (
     "angle", "right: range [deg]", "right: from, to", "left: range [deg]", "left: from, to",
     "right - left", "right: peak [deg/s]", "left: peak [deg/s]",
 )  # fmt: skip
+_RELIABLE: Final = 0.75
+"""Share of reliable among observed frames below which a range says it."""
 
 
 def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> str:
@@ -95,8 +97,12 @@ def _range(found: RangeOfMotion | None) -> str:
         return "<small>no reliable value</small>"
     sigma = BAND_95 * math.degrees(found.range_sigma)
     within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
-    share = f" <small>observed {100 * found.known_share:.0f} %</small>"
-    return f"<b>{_whole(found.range)}</b>{within}{share if found.known_share < OBSERVED else ''}"
+    share = ""
+    if found.known_share < OBSERVED:
+        share = f" <small>observed {100 * found.known_share:.0f} %</small>"
+    if found.trusted_share < _RELIABLE:
+        share += f" <small>{100 * found.trusted_share:.0f} % of it reliable</small>"
+    return f"<b>{_whole(found.range)}</b>{within}{share}"
 
 
 def _ends(found: RangeOfMotion | None, name: AngleName) -> str:
