@@ -199,6 +199,7 @@ def _run(options: argparse.Namespace) -> None:
     _line("accuracy", accuracy(None, motion.confidence, mode))
     _line("caution", _headline(summary))
     _line("report", f"{folder / PAGE} ({time.monotonic() - started:.0f} s); open it in a browser")
+    _line("next", f"rtof-kin view {folder} (in 3D); rtof-kin overlay {folder} VIDEO -o FILE.mp4")
 
 
 def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:

@@ -141,7 +141,7 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
         "accuracy": accuracy(result.metrics, result.motion.confidence, result.mode),
         "caution": headline.line,
         "files": f"{folder}: {', '.join(_entries(folder))}",
-        "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin analyse {folder} -o ANGLES",
+        "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin view {folder} (in 3D)",
     }
     for name, text in lines.items():
         style = STYLES.get(headline.grade.value, "") if name == "caution" else ""

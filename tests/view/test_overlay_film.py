@@ -318,8 +318,8 @@ def test_gif_is_small_slow_and_in_time(out: Path, video: Path, tmp_path: Path) -
 
 
 def test_a_long_gif_is_refused(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film_writer, "_MOST_OF_GIF", 3)
-    with pytest.raises(InvalidInputError, match=r"--from and --to, or write an \.mp4"):
+    monkeypatch.setattr(film_writer, "MOST_OF_GIF", 500_000)
+    with pytest.raises(InvalidInputError, match=r"--from and --to, a smaller --width, or write an \.mp4"):
         write_overlay(out, tmp_path / "o.gif", settings=NO_LABELS)
     assert not list(tmp_path.iterdir())
 

@@ -24,8 +24,8 @@ GIF_HEIGHT: Final = 640
 """Largest height of a GIF unless a width is asked for, px."""
 GIF_RATE_HZ: Final = 15.0
 """Highest frame rate of a GIF."""
-_MOST_OF_GIF: Final = 900
-"""Most pictures of a GIF, which are in memory until it is written."""
+MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
+"""Most pixels of all pictures of a GIF, which are in memory until it is written."""
 _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "libx264": {"preset": "superfast", "crf": "21"},
     "libopenh264": {"rc_mode": "quality"},
@@ -190,10 +190,12 @@ class GifWriter:
         """
         from PIL import Image as Pictures
 
-        if len(self._images) >= _MOST_OF_GIF:
+        height, width = image.shape[:2]
+        most = MOST_OF_GIF // (width * height)
+        if len(self._images) >= most:
             raise InvalidInputError(
-                f"overlay: a GIF of more than {_MOST_OF_GIF / GIF_RATE_HZ:.0f} s is too large; give --from "
-                "and --to, or write an .mp4"
+                f"overlay: a GIF of {width} x {height} px and more than {most / GIF_RATE_HZ:.0f} s is too "
+                "large; give --from and --to, a smaller --width, or write an .mp4"
             )
         rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
         self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
