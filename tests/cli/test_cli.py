@@ -98,7 +98,7 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
     ("export {motion} {out} --to fbx", "'fbx'"),
     ("export {motion} {out} -o {out}", "-o OUT"),
     ("export {motion} --to mot", "required: OUT"),
-    ("report {wrong}/none -o {out}", "summary.json"),
+    ("report {wrong}/none -o {out}", "no such file"),
     ("report {motion} -o {out} --date 31.1.2026", "31.1.2026"),
     ("report {motion} -o {out} --weight -3", "-3 kg"),
 ])  # fmt: skip
