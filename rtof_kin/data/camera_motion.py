@@ -18,10 +18,9 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_rotations, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.camera_turning import CameraTurning
+from rtof_kin.data.camera_turning import LONGEST_GAP, CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 
-_LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
 _SIGMA_TILT: Final = np.radians(1.0)  # by a phone's accelerometer, whose axes are not quite the camera's
 _WIDEST: Final = np.radians(65.0)  # from the still camera's axis; pixels are stretched 2.4 to 5.6 times there
 
@@ -112,7 +111,7 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
     at = keypoints.times
     inside = (at >= span[0] - 1.5 * step) & (at <= span[1] + 1.5 * step)  # a frame more at either end
     R = signals.interpolate_rotations(
-        motion.times, motion.R_first_camera[:, None], np.clip(at, *span), _LONGEST_GAP
+        motion.times, motion.R_first_camera[:, None], np.clip(at, *span), LONGEST_GAP
     )[:, 0]
     R[~inside] = np.nan
     if np.isnan(R).all():

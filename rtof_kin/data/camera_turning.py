@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_rotations, freeze
 from rtof_kin.data.camera import Camera
 
-_LONGEST_GAP = 0.3  # [s] between known rotations that is interpolated
+LONGEST_GAP: Final = 0.3  # [s] between known rotations that is interpolated
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class CameraTurning:
         Args:
             times: (T,) s, of the frames. at: (T',) s.
         """
-        R = signals.interpolate_rotations(times, self.R_still_camera[:, None], at, _LONGEST_GAP)
+        R = signals.interpolate_rotations(times, self.R_still_camera[:, None], at, LONGEST_GAP)
         return replace(self, R_still_camera=R[:, 0])
 
     def followed_by(self, R_other_still: Array, K_other: Array) -> Self:

@@ -39,6 +39,13 @@ def _upright(count: int) -> NDArray[np.float32]:
     return np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (count, 1))
 
 
+def _put(handle: Any, positions: Array, quat_wxyz: Array, scales: Array) -> None:
+    """Move the n copies of a batched node: positions (n, 3) m, orientations (n, 4), scales (n,) or (n, 3)."""
+    handle.batched_positions = positions
+    handle.batched_wxyzs = quat_wxyz
+    handle.batched_scales = scales
+
+
 class BodyLayer:
     """Solids of the segments of one person."""
 
@@ -68,9 +75,8 @@ class BodyLayer:
         Args:
             content: of a block. i: frame in it.
         """
-        self.handle.batched_positions = content.centers[i]
-        self.handle.batched_wxyzs = content.solids_wxyz[i]
-        self.handle.batched_scales = self._sizes * content.shown[i][:, None]
+        sizes = self._sizes * content.shown[i][:, None]
+        _put(self.handle, content.centers[i], content.solids_wxyz[i], sizes)
         if self._colour is None:
             self.handle.batched_colors = solid_colours(content.colours[i])
         opacities = content.opacities[i]
@@ -97,9 +103,7 @@ class JointAxesLayer:
         Args:
             content: of a block. i: frame in it.
         """
-        self.handle.batched_positions = content.p_joint[i]
-        self.handle.batched_wxyzs = content.joints_wxyz[i]
-        self.handle.batched_scales = content.axes[i]
+        _put(self.handle, content.p_joint[i], content.joints_wxyz[i], content.axes[i])
 
 
 class EllipsoidLayer:
@@ -124,9 +128,7 @@ class EllipsoidLayer:
         Args:
             content: of a block. i: frame in it. found: the ellipsoids of the block that are shown.
         """
-        self.handle.batched_positions = content.p_joint[i]
-        self.handle.batched_wxyzs = found.quat_wxyz[i]
-        self.handle.batched_scales = found.sizes[i]
+        _put(self.handle, content.p_joint[i], found.quat_wxyz[i], found.sizes[i])
 
 
 class SensorLayer:
@@ -156,13 +158,8 @@ class SensorLayer:
             p_world: (S, 3) m, 0 where there is no pose. quat_wxyz: (S, 4) measured orientations.
             measured: (S,) whether there is a place and a measurement.
         """
-        for handle, sizes in (
-            (self.boxes, _SENSOR_SIZE * measured[:, None]),
-            (self.axes, measured.astype(np.float32)),
-        ):
-            handle.batched_positions = p_world
-            handle.batched_wxyzs = quat_wxyz
-            handle.batched_scales = sizes.astype(np.float32)
+        _put(self.boxes, p_world, quat_wxyz, (_SENSOR_SIZE * measured[:, None]).astype(np.float32))
+        _put(self.axes, p_world, quat_wxyz, measured.astype(np.float32))
 
 
 class PathLayer:
