@@ -200,6 +200,30 @@ def to_quat_wxyz(R: ArrayLike) -> Array:
     return quat
 
 
+def known_from_quat_wxyz(quat_wxyz: Array) -> Array:
+    """Return rotation matrices (..., 3, 3) of quaternions; NaN as a whole where a number is not finite.
+
+    Args:
+        quat_wxyz: (..., 4), scalar first.
+    """
+    known = np.isfinite(quat_wxyz).all(axis=-1)
+    R = np.full((*known.shape, 3, 3), np.nan)
+    R[known] = from_quat_wxyz(quat_wxyz[known])
+    return R
+
+
+def known_to_quat_wxyz(R: Array) -> Array:
+    """Return quaternions (..., 4), scalar first; NaN as a whole where a matrix is not finite.
+
+    Args:
+        R: (..., 3, 3).
+    """
+    known = np.isfinite(R).all(axis=(-2, -1))
+    quat = np.full((*known.shape, 4), np.nan)
+    quat[known] = to_quat_wxyz(R[known])
+    return quat
+
+
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Return whether all matrices are orthonormal and right-handed; NaN is not.
 

@@ -162,10 +162,7 @@ class Declaration:
         Args:
             R_inertial_sensor: (T, 3, 3).
         """
-        R = self.filed_rotations(R_inertial_sensor)
-        known = np.isfinite(R).all(axis=(-2, -1))
-        quat = np.full((*known.shape, 4), np.nan)
-        quat[known] = so3.to_quat_wxyz(R[known])
+        quat = so3.known_to_quat_wxyz(self.filed_rotations(R_inertial_sensor))
         return quat if self.quaternion_order == "wxyz" else quat[..., [1, 2, 3, 0]]
 
     def filed_acceleration(self, f_sensor: Array, R_inertial_sensor: Array | None = None) -> Array:

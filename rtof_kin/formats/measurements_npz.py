@@ -64,13 +64,13 @@ def write_measurements_npz(path: str | Path, measurements: Measurements) -> None
         own = {"uv_px": _short(view.uv_px), "confidence": _short(view.confidence)} | video_arrays(view)
         arrays |= {f"view_{i}_{name}": array for name, array in own.items()}
     arrays |= {
-        "quat_wxyz_world_sensor": _quat(m.R_world_sensor),
-        "quat_wxyz_bone_sensor": _quat(m.R_bone_sensor),
+        "quat_wxyz_world_sensor": _short(so3.known_to_quat_wxyz(m.R_world_sensor)),
+        "quat_wxyz_bone_sensor": _short(so3.known_to_quat_wxyz(m.R_bone_sensor)),
         "p_bone_sensor": m.p_bone_sensor,
     }
     if m.truth is not None:
         arrays["truth_p_world_joint"] = _short(m.truth.p_world_joint)
-        arrays["truth_quat_wxyz"] = _quat(m.truth.R_world_bone)
+        arrays["truth_quat_wxyz"] = _short(so3.known_to_quat_wxyz(m.truth.R_world_bone))
         arrays["truth_valid"] = m.truth.valid
     write_npz(Path(path), arrays | {"header": np.array(json.dumps(header))}, overwrite=True)
 
@@ -119,8 +119,8 @@ def measurements_of(header: dict[str, Any], arrays: Mapping[str, Array]) -> Meas
         views=tuple(_view(i, own, times, arrays) for i, own in enumerate(header["views"])),
         sensors=tuple(header["sensors"]),
         segments=tuple(header["segments"]),
-        R_world_sensor=_rotations(arrays["quat_wxyz_world_sensor"]),
-        R_bone_sensor=_rotations(arrays["quat_wxyz_bone_sensor"]),
+        R_world_sensor=so3.known_from_quat_wxyz(arrays["quat_wxyz_world_sensor"]),
+        R_bone_sensor=so3.known_from_quat_wxyz(arrays["quat_wxyz_bone_sensor"]),
         p_bone_sensor=arrays["p_bone_sensor"],
         truth=_truth(header["joints"], times, arrays) if header["joints"] else None,
         faults=tuple(
@@ -143,7 +143,7 @@ def _view(i: int, header: dict[str, Any], times: Array, arrays: Mapping[str, Arr
 
 
 def _truth(names: list[str], times: Array, arrays: Mapping[str, Array]) -> PoseSequence:
-    p, R = arrays["truth_p_world_joint"], _rotations(arrays["truth_quat_wxyz"])
+    p, R = arrays["truth_p_world_joint"], so3.known_from_quat_wxyz(arrays["truth_quat_wxyz"])
     return PoseSequence(times, p, R, tuple(names), valid=arrays["truth_valid"] > 0)
 
 
@@ -157,18 +157,3 @@ def _camera_header(camera: Camera) -> dict[str, Any]:
 
 def _short(values: Array) -> NDArray[np.float32]:
     return values.astype(np.float32)
-
-
-def _quat(R: Array) -> NDArray[np.float32]:
-    """(..., 4) from rotations (..., 3, 3); NaN where they are."""
-    out = np.full((*R.shape[:-2], 4), np.nan, dtype=np.float32)
-    known = np.isfinite(R).all(axis=(-2, -1))
-    out[known] = so3.to_quat_wxyz(R[known])
-    return out
-
-
-def _rotations(quat_wxyz: Array) -> Array:
-    out = np.full((*quat_wxyz.shape[:-1], 3, 3), np.nan)
-    known = np.isfinite(quat_wxyz).all(axis=-1)
-    out[known] = so3.from_quat_wxyz(quat_wxyz[known])
-    return out

@@ -233,9 +233,7 @@ def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -
             path, f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
             "it, or write NaN where a sample is missing"
         )  # fmt: skip
-    R = np.full((*quat.shape[:2], 3, 3), np.nan)
-    R[known] = so3.from_quat_wxyz(quat[known])
-    return R
+    return so3.known_from_quat_wxyz(quat)
 
 
 def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
