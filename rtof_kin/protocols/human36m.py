@@ -13,10 +13,11 @@ from rtof_kin.body.metrics import evaluate, motionless
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.protocols import published
-from rtof_kin.protocols.jobs import Job, JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.jobs import Job
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
 from rtof_kin.protocols.tables import Cell, Table, pooled
 

@@ -22,13 +22,14 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES, SPACES, Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
-from rtof_kin.protocols.jobs import Job, JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.protocols.jobs import Job
 from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
 from rtof_kin.reconstruction.result import Reconstruction

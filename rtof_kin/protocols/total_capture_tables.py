@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 from rtof_kin.core.choices import CAMERA_MODES
+from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
-from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.measures import rows_of
 from rtof_kin.protocols.tables import Cell, Table, pooled
 from rtof_kin.protocols.total_capture import (

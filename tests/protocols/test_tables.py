@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from protocol_support import cells_of, read_json, row
 
 from rtof_kin.core.errors import RtofError
+from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
-from rtof_kin.protocols.jobs import Outcome
 from rtof_kin.protocols.pictures import error_curves
 from rtof_kin.protocols.tables import Table, pooled, write_tables
 from rtof_kin.protocols.total_capture import LOW_PASSED, STILL, TotalCaptureProtocol

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.protocols.jobs import JobResult
+from rtof_kin.core.jobs import JobResult
 
 
 @dataclass(frozen=True)

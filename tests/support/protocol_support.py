@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.protocols.jobs import Outcome
+from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols.tables import Table
 
 

@@ -14,7 +14,7 @@ from protocol_orders import Order, calls, obey, orders, values
 from protocol_support import read_json
 
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
-from rtof_kin.protocols.jobs import open_runs, run_jobs
+from rtof_kin.core.jobs import open_runs, run_jobs
 
 SETTINGS: dict[str, Any] = {"cameras": [1, 3], "noise_px": 0.0, "seed": 0}
 
