@@ -216,14 +216,15 @@ class SelfCalibration:
             if name in keypoints.names:
                 uv[:, keypoints.names.index(name)] -= bias
         camera = self._camera(keypoints.camera)
-        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self._times(keypoints.times))
+        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self.on_sensors_clock(keypoints.times))
 
     def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
         """A further camera's keypoints; its pose relative to the first one stays."""
         camera = view.camera.carried(first, self._camera(first))
-        return replace(view, camera=camera).on_clock(self._times(view.times))
+        return replace(view, camera=camera).on_clock(self.on_sensors_clock(view.times))
 
-    def _times(self, times: Array) -> Array:
+    def on_sensors_clock(self, times: Array) -> Array:
+        """Return times of the video (T,), s, on the clock of the sensors."""
         for delay in self.of_kind("delay").values():
             times = times - np.polyval(delay[::-1], times - self.middle)
         return times

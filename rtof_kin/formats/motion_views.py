@@ -8,7 +8,7 @@ import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.observability import observed_dofs, observed_landmarks, root_turn_observed
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import InvalidInputError
@@ -27,7 +27,12 @@ def pieces(motion: MotionSequence) -> list[tuple[int, int]]:
 
     A frame is in a gap where its configuration is unknown or no joint is valid (it was bridged).
     """
-    return runs(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
+    return runs(outside_gaps(motion))
+
+
+def outside_gaps(motion: MotionSequence) -> Mask:
+    """Return a mask (T,) of the frames of `pieces`."""
+    return np.asarray(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
 
 
 def from_prior(motion: MotionSequence) -> dict[str, float]:
@@ -37,8 +42,17 @@ def from_prior(motion: MotionSequence) -> dict[str, float]:
 
 def dofs_from_prior(motion: MotionSequence) -> dict[str, float]:
     """Return the same shares of degrees of freedom by URDF name, and of the root's orientation."""
-    observed = np.column_stack([root_turn_observed(motion), observed_dofs(motion)])
-    return _shares(motion, (BASE_TURN, *motion.skeleton.dof_names), observed)
+    return _shares(motion, root_and_dof_names(motion.skeleton), root_and_dofs_observed(motion))
+
+
+def root_and_dof_names(skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return names of the root's orientation and of the D degrees of freedom."""
+    return (BASE_TURN, *skeleton.dof_names)
+
+
+def root_and_dofs_observed(motion: MotionSequence) -> Mask:
+    """Return a mask (T, 1 + D) of what was observed, in the order of `root_and_dof_names`."""
+    return np.column_stack([root_turn_observed(motion), observed_dofs(motion)])
 
 
 def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
@@ -48,8 +62,8 @@ def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
 
 
 def _shares(motion: MotionSequence, names: tuple[str, ...], observed: Mask) -> dict[str, float]:
-    inside = [~observed[start:stop] for start, stop in pieces(motion)]
-    shares = np.concatenate(inside).mean(axis=0) if inside else np.zeros(len(names))
+    inside = ~observed[outside_gaps(motion)]
+    shares = inside.mean(axis=0) if len(inside) else np.zeros(len(names))
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}
 
 

@@ -7,6 +7,7 @@ from typing import Final
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
@@ -31,6 +32,9 @@ class Job:
     lifter: LifterLike | None
     settings: ReconstructionSettings
     progress: Progress
+    times: Array | None = None
+    """(T,) s of the frames, evenly spaced, on the clock of the keypoints; in mode imu, of the sensors. None:
+    those of the recording, evenly spaced where they are not."""
 
     @classmethod
     def of(
@@ -64,7 +68,7 @@ class Job:
         """
         return prepare(
             self.recording, self.subject, mode, self.lifter, self.settings, self.progress,
-            rejected=rejected, calibration=calibration,
+            rejected=rejected, calibration=calibration, times=self.times,
         )  # fmt: skip
 
     def calibrated(self, calibration: SelfCalibration | None) -> Job:
@@ -76,7 +80,9 @@ class Job:
         job = self
         if calibration is not None:
             skeleton = None if calibration.of_kind("bones") else self.skeleton
-            job = replace(self, recording=calibration.apply(self.recording), skeleton=skeleton)
+            times = None if self.times is None else calibration.on_sensors_clock(self.times)
+            recording = calibration.apply(self.recording)
+            job = replace(self, recording=recording, skeleton=skeleton, times=times)
         return job.with_solver(calibration)
 
     def with_solver(self, calibration: SelfCalibration | None) -> Job:

@@ -88,17 +88,30 @@ def reconstruct(
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
     job = Job.of(recording, skeleton, lifter, settings, progress)
-    with naming_wrong_samples(recording):
+    return run(job, mode, calibrate, priors, calibration, known)
+
+
+def run(
+    job: Job, mode: Mode, calibrate: bool = False, priors: CalibrationPriors | None = None,
+    calibration: SelfCalibration | None = None, known: SelfCalibration | None = None,
+    camera: CameraEstimate | None = None,
+) -> Reconstruction:  # fmt: skip
+    """Run a job; see `reconstruct` for the arguments and errors.
+
+    Args:
+        camera: an earlier result of `calibrate_camera` for this recording, whose camera is not calibrated.
+    """
+    with naming_wrong_samples(job.recording):
         if mode == "imu":
             return _from_sensors(job)
-        return _from_video(job, mode, calibrate, priors, calibration, known)
+        return _from_video(job, mode, calibrate, priors, calibration, known, camera)
 
 
 def _from_video(
     job: Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
-    calibration: SelfCalibration | None, known: SelfCalibration | None,
+    calibration: SelfCalibration | None, known: SelfCalibration | None, camera: CameraEstimate | None,
 ) -> Reconstruction:  # fmt: skip
-    """Every mode but imu; arguments as for `reconstruct`."""
+    """Every mode but imu; arguments as for `run`."""
     if job.recording.keypoints is None:
         raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
     estimate = (
@@ -109,14 +122,13 @@ def _from_video(
     choices = Choices(how, known is not None, name)
     known = None if known is None else known.for_another_recording()
     rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
-    camera: CameraEstimate | None = None
     with explained(job.recording, job.subject, job.lifter):
         if job.recording.video.camera.uncertainty is not None:
-            camera = _found_camera(job, mode)
+            camera = camera or _found_camera(job, mode)
             job = replace(job, recording=with_camera(job.recording, camera.found))
             warnings = camera.sentences
         if estimate:
-            calibration, rejected, more = _estimated(job, priors, known)
+            calibration, rejected, more = estimated(job, priors, known)
             warnings += more
         elif calibration is None:
             calibration = known
@@ -252,7 +264,7 @@ def calibrate_recording(
     return _calibrate(job, priors, None)[0]
 
 
-def _estimated(
+def estimated(
     job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
 ) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:
     """Self-calibration, intervals of sensors that it excluded, and warnings."""
@@ -323,7 +335,7 @@ def _from_sensors(job: Job) -> Reconstruction:
     recording, faults = cleaned(job.recording, settings, camera=False)
     found = reconstruct_from_sensors(
         recording, skeleton, settings.sensors_alone, solver, settings.frames, settings.sensor_joints,
-        lambda done, total: job.progress("imu", done, total),
+        lambda done, total: job.progress("imu", done, total), job.times,
     )  # fmt: skip
     checks = check_sensor_form(job.recording)
     _warn(recording, (*_failed(checks), *faults, *found.warnings))

@@ -101,7 +101,7 @@ class Prepared:
 def prepare(
     recording: Recording, skeleton: SkeletonModel, mode: Mode, lifter: LifterLike | None,
     settings: ReconstructionSettings, progress: Progress, *, rejected: tuple[StreamFault, ...] = (),
-    calibration: SelfCalibration | None = None,
+    calibration: SelfCalibration | None = None, times: Array | None = None,
 ) -> Prepared:  # fmt: skip
     """Clean the streams, lift the video and, with sensors, correct the lift by SF2.
 
@@ -110,6 +110,7 @@ def prepare(
         mode: a mode with a camera. lifter: default: the shipped one.
         rejected: intervals of sensors that are not used, by segment.
         calibration: applied to the recording before.
+        times: (T,) s of the frames; by default those of the keypoints, see `evenly_spaced`.
 
     Raises:
         InvalidInputError: times or points are in another unit; there are no keypoints, or no IMUs in a
@@ -119,7 +120,7 @@ def prepare(
         raise InvalidInputError("the recording has no keypoints; without them use mode 'imu'")
     _check_units(recording.video)
     recording, faults = cleaned(recording, settings)
-    keypoints = evenly_spaced(recording.video)
+    keypoints = evenly_spaced(recording.video, times)
     views = tuple(view.resample(keypoints.times) for view in recording.views)
     recording = replace(recording, keypoints=keypoints, views=views)
     bone_imus = recording.bone_imus() if mode in ("sf2", "rtof") else None
@@ -201,31 +202,42 @@ def cleaned(
     return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
 
 
-def evenly_spaced(keypoints: KeypointSequence) -> KeypointSequence:
+def evenly_spaced(keypoints: KeypointSequence, times: Array | None = None) -> KeypointSequence:
     """Return keypoints at even time steps, as finite differences need them.
 
-    Times that jitter by less than 1 % of a frame are kept. Otherwise positions are interpolated to the
-    mean rate (dropped frames counted) between neighbouring samples; dropped frames are NaN with
-    confidence 0.
+    Positions are interpolated between neighbouring samples; dropped frames are NaN with confidence 0.
 
     Args:
-        keypoints: at increasing times.
+        keypoints: at increasing times. times: (T,) s, evenly spaced; by default `even_times`.
     """
-    times = keypoints.times
-    if len(times) < 3:
+    even = even_times(keypoints.times) if times is None else times
+    if np.array_equal(even, keypoints.times):
         return keypoints
+    step = float(np.median(np.diff(even)))
+    if times is None:
+        _log.warning(
+            "keypoint times are uneven: %d samples resampled to %d even frames of %.1f ms",
+            len(keypoints), len(even), 1000 * step,
+        )  # fmt: skip
+    at = _snapped(even, keypoints.times, 0.01 * step)
+    return keypoints.interpolated(even, at, 1.5 * step)
+
+
+def even_times(times: Array) -> Array:
+    """Return times (T',) s that jitter by less than 1 % of a frame as they are, others evenly spaced at the
+    mean rate, dropped frames counted.
+
+    Args:
+        times: (T,) s, increasing.
+    """
+    if len(times) < 3:
+        return times
     steps = np.diff(times)
     usual = np.median(steps)
     if np.all(np.abs(steps - usual) < 0.01 * usual):
-        return keypoints
+        return times
     frames = max(int(np.round(steps / usual).sum()), 1)
-    times_even, step = np.linspace(times[0], times[-1], frames + 1, retstep=True)
-    even = _snapped(times_even, times, 0.01 * step)
-    _log.warning(
-        "keypoint times are uneven: %d samples resampled to %d even frames of %.1f ms",
-        len(times), len(even), 1000 * step,
-    )  # fmt: skip
-    return keypoints.interpolated(times_even, even, 1.5 * step)
+    return np.linspace(times[0], times[-1], frames + 1)
 
 
 def _snapped(at: Array, times: Array, tolerance: float) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -33,11 +34,21 @@ def quality_warnings(
             "no sensor has samples at the times of the video: the motion is estimated from the image "
             "alone; check the sensors' values and clock",
         )
+    return found if solution is None else found + misfit_warnings(solution, prepared.start.times, settings)
+
+
+def misfit_warnings(
+    solution: FragmentSolution, times: Array, settings: ReconstructionSettings
+) -> tuple[str, ...]:
+    """Return warnings about intervals in which joints lie far from their keypoints.
+
+    Args:
+        solution: of the fragment solver. times: (T,) s of its frames. settings: used.
+    """
     s = settings.fragment
-    if solution is not None and isinstance(s, JointSpaceSettings) and s.sigma_reprojection is None:
-        limit = s.sigma_reprojection_range[1]
-        found += misfits(solution.fragments, prepared.start.times, settings.frames, limit)
-    return found
+    if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
+        return ()
+    return misfits(solution.fragments, times, settings.frames, s.sigma_reprojection_range[1])
 
 
 def with_covariances(

@@ -70,6 +70,7 @@ def reconstruct_from_sensors(
     frames: int = 50,
     sensor_joints: tuple[str, ...] = (),
     progress: Callable[[int, int], None] | None = None,
+    times: Array | None = None,
 ) -> SensorsAlone:
     """Reconstruct a recording without its keypoints.
 
@@ -79,6 +80,7 @@ def reconstruct_from_sensors(
         solver: settings of the joint-space solver. frames: N of a fragment.
         sensor_joints: further segments for which the compiled problem has room for a sensor.
         progress: called with (fragments done, fragments in all).
+        times: (T,) s of the frames; by default `frame_times`.
 
     Raises:
         InvalidInputError: there are no IMUs, none has samples, or the skeleton has no pose prior.
@@ -89,7 +91,8 @@ def reconstruct_from_sensors(
         raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
     if not has_prior(skeleton.name):
         raise InvalidInputError(f"mode imu: no pose prior is shipped for the skeleton {skeleton.name!r}")
-    bone_imus = recording.bone_imus(times=frame_times(recording.imus, settings.rate_hz))
+    times = frame_times(recording.imus, settings.rate_hz) if times is None else times
+    bone_imus = recording.bone_imus(times=times)
     assert bone_imus is not None
     ankle_height = (recording.floor_height or 0.0) + solver.ankle_height
     start = poses_from_sensors(skeleton, bone_imus)
@@ -106,13 +109,15 @@ def reconstruct_from_sensors(
     return SensorsAlone(start, solution, bone_imus, contacts, path, warnings)
 
 
-def frame_times(imus: ImuSequence, rate_hz: float) -> Array:
+def frame_times(imus: ImuSequence, rate_hz: float, stop: float | None = None) -> Array:
     """Return even frame times (T,), s, over the sensors' span.
 
     Args:
         imus: the sensors. rate_hz: frame rate, Hz; the sensors' own where that is lower.
+        stop: last sample, s, of sensors of which these are only the first ones.
     """
     first, last = imus.times[[0, -1]]
+    last = last if stop is None else stop
     own = 1 / float(np.median(np.diff(imus.times))) if len(imus) > 1 else rate_hz
     rate_hz = min(rate_hz, own)
     count = int(np.floor((last - first) * rate_hz + 1e-6)) + 1

@@ -18,11 +18,10 @@ from rtof_kin.body.metrics import hinges
 from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
-from rtof_kin.data.poses import Provenance
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, AuditResult
-from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
+from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
@@ -40,29 +39,30 @@ _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
 
-def audit(result: Reconstruction) -> tuple[AuditResult, ...]:
+def audit(found: Reconstruction | ReconstructionStatistics) -> tuple[AuditResult, ...]:
     """Return all checks of a reconstruction that need no reference, section by section.
 
     Args:
-        result: of `reconstruct`.
+        found: result of `reconstruct`, or the statistics of its parts.
 
     Returns:
         Results of the sections inputs to confidence; also the errors if the recording has a reference.
     """
+    statistics = found if isinstance(found, ReconstructionStatistics) else ReconstructionStatistics.of([found])
     before = (_inputs, _streams, _image, _sensors, _body)
     return (
-        *(found for section in before for found in section(result)),
-        *calibration_results(result.calibration),
-        *camera_results(result.camera),
-        *(found for section in (_solver, _confidence, _truth) for found in section(result)),
+        *(found for section in before for found in section(statistics)),
+        *calibration_results(statistics.first.calibration),
+        *camera_results(statistics.first.camera),
+        *(found for section in (_solver, _confidence, _truth) for found in section(statistics)),
     )
 
 
-def _inputs(result: Reconstruction) -> Iterator[AuditResult]:
-    if not result.checks:
+def _inputs(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    if not statistics.checks:
         why = "the declared camera, body and sensors were not compared with the recorded data"
         yield AuditResult.not_checked("inputs", "recording", why)
-    for check in result.checks:
+    for check in statistics.checks:
         if math.isnan(check.value):
             yield AuditResult.not_checked("inputs", check.subject, check.advice, check.name)
             continue
@@ -73,99 +73,93 @@ def _inputs(result: Reconstruction) -> Iterator[AuditResult]:
         )  # fmt: skip
 
 
-def _streams(result: Reconstruction) -> Iterator[AuditResult]:
-    poses = result.motion.poses
+def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    first = statistics.first
     shares = [
-        ("share of joints and frames without a valid position", "motion", 1 - poses.valid.mean(), 2.0, 30.0,
-         "their position is unobserved"),
-        ("share of joints and frames without an observation", "motion",
-         (poses.provenance <= Provenance.BRIDGED).mean(), 25.0, 75.0, "interpolated, or from the prior"),
+        ("share of joints and frames without a valid position", "motion", statistics["invalid"].mean_of_all,
+         2.0, 30.0, "their position is unobserved"),
+        ("share of joints and frames without an observation", "motion", statistics["unobserved"].mean_of_all,
+         25.0, 75.0, "interpolated, or from the prior"),
     ]  # fmt: skip
-    if result.keypoints is None:
+    if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
     else:
-        landmarks = result.keypoints.landmarks
-        missing = 1 - landmarks.seen.mean(axis=0)
         note = "occluded, out of the image, or not detected"
         shares += [
             ("share of frames unseen", landmark, share, *_UNSEEN.get(landmark, (10.0, 90.0)), note)
-            for landmark, share in zip(landmarks.names, missing, strict=True)
+            for landmark, share in zip(first.keypoints.landmarks.names, statistics["unseen"].mean, strict=True)
         ]
-    if result.bone_imus is not None:
-        missing = np.isnan(result.bone_imus.R_world_bone[..., 0, 0]).mean(axis=0)
+    if first.bone_imus is not None:
         shares += [
             ("share of samples missing", f"sensor on {joint}", share, 5.0, 50.0, "dropout, or excluded fault")
-            for joint, share in zip(result.bone_imus.joints, missing, strict=True)
+            for joint, share in zip(first.bone_imus.joints, statistics["missing"].mean, strict=True)
         ]
     for name, subject, share, warn, fail, note in shares:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
-    for fault in result.faults:
+    for fault in statistics.faults:
         yield AuditResult(
             "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", -1.0,
             source="any fault warns", note=fault.kind.value, at=fault.start,
         )  # fmt: skip
-    for warning in result.warnings:
+    for warning in statistics.warnings:
         yield AuditResult.warning("streams", "motion", warning)
-    if result.root_sigma is not None and math.isfinite(drift := float(result.root_sigma[-1])):
+    if math.isfinite(drift := statistics.root_sigma):
         text = f"its position drifts, with a standard deviation of {drift:.2f} m per axis at the end"
         yield AuditResult.remark("streams", "root", text)
 
 
-def _image(result: Reconstruction) -> Iterator[AuditResult]:
-    if result.keypoints is None:
+def _image(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    keypoints = statistics.first.keypoints
+    if keypoints is None:
         yield AuditResult.not_checked("image", "camera", "no keypoints were used")
         return
-    error, height = reprojection_errors(result)
+    error, height = statistics["reprojection"], float(statistics["body height px"].median[0])
+    worst = int(np.nan_to_num(error.largest, nan=-1.0).argmax())
+    figures = [("all landmarks", error.median_of_all, error.largest_at[worst], _ALL_LANDMARKS)]
+    each = zip(keypoints.landmarks.names, error.median, error.largest_at, strict=True)
+    figures += [(landmark, median, at, _LANDMARK) for landmark, median, at in each]
     name = "reprojection error, median"
-    subjects = [("all landmarks", error, _ALL_LANDMARKS)]
-    subjects += [
-        (landmark, own[:, None], _LANDMARK)
-        for landmark, own in zip(result.keypoints.landmarks.names, error.T, strict=True)
-    ]
-    for subject, own, limits in subjects:
-        if not np.isfinite(own).any():
+    for subject, median, at, limits in figures:
+        if math.isnan(median):
             why = "never observed together with a valid position"
             yield AuditResult.not_checked("image", subject, why, name)
             continue
-        worst = int(np.nan_to_num(own).max(axis=1).argmax())
         yield AuditResult(
-            "image", name, subject, float(np.nanmedian(own)), "px", limits[0] * height, limits[1] * height,
+            "image", name, subject, float(median), "px", limits[0] * height, limits[1] * height,
             f"{100 * limits[0]:g} and {100 * limits[1]:g} % {_DETECTORS}",
-            "errors of detector, bone lengths, camera or synchronisation", float(result.motion.times[worst]),
+            "errors of detector, bone lengths, camera or synchronisation", float(at),
         )  # fmt: skip
 
 
-def _sensors(result: Reconstruction) -> Iterator[AuditResult]:
-    if result.bone_imus is None:
+def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    imus = statistics.first.bone_imus
+    if imus is None:
         yield AuditResult.not_checked("sensors", "IMUs", "no sensor was used")
         return
-    swing, twist = orientation_residuals(result)
+    degree = np.degrees(1.0)
     figures = (
-        ("orientation residual across the bone", np.degrees(swing), "deg",
+        ("orientation residual across the bone", "swing", degree, "deg",
          np.degrees(_MODEL.sigma_swing), np.degrees(DISAGREES),
          "the solver's standard deviation; 12 deg, the limit of a misaligned sensor",
          "mounting, heading, soft tissue, or a slipped sensor"),
-        ("orientation residual about the bone", np.degrees(twist), "deg",
+        ("orientation residual about the bone", "twist", degree, "deg",
          np.degrees(_MODEL.sigma_twist), 2 * np.degrees(_MODEL.sigma_twist),
          "once and twice the solver's standard deviation", "soft tissue artefact or mounting"),
-        ("acceleration residual", acceleration_residuals(result), "m/s2",
+        ("acceleration residual", "acceleration", 1.0, "m/s2",
          2 * _MODEL.sigma_acceleration, 4 * _MODEL.sigma_acceleration,
          "twice and four times the solver's standard deviation per axis",
          "synchronisation, impacts, lever arm, or a loose sensor"),
     )  # fmt: skip
-    for s, joint in enumerate(result.bone_imus.joints):
-        for name, residual, unit, warn, fail, source, note in figures:
-            own, rms, at = residual[:, s], math.nan, math.nan
-            if known := np.isfinite(own).any():
-                rms = float(np.sqrt(np.nanmean(own**2)))
-                at = float(result.bone_imus.times[int(np.nanargmax(own))])
-            note = note if known else "the sensor has no data"
+    for s, joint in enumerate(imus.joints):
+        for name, residual, factor, unit, warn, fail, source, note in figures:
+            rms, at = factor * float(statistics[residual].rms[s]), float(statistics[residual].largest_at[s])
+            note = "the sensor has no data" if math.isnan(rms) else note
             yield AuditResult("sensors", f"{name}, RMS", joint, rms, unit, warn, fail, source, note, at)
 
 
-def _body(result: Reconstruction) -> Iterator[AuditResult]:
-    skeleton, report = result.motion.skeleton, result.motion.report
-    height, own = result.recording.height, skeleton.height
+def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    motion = statistics.first.motion
+    skeleton, height, own = motion.skeleton, statistics.first.recording.height, motion.skeleton.height
     if height is None:
         why = f"no height was given for comparison; it is {own:.2f} m tall"
         yield AuditResult.not_checked("body", "skeleton", why)
@@ -175,19 +169,18 @@ def _body(result: Reconstruction) -> Iterator[AuditResult]:
             3.0, 10.0, _USER, f"given {height:.2f} m, the skeleton is {own:.2f} m tall",
         )  # fmt: skip
     name, source = "beyond its anatomical limit, largest", "limits of the skeleton table"
-    excess = np.degrees(np.nan_to_num(report.limit_excess))
+    excess = statistics["limit excess"]
     hinged = {skeleton.names[j] for j in hinges(skeleton)}
-    for dof, column in zip(report.dof_names, excess.T, strict=True):
-        if column.max() > 0:
-            frame = int(column.argmax())
+    for dof, largest, at in zip(motion.report.dof_names, excess.largest, excess.largest_at, strict=True):
+        if largest > 0:
             # Euler angles of a ball joint may leave their limits in a real posture, a hinge may not.
             fail = 30.0 if dof.rsplit("_", 1)[0] in hinged else math.inf
             yield AuditResult(
-                "body", name, clinical_name(skeleton.table, dof), float(column[frame]), "deg", 10.0, fail,
-                f"{source}; {_USER}", "a wrong angle, or unusual anatomy; angles are not clipped",
-                float(result.motion.times[frame]),
+                "body", name, clinical_name(skeleton.table, dof), float(np.degrees(largest)), "deg", 10.0,
+                fail, f"{source}; {_USER}", "a wrong angle, or unusual anatomy; angles are not clipped",
+                float(at),
             )  # fmt: skip
-    if not excess.any():
+    if not np.any(excess.largest > 0):
         yield AuditResult("body", name, "any angle", 0.0, "deg", 10.0, 30.0, source)
 
 
@@ -238,10 +231,11 @@ def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
         )  # fmt: skip
 
 
-def _solver(result: Reconstruction) -> Iterator[AuditResult]:
-    solution = result.solution
+def _solver(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    solution = statistics.solution
     if solution is None:
-        yield AuditResult.not_checked("solver", "fragments", f"mode {result.mode} has no optimisation")
+        why = f"mode {statistics.first.mode} has no optimisation"
+        yield AuditResult.not_checked("solver", "fragments", why)
         return
     yield AuditResult.remark("solver", "fragments", solution.outcome)
     limits = {
@@ -253,7 +247,7 @@ def _solver(result: Reconstruction) -> Iterator[AuditResult]:
     for status, (name, warn, fail) in limits.items():
         share = 100 * solution.count(status) / len(solution.fragments)
         yield AuditResult("solver", name, "all", share, "%", warn, fail, _USER, status.value)
-    if result.keypoints is not None:
+    if statistics.first.keypoints is not None:
         sigma = float(np.median([fragment.sigma_reprojection for fragment in solution.fragments]))
         top = _MODEL.sigma_reprojection_range[1]
         yield AuditResult(
@@ -263,37 +257,36 @@ def _solver(result: Reconstruction) -> Iterator[AuditResult]:
         )  # fmt: skip
 
 
-def _confidence(result: Reconstruction) -> Iterator[AuditResult]:
-    confidence = result.motion.confidence
-    if confidence is None:
-        why = f"mode {result.mode} has no standard deviations in this space"
+def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    if statistics.first.motion.confidence is None:
+        why = f"mode {statistics.first.mode} has no standard deviations in this space"
         yield AuditResult.not_checked("confidence", "motion", why)
         return
     figures = (
-        ("joints relative to the root", 1000 * confidence.relative_sigma[:, 1:], "mm", 60.0, 120.0),
-        ("joints in world", 1000 * confidence.position_sigma, "mm", 200.0, 500.0),
-        ("orientation of segments", np.degrees(confidence.orientation_sigma), "deg", 20.0, 40.0),
+        ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
+        ("joints in world", "position sigma", 1000.0, "mm", 200.0, 500.0),
+        ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),
     )
-    for subject, per_axis, unit, warn, fail in figures:
-        expected = math.sqrt(3) * per_axis
-        if not np.isfinite(expected).any():
+    for subject, name, factor, unit, warn, fail in figures:
+        per_axis = statistics[name]
+        if not per_axis.known.any():
             yield AuditResult.not_checked("confidence", subject, "too few observations", _EXPECTED)
             continue
-        worst = int(np.nan_to_num(np.nansum(expected, axis=1)).argmax())
+        worst = int(np.nan_to_num(per_axis.largest).argmax())
         yield AuditResult(
-            "confidence", _EXPECTED, subject, float(np.sqrt(np.nanmean(expected**2))), unit, warn, fail,
+            "confidence", _EXPECTED, subject, math.sqrt(3) * factor * per_axis.rms_of_all, unit, warn, fail,
             _USER, "the camera alone, or the recorded data, give no better accuracy; add sensors",
-            float(result.motion.times[worst]),
+            float(per_axis.largest_at[worst]),
         )  # fmt: skip
 
 
-def _truth(result: Reconstruction) -> Iterator[AuditResult]:
+def _truth(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     labels = {
         "mpjpe_rr_mm": ("mean joint error, root-relative", "mm"),
         "mpjpe_mm": ("mean joint error, absolute", "mm"),
         "flexion_deg": ("mean error of knee and elbow flexion", "deg"),
     }
+    metrics = statistics.metrics
     for name, (label, unit) in labels.items():
-        if result.metrics is not None and np.isfinite(result.metrics[name]):
-            value = result.metrics[name]
-            yield AuditResult("truth", label, "motion", value, unit, source="for information")
+        if metrics is not None and np.isfinite(metrics[name]):
+            yield AuditResult("truth", label, "motion", metrics[name], unit, source="for information")

@@ -9,21 +9,21 @@ import numpy as np
 
 from rtof_kin.calibration.camera_estimate import COLUMNS
 from rtof_kin.core.array_types import Array
-from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.recording.recording import Recording
+from rtof_kin.report.statistics import ReconstructionStatistics
 
 Data = dict[str, Any]
 
 
-def input_provenance(result: Reconstruction) -> Data:
+def input_provenance(statistics: ReconstructionStatistics) -> Data:
     """Return session, subject, camera, keypoints, sensors and calibration of a reconstruction.
 
     Args:
-        result: of `reconstruct`.
+        statistics: of all its parts.
 
     Returns:
         Plain data with units in the names; None or an empty list for missing inputs.
     """
+    result = statistics.first
     recording = result.recording
     bones = "proportions of the skeleton table"
     if recording.bone_lengths:
@@ -43,12 +43,12 @@ def input_provenance(result: Reconstruction) -> Data:
             "bones": bones,
         },
         "floor_height_m": recording.floor_height,
-        "camera": _camera(result),
+        "camera": _camera(statistics),
         "cameras": 0 if result.keypoints is None else 1 + len(recording.views),
         "camera_estimate": None if result.camera is None else {
             "columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()],
         },
-        "sensors": _sensors(recording),
+        "sensors": _sensors(statistics),
         "calibration": None if result.calibration is None else {
             "converged": result.calibration.converged,
             "columns": ["quantity", "of", "value", "sd", "sd expected", "verdict"],
@@ -64,33 +64,32 @@ def _version() -> str:
         return "(not installed)"
 
 
-def _camera(result: Reconstruction) -> Data | None:
+def _camera(statistics: ReconstructionStatistics) -> Data | None:
     """Camera and keypoints that were used, or None."""
-    keypoints = result.keypoints
+    keypoints = statistics.first.keypoints
     if keypoints is None:
         return None
-    camera = keypoints.camera
-    depth = camera.to_camera(result.motion.poses.p_world_joint[:, 0])[:, 2]
+    camera, depth = keypoints.camera, statistics["depth"].median_of_all
     return {
         "width_px": camera.width_px,
         "height_px": camera.height_px,
         "focal_px": float(camera.K[1, 1]),
         "distorted": bool(np.any(camera.distortion)),
         "height_m": float(camera.center_world[2]),
-        "distance_m": float(np.nanmedian(depth)) if np.isfinite(depth).any() else None,
+        "distance_m": depth if np.isfinite(depth) else None,
         "rate_hz": _rate(keypoints.times),
         "landmarks": list(keypoints.names),
-        "seen_share": float(keypoints.seen.mean()),
+        "seen_share": 1 - statistics["points unseen"].mean_of_all,
     }
 
 
-def _sensors(recording: Recording) -> list[Data]:
+def _sensors(statistics: ReconstructionStatistics) -> list[Data]:
     """All recorded sensors; those without a calibration have no segment."""
-    imus, calibration = recording.imus, recording.calibration
+    imus, calibration = statistics.first.recording.imus, statistics.first.recording.calibration
     out = []
     for s, name in enumerate(imus.names if imus is not None else ()):
         assert imus is not None
-        force = np.abs(imus.f_sensor[:, s][np.isfinite(imus.f_sensor[:, s])])
+        force = float(statistics["specific force"].largest[s])
         segment, lever = None, None
         if calibration is not None and name in calibration.sensors:
             own = calibration.sensors.index(name)
@@ -98,8 +97,8 @@ def _sensors(recording: Recording) -> list[Data]:
             lever = [round(float(v), 4) for v in calibration.p_bone_sensor[own]]
         out.append(
             {"name": name, "segment": segment, "lever_arm_m": lever, "rate_hz": _rate(imus.times),
-             "known_share": float(np.isfinite(imus.R_inertial_sensor[:, s]).all(axis=(1, 2)).mean()),
-             "largest_specific_force_m_s2": float(force.max()) if force.size else None}
+             "known_share": 1 - float(statistics["sensor unknown"].mean[s]),
+             "largest_specific_force_m_s2": force if np.isfinite(force) else None}
         )  # fmt: skip
     return out
 

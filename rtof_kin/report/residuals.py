@@ -10,10 +10,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.result import Reconstruction
 
 
-def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
-    """Return reprojection errors (T, L) of the landmarks and the median height of the body, px.
-
-    Errors are NaN where unknown.
+def reprojection_errors(result: Reconstruction) -> Array:
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
 
     Args:
         result: with keypoints.
@@ -29,8 +27,7 @@ def reprojection_errors(result: Reconstruction) -> tuple[Array, float]:
     error = np.linalg.norm(keypoints.camera.project(at) - keypoints.uv_px, axis=-1)
     owners = motion.skeleton.index(*(known[name][0] for name in keypoints.names))
     error[~motion.poses.valid[:, owners]] = np.nan
-    depth = keypoints.camera.to_camera(p[:, 0])[:, 2]
-    return error, float(np.nanmedian(keypoints.camera.K[1, 1] * motion.skeleton.height / depth))
+    return np.asarray(error)
 
 
 def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:

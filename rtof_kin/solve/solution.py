@@ -60,7 +60,7 @@ class FragmentReport:
     """Index of its first frame; negative in the padding."""
     status: SolverStatus
     energy: dict[str, float]
-    """Weighted energy per term."""
+    """Weighted energy per term; empty where nothing was solved."""
     iterations: int
     seconds: float
     """Time of the solver."""
@@ -121,9 +121,9 @@ class FragmentSolution:
 
     @property
     def energy(self) -> dict[str, float]:
-        """Mean over the fragments of each weighted energy term."""
-        terms = self.fragments[0].energy
-        return {t: float(np.mean([f.energy[t] for f in self.fragments])) for t in terms}
+        """Mean over the solved fragments of each weighted energy term."""
+        solved = [f.energy for f in self.fragments if f.energy]
+        return {t: float(np.mean([energy[t] for energy in solved])) for t in solved[0]} if solved else {}
 
     @property
     def optimality(self) -> float:

@@ -1,0 +1,195 @@
+"""Long recordings: reconstructed part by part, in bounded memory.
+
+Parts overlap by a margin that the lifter, the filters and the fragments forget, and begin where a fragment of
+the whole begins, so the frames that are kept are those of a reconstruction in one piece but for what is
+estimated from a part as a whole (outliers, inflation of covariances). Calibration and an unknown camera are
+estimated once, before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.calibration.camera_estimate import CameraEstimate
+from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.part_results import Seam, cut, lost
+from rtof_kin.reconstruction.pipeline import calibrate_camera, estimated, run
+from rtof_kin.reconstruction.prepare import Progress, even_times
+from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.sensors_alone import frame_times
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
+from rtof_kin.recording.reader import RecordingSlices
+from rtof_kin.recording.recording import Recording
+
+PART_SECONDS: Final = 60.0
+"""[s] Length of a part without its margins."""
+MARGIN_SECONDS: Final = 3.0
+"""[s] by which a part is longer at either end."""
+LONG_SECONDS: Final = 2 * PART_SECONDS
+"""[s] Recordings beyond this are reconstructed in parts."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Frames of a part, of the whole recording."""
+
+    start: int
+    stop: int
+    """Frames [start, stop) that are kept."""
+    first: int
+    last: int
+    """Frames [first, last) with the margins."""
+
+    @property
+    def kept(self) -> slice:
+        """Frames that are kept, counted from `first`."""
+        return slice(self.start - self.first, self.stop - self.first)
+
+
+def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECONDS) -> list[Part]:
+    """Return the parts of a recording, whose borders are multiples of a number of frames.
+
+    Args:
+        frames: of the recording. rate_hz: its frame rate. step: frames between the beginnings of fragments.
+        seconds: length of a part; the last one has half of it at least.
+    """
+    length = max(round(seconds * rate_hz / step), 1) * step
+    margin = -(-round(MARGIN_SECONDS * rate_hz) // step) * step
+    borders = [*range(0, max(frames - length // 2, 1), length), frames]
+    return [
+        Part(a, b, max(a - margin, 0), min(b + margin, frames))
+        for a, b in zip(borders[:-1], borders[1:], strict=True)
+    ]
+
+
+def reconstruct_in_parts(
+    source: RecordingSlices,
+    mode: Mode = "rtof",
+    *,
+    lifter: LifterLike | None = None,
+    settings: ReconstructionSettings | None = None,
+    calibrate: bool = False,
+    known: SelfCalibration | None = None,
+    progress: Progress | None = None,
+    seconds: float = PART_SECONDS,
+) -> Iterator[Reconstruction]:
+    """Yield the reconstruction of a long recording part by part.
+
+    Parts follow one another without a gap, their configurations are continuous. A part that cannot be
+    reconstructed, e.g. because nobody is seen, has poses of NaN and a warning that says why.
+
+    Args:
+        source: the recording. mode, lifter, settings, calibrate, known: as for `reconstruct`.
+        progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
+        seconds: length of a part.
+
+    Raises:
+        RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration.
+    """
+    settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
+    times = _frame_times(source, mode, settings)
+    rate_hz = float(1 / np.median(np.diff(times)))
+    parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds)
+    job = Job.of(_between(source, times[: parts[0].stop]), None, lifter, settings, progress)
+    once = _estimated_once(source, job, mode, calibrate, known)
+    missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
+    for number, part in enumerate(parts):
+        report("parts", number, len(parts))
+        own = times[part.first : part.last]
+        try:
+            found = once.run(replace(job, recording=_between(source, own), times=own), mode, number == 0)
+        except RtofError as error:
+            missing.append((times[part.start : part.stop], error))
+            continue
+        like = cut(found, slice(0, round(rate_hz)))
+        yield from _lost(like, source, missing)
+        missing = []
+        yield seam.continued(found, part.kept, part.first)
+    if like is None:
+        raise missing[0][1]
+    yield from _lost(like, source, missing)
+    report("parts", len(parts), len(parts))
+
+
+def _frame_times(source: RecordingSlices, mode: Mode, settings: ReconstructionSettings) -> Array:
+    """(T,) s of all frames, evenly spaced."""
+    if mode != "imu":
+        if source.frame_times is None:
+            raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
+        return even_times(source.frame_times)
+    imus = source.between(source.start_s, source.start_s + MARGIN_SECONDS).imus
+    if imus is None:
+        raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
+    return frame_times(imus, settings.sensors_alone.rate_hz, source.stop_s)
+
+
+def _between(source: RecordingSlices, times: Array) -> Recording:
+    """The recording during some frames."""
+    return source.between(float(times[0]), float(times[-1]))
+
+
+def _lost(
+    like: Reconstruction, source: RecordingSlices, missing: Iterable[tuple[Array, RtofError]]
+) -> Iterator[Reconstruction]:
+    """Parts that could not be reconstructed."""
+    for times, error in missing:
+        on_clock = times if like.calibration is None else like.calibration.on_sensors_clock(times)
+        yield lost(like, _between(source, times), on_clock, str(error))
+
+
+@dataclass(frozen=True)
+class _Once:
+    """What is estimated once for all parts."""
+
+    calibration: SelfCalibration | None
+    camera: CameraEstimate | None
+    choices: Choices
+    warnings: tuple[str, ...]
+
+    def run(self, job: Job, mode: Mode, first: bool) -> Reconstruction:
+        """Reconstruct a part; the first one has the warnings of the calibration."""
+        found = run(job, mode, calibration=self.calibration, camera=self.camera)
+        choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
+        warnings = (*self.warnings, *found.warnings) if first else found.warnings
+        return replace(found, choices=choices, warnings=warnings)
+
+
+def _estimated_once(
+    source: RecordingSlices, job: Job, mode: Mode, calibrate: bool, known: SelfCalibration | None
+) -> _Once:
+    """Estimate the camera, if it is not calibrated, and the calibration, on excerpts of the recording.
+
+    Args:
+        job: of a part. mode, calibrate, known: as for `reconstruct`.
+    """
+    if mode == "imu":
+        return _Once(None, None, Choices(), ())
+    camera, warnings = None, tuple[str, ...]()
+    if job.recording.video.camera.uncertainty is not None:
+        seen = excerpt(_thinned(source))
+        camera = calibrate_camera(_between(source, seen.times), lifter=job.lifter, progress=job.progress)
+    choices = Choices("no", known is not None)
+    calibration = None if known is None else known.for_another_recording()
+    if calibrate and mode in ("sf2", "rtof") and job.recording.imus is not None:
+        recording = _between(source, _liveliest(_thinned(source)))
+        recording = recording if camera is None else with_camera(recording, camera.found)
+        calibration, _, warnings = estimated(replace(job, recording=recording), None, calibration)
+        choices = replace(choices, calibrate="yes")
+    return _Once(calibration, camera, choices, warnings)
+
+
+def _thinned(source: RecordingSlices) -> KeypointSequence:
+    """The keypoints of the whole recording, a few frames a second."""
+    times = source.times
+    ...
