@@ -20,25 +20,27 @@ OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.format
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, write_measurements_npz
+from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.motion_npz import MOTION, write_motion_npz
-from rtof_kin.formats.motion_views import dofs_from_prior
+from rtof_kin.formats.motion_npz import MOTION, MotionReader, MotionWriter
 from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
 from rtof_kin.report.provenance import input_provenance
+from rtof_kin.report.statistics import ReconstructionStatistics
 
 MARKER: Final = MOTION
+MOST_SECONDS: Final = 600.0
+"""[s] Longest motion that is also written as text, which takes five times the space of motion.npz."""
 
 
 def export(
@@ -46,7 +48,7 @@ def export(
     folder: str | Path,
     overwrite: bool = False,
     figures: bool = True,
-    formats: Sequence[str] = DEFAULT,
+    formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a reconstruction; after an error there is no folder.
@@ -54,7 +56,8 @@ def export(
     Args:
         result: of `reconstruct`. folder: a new folder. overwrite: replace an earlier export there.
         figures: draw figures too, which takes most of the time.
-        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`.
+        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`. Default: CSV
+            and ROS of motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
 
     Returns:
@@ -64,65 +67,94 @@ def export(
         OutputExistsError: the folder exists and may not be replaced.
         UnknownNameError: an unknown format. InvalidInputError: a format cannot represent the motion.
     """
-    check_formats(formats)
-    folder = Path(folder)
-    with new_folder(folder, MARKER, overwrite, inputs) as temporary:
-        first_frame = result.recording.first_frame
-        write_motion_npz(temporary / MARKER, result.motion, first_frame=first_frame, mode=result.mode)
-        write_measurements_npz(temporary / MEASUREMENTS, measurements_of(result))
-        write_motion_files(temporary, result.motion, formats)
-        text = json.dumps(summary(result), indent=2)
-        (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
-        if figures:
-            from rtof_kin.report.figures import write_figures
-
-            write_figures(result, temporary / "figures")
-    return folder
+    export_parts([result], folder, overwrite, figures, formats, inputs)
+    return Path(folder)
 
 
-def provenance_shares(poses: PoseSequence) -> dict[str, float]:
-    """Return the share of all joints and frames by `Provenance`, in lower case -> 0 to 1.
+def export_parts(
+    parts: Iterable[Reconstruction],
+    folder: str | Path,
+    overwrite: bool = False,
+    figures: bool = True,
+    formats: Sequence[str] | None = None,
+    inputs: Mapping[str, str] | None = None,
+) -> ReconstructionStatistics:
+    """Write a reconstruction part by part as `export` does; none of the parts is kept.
+
+    Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
 
     Args:
-        poses: of a motion.
+        parts: in the order of time, e.g. of `reconstruct_in_parts`. The others: as for `export`.
+
+    Returns:
+        Statistics of the whole.
+
+    Raises:
+        Errors of `export`, and those raised while the parts are made.
     """
-    return {p.name.lower(): float(np.mean(poses.provenance == p)) for p in Provenance}
+    check_formats(formats or ())
+    parts = iter(parts)
+    first = next(parts)
+    statistics = ReconstructionStatistics(first)
+    with new_folder(Path(folder), MARKER, overwrite, inputs) as temporary:
+        how: Any = {"first_frame": first.recording.first_frame, "mode": first.mode}
+        with (
+            MotionWriter(temporary / MARKER, first.motion.skeleton, **how) as motion,
+            MeasurementsWriter(temporary / MEASUREMENTS) as measurements,
+        ):
+            for number, part in enumerate(chain([first], parts)):
+                motion.append(part.motion)
+                measurements.append(measurements_of(part))
+                if number:
+                    statistics.add(part)
+        if formats is None:
+            formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
+        write_motion_files(temporary, MotionReader(temporary / MARKER), formats)
+        text = json.dumps(summary(statistics), indent=2)
+        (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        if figures and statistics.parts == 1:
+            from rtof_kin.report.figures import write_figures
+
+            write_figures(first, temporary / "figures")
+    return statistics
 
 
-def summary(result: Reconstruction) -> dict[str, Any]:
+def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
     """Return the contents of ``summary.json``.
 
     Args:
-        result: of `reconstruct`.
+        found: result of `reconstruct`, or the statistics of its parts.
     """
-    poses, report = result.motion.poses, result.motion.report
-    results = audit(result)
+    statistics = ReconstructionStatistics.of([found]) if isinstance(found, Reconstruction) else found
+    first = statistics.first
+    results = audit(statistics)
     out: dict[str, Any] = {
-        "recording": result.recording.name,
-        "mode": result.mode,
+        "recording": first.recording.name,
+        "mode": first.mode,
         "verdict": headline(results).plain(),
-        "acknowledgement": result.recording.acknowledgement,
-        "frames": len(poses),
-        "rate_hz": poses.rate_hz,
-        "skeleton": result.motion.skeleton.name,
-        "height_m": result.motion.skeleton.height,
-        "sensors": list(result.bone_imus.joints) if result.bone_imus else [],
-        "provenance": provenance_shares(poses),
-        "valid_share": float(poses.valid.mean()),
-        "dofs_from_prior": dofs_from_prior(result.motion),
-        "limit_violations_deg": {k: float(np.degrees(v)) for k, v in report.violations.items()},
-        "singular_share": float(report.singular.mean()),
-        "settings": result.choices.plain(),
-        "inputs": input_provenance(result),
-        "audit": [found.plain() for found in results],
+        "acknowledgement": first.recording.acknowledgement,
+        "frames": statistics.frames,
+        "rate_hz": first.motion.poses.rate_hz,
+        "parts": statistics.parts,
+        "skeleton": first.motion.skeleton.name,
+        "height_m": first.motion.skeleton.height,
+        "sensors": list(first.bone_imus.joints) if first.bone_imus else [],
+        "provenance": statistics.provenance_shares,
+        "valid_share": 1 - statistics["invalid"].mean_of_all,
+        "dofs_from_prior": statistics.from_prior,
+        "limit_violations_deg": {k: float(np.degrees(v)) for k, v in statistics.limit_violations.items()},
+        "singular_share": statistics["singular"].mean_of_all,
+        "settings": first.choices.plain(),
+        "inputs": input_provenance(statistics),
+        "audit": [result.plain() for result in results],
     }
-    if result.faults:
-        out["stream_faults"] = [str(fault) for fault in result.faults]
-    if result.warnings:
-        out["warnings"] = list(result.warnings)
-    if result.root_sigma is not None:
-        out["root_drift_sigma_m"] = _plain({"last_frame": float(result.root_sigma[-1])})
-    if (solution := result.solution) is not None:
+    if statistics.faults:
+        out["stream_faults"] = [str(fault) for fault in statistics.faults]
+    if statistics.warnings:
+        out["warnings"] = list(statistics.warnings)
+    if first.root_sigma is not None:
+        out["root_drift_sigma_m"] = _plain({"last_frame": statistics.root_sigma})
+    if (solution := statistics.solution) is not None:
         out["solver"] = {
             "status": solution.status.name,
             "meaning": solution.status.value,
@@ -133,9 +165,9 @@ def summary(result: Reconstruction) -> dict[str, Any]:
             "optimality_per_m": solution.optimality,
             "energy": solution.energy,
         }
-    if result.stage_metrics:
-        out["metrics"] = {stage: _plain(metrics) for stage, metrics in result.stage_metrics.items()}
-        out["metrics_per_joint"] = result.stage_metrics[result.mode].per_joint
+    if scores := statistics.stage_metrics:
+        out["metrics"] = {stage: _plain(metrics) for stage, metrics in scores.items()}
+        out["metrics_per_joint"] = scores[first.mode].per_joint
     return out
 
 

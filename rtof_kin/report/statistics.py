@@ -17,9 +17,10 @@ from rtof_kin.core.column_statistics import ColumnStatistics
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import Provenance
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.formats.motion_views import outside_gaps, root_and_dofs_observed
+from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
+from rtof_kin.reconstruction.part_results import cut
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
@@ -29,7 +30,7 @@ class ReconstructionStatistics:
     """Statistics of a reconstruction.
 
     Attributes:
-        first: the first part, for what is the same in all. last: the last one.
+        first: the first part, or one second of it, for what is the same in all. last: the last one.
         frames: number of frames. fragments: reports of the fragment solver, in order.
     """
 
@@ -66,6 +67,8 @@ class ReconstructionStatistics:
         for name, times, values in _blocks(part):
             values = values.reshape(len(times), -1)
             self._statistics.setdefault(name, ColumnStatistics(values.shape[1])).add(times, values)
+        if self._findings and self.last is self.first:
+            self.first = cut(self.first, slice(0, round(self.first.motion.poses.rate_hz)))
         if part.solution is not None:
             self.fragments += part.solution.fragments
         self._faults += part.faults
@@ -83,9 +86,22 @@ class ReconstructionStatistics:
         """Statistics of a quantity of `_blocks`."""
         return self._statistics[name]
 
-    def share(self, name: str) -> Array:
-        """Return the share (K,) of frames in which a mask of `_blocks` holds."""
-        return self._statistics[name].mean
+    @property
+    def provenance_shares(self) -> dict[str, float]:
+        """Share of all joints and frames by `Provenance`, in lower case -> 0 to 1."""
+        return {p.name.lower(): self[f"provenance {p.name.lower()}"].mean_of_all for p in Provenance}
+
+    @property
+    def from_prior(self) -> dict[str, float]:
+        """Unobserved degrees of freedom by URDF name, and the root's orientation -> share of the frames."""
+        names = root_and_dof_names(self.first.motion.skeleton)
+        return {n: float(v) for n, v in zip(names, self["from prior"].mean, strict=True) if v > 0}
+
+    @property
+    def limit_violations(self) -> dict[str, float]:
+        """Largest excess, rad, of each revolute that violates its limits."""
+        names, largest = self.first.motion.report.dof_names, self["limit excess"].largest
+        return {name: float(v) for name, v in zip(names, largest, strict=True) if v > 0}
 
     @property
     def parts(self) -> int:
