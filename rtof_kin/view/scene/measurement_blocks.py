@@ -12,10 +12,10 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
+from rtof_kin.core.files.npz_blocks import NpzBlocks
+from rtof_kin.core.files.scanned_file import ScannedFile
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.formats.measurements_npz import SCHEMA_VERSION, measurements_of
-from rtof_kin.view.scene.npz_blocks import NpzBlocks
-from rtof_kin.view.scene.scanned_file import ScannedFile
 
 _CONSTANT: Final = (
     "quat_wxyz_bone_sensor", "p_bone_sensor", "K_still", "video_K", "video_distortion"

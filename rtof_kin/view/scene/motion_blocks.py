@@ -14,11 +14,11 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.files.npz_blocks import NpzBlocks
+from rtof_kin.core.files.scanned_file import ScannedFile
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.motion_npz import SCHEMA_VERSION
-from rtof_kin.view.scene.npz_blocks import NpzBlocks
-from rtof_kin.view.scene.scanned_file import ScannedFile
 
 _POSES: Final = ("p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed")
 _COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Self
 
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.view.scene.npz_blocks import NpzBlocks
+from rtof_kin.core.files.npz_blocks import NpzBlocks
 
 
 class ScannedFile:
