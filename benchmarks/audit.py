@@ -25,8 +25,8 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import Grade, section_verdict
-from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.report.residuals import reprojection_errors
+from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 
 RESULTS = harness.HERE / "results"
@@ -82,7 +82,8 @@ CASES: dict[str, Callable[[Recording], Recording]] = {
 def row_of(result: Reconstruction, clip: MocapClip, camera: int, case: str) -> dict[str, Any]:
     """Verdicts and figures of one reconstruction."""
     findings = audit(result)
-    errors, height = reprojection_errors(result), ReconstructionStatistics.of([result])["body height px"].median_of_all
+    errors = reprojection_errors(result)
+    height = ReconstructionStatistics(result)["body height px"].median_of_all
     figures = ("orientation residual across", "orientation residual about", "acceleration")
     worst = {name: max(f.value for f in findings if f.name.startswith(name)) for name in figures}
     assert result.metrics is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
@@ -30,7 +30,8 @@ from rtof_kin.core.choices import MODES, Mode
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.result import Reconstruction
-    from rtof_kin.recording.recording import Recording
+    from rtof_kin.recording.reader import RecordingSlices
+    from rtof_kin.report.statistics import ReconstructionStatistics
 
 
 def add_commands(commands: Any) -> None:
@@ -69,12 +70,18 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _reconstruct(options: argparse.Namespace) -> None:
     use_threads(options)
+    from rtof_kin.reconstruction.parts import LONG_SECONDS
+    from rtof_kin.recording.reader import RecordingReader
     from rtof_kin.recording.recording import Recording
 
-    recording = Recording.load(options.recording)
-    result = _reconstruct_to(recording, options.mode, options)
-    if result.stage_metrics:
-        print_scores(with_zero_motion(recording) | result.stage_metrics)
+    with RecordingReader.open(options.recording) as slices:
+        whole = None
+        if slices.stop_s - slices.start_s <= LONG_SECONDS:
+            whole = Recording.load(options.recording)
+        found = _reconstruct_to(whole or slices, options.mode, options)
+    if found.stage_metrics:
+        zero = {} if whole is None else with_zero_motion(whole)
+        print_scores(zero | found.stage_metrics)
 
 
 def _calibrate(options: argparse.Namespace) -> None:
@@ -130,48 +137,56 @@ def _known(options: argparse.Namespace) -> Any:
 
 
 def reconstruct_and_export(
-    recording: Recording, mode: Mode, options: argparse.Namespace, inputs: Mapping[str, str] | None = None
-) -> Reconstruction:
+    recording: RecordingSlices, mode: Mode, options: argparse.Namespace,
+    inputs: Mapping[str, str] | None = None,
+) -> ReconstructionStatistics:  # fmt: skip
     """Reconstruct and export; a folder that may not be written is refused first.
 
     Args:
-        recording: to reconstruct. mode: of the reconstruction.
-        options: those of `add_reconstruction`, and the output. inputs: fingerprints for `export`.
+        recording: to reconstruct; a `Recording` in one part, another source in parts. mode: of the
+            reconstruction. options: those of `add_reconstruction`, and the output.
+        inputs: fingerprints for `export`.
     """
     from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.reconstruction.parts import reconstruct_in_parts
     from rtof_kin.reconstruction.pipeline import reconstruct
-    from rtof_kin.report.export import MARKER, export
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.report.export import MARKER, export_parts
 
-    settings = settings_of(options, mode)
     check_replaceable(options.output, MARKER, options.overwrite)
+    how: Any = {
+        "mode": mode, "lifter": lifter_of(options), "settings": settings_of(options, mode),
+        "calibrate": options.calibrate, "known": _known(options),
+    }  # fmt: skip
     with progress() as update, warnings_in_summary():
-        result = reconstruct(
-            recording, mode=mode, lifter=lifter_of(options), settings=settings,
-            calibrate=options.calibrate, known=_known(options), progress=update,
-        )  # fmt: skip
-    export(result, options.output, options.overwrite, not options.no_figures, inputs=inputs)
-    return result
+        if isinstance(recording, Recording):
+            parts: Iterable[Reconstruction] = [reconstruct(recording, progress=update, **how)]
+        else:
+            parts = reconstruct_in_parts(recording, progress=update, **how)
+        return export_parts(parts, options.output, options.overwrite, not options.no_figures, inputs=inputs)
 
 
-def _reconstruct_to(recording: Recording, mode: Mode, options: argparse.Namespace) -> Reconstruction:
+def _reconstruct_to(
+    recording: RecordingSlices, mode: Mode, options: argparse.Namespace
+) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
     from rtof_kin.report.audit import audit
-    from rtof_kin.report.export import provenance_shares
     from rtof_kin.report.headline import headline
 
-    result = reconstruct_and_export(recording, mode, options)
-    verdict = headline(audit(result))
-    print_summary(result, verdict, options.output)
+    found = reconstruct_and_export(recording, mode, options)
+    verdict = headline(audit(found))
+    print_summary(found, verdict, options.output)
     print_sections(verdict)
-    shares = {k: v for k, v in provenance_shares(result.motion.poses).items() if v > 0}
+    shares = {k: v for k, v in found.provenance_shares.items() if v > 0}
     by = ", ".join(f"{k.replace('_', ' ').replace('imu', 'IMU')} {100 * v:.1f} %" for k, v in shares.items())
     out.print(f"joints observed by: {by}", soft_wrap=True)
-    if result.calibration is not None and options.verbose:
-        print_calibration(result.calibration)
-    elif result.calibration is not None:
-        count = len(result.calibration.quantities)
+    calibration = found.first.calibration
+    if calibration is not None and options.verbose:
+        print_calibration(calibration)
+    elif calibration is not None:
+        count = len(calibration.quantities)
         out.print(f"self-calibration: {count} quantities; --verbose prints them", soft_wrap=True)
-    return result
+    return found
 
 
 def _evaluate(options: argparse.Namespace) -> None:

@@ -152,7 +152,6 @@ def _init(options: argparse.Namespace) -> None:
 def _run(options: argparse.Namespace) -> None:
     use_threads(options)
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.formats.motion_npz import read_motion_npz
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.page import PAGE
     from rtof_kin.report.summary_file import SUMMARY, read_summary
@@ -188,7 +187,6 @@ def _run(options: argparse.Namespace) -> None:
     _step(options, MOTION, (own, mode, *_values(options, _OF_MOTION)), reconstruct)
     _step(options, ANGLES, (folder / MOTION, *_values(options, _OF_ANGLES)), analyse)
     _write_page(folder, options)
-    motion = read_motion_npz(folder / MOTION / "motion.npz")
     _print_findings(found)
     for kind, _, sentence in (note.partition(": ") for note in recording.notes.splitlines()):
         if options.second and sentence.startswith(ABOUT):
@@ -196,7 +194,7 @@ def _run(options: argparse.Namespace) -> None:
     summary = read_summary(folder / MOTION / SUMMARY)
     for number, sentence in enumerate(_camera_found(summary)):
         _line("" if number else "camera", sentence)
-    _line("accuracy", accuracy(None, motion.confidence, mode))
+    _line("accuracy", accuracy(None, summary.mean_sigmas, mode))
     _line("caution", _headline(summary))
     _line("report", f"{folder / PAGE} ({time.monotonic() - started:.0f} s); open it in a browser")
     _line("next", f"rtof-kin view {folder} (in 3D); rtof-kin overlay {folder} VIDEO -o FILE.mp4")

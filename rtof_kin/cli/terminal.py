@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,9 +21,8 @@ from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.data.confidence import Confidence
-    from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.report.headline import Headline
+    from rtof_kin.report.statistics import ReconstructionStatistics
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)
@@ -125,20 +125,20 @@ def warnings_in_summary(logger: str = "rtof_kin.reconstruction.pipeline.warnings
 # --- what is printed -----------------------------------------------------------------------------
 
 
-def print_summary(result: Reconstruction, headline: Headline, folder: str | Path) -> None:
+def print_summary(found: ReconstructionStatistics, headline: Headline, folder: str | Path) -> None:
     """Print a result in five lines: recording, accuracy, cautions, files, next command.
 
     Args:
-        result: exported to `folder`. headline: of its audit.
+        found: statistics of what was exported to `folder`. headline: of its audit.
     """
-    poses, mode = result.motion.poses, result.mode
-    source = f"{len(poses) / poses.rate_hz:.1f} s at {poses.rate_hz:.0f} Hz"
-    parts = ["one camera"] if result.keypoints is not None else []
-    parts += [f"{len(result.bone_imus.joints)} IMUs"] if result.bone_imus is not None else []
+    first = found.first
+    source = f"{_duration(found.seconds)} at {first.motion.poses.rate_hz:.0f} Hz"
+    parts = ["one camera"] if first.keypoints is not None else []
+    parts += [f"{len(first.bone_imus.joints)} IMUs"] if first.bone_imus is not None else []
     lines = {
-        "recording": f"{result.recording.name}: {source}, {' and '.join(parts)}, mode {mode}; "
-        f"subject {result.motion.skeleton.height:.2f} m tall",
-        "accuracy": accuracy(result.metrics, result.motion.confidence, result.mode),
+        "recording": f"{first.recording.name}: {source}, {' and '.join(parts)}, mode {first.mode}; "
+        f"subject {first.motion.skeleton.height:.2f} m tall",
+        "accuracy": accuracy(found.metrics, found.mean_sigmas, first.mode),
         "caution": headline.line,
         "files": f"{folder}: {', '.join(_entries(folder))}",
         "next": f"rtof-kin report {folder} (one page for the browser); rtof-kin view {folder} (in 3D)",
@@ -148,27 +148,29 @@ def print_summary(result: Reconstruction, headline: Headline, folder: str | Path
         out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
 
 
-def accuracy(metrics: Mapping[str, float] | None, confidence: Confidence | None, mode: str) -> str:
+def _duration(seconds: float) -> str:
+    """Seconds, of long recordings minutes."""
+    return f"{seconds:.1f} s" if seconds < 600 else f"{seconds / 60:.1f} min"
+
+
+def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | None, mode: str) -> str:
     """Return errors against the truth, else those expected by the covariances.
 
     Args:
-        metrics: against the truth, where there is one. confidence: of the motion. mode: that made it.
+        metrics: against the truth, where there is one. mode: that made the motion.
+        sigmas: mean standard deviations per axis of the joints relative to the root and in world, m; NaN
+            where unknown. None of a motion without covariances.
     """
     if (m := metrics) is not None:
         return (
             f"{m['mpjpe_rr_mm']:.1f} mm relative to the root, {m['mpjpe_mm']:.0f} mm absolute, flexion of "
             f"knees and elbows {m['flexion_deg']:.1f} deg (mean errors against the truth)"
         )
-    import numpy as np
-
-    if confidence is None:
+    if sigmas is None:
         return f"not estimated in mode {mode}; the recording has no truth to compare with"
-    if not np.isfinite(confidence.position_covariance).any():
+    relative, world = (1000 * _MEAN_NORM * sigma for sigma in sigmas)
+    if math.isnan(world):
         return "unknown: no fragment determines the pose, and the recording has no truth to compare with"
-    relative, world = (
-        1000 * _MEAN_NORM * float(np.nanmean(sigma))
-        for sigma in (confidence.relative_sigma[:, 1:], confidence.position_sigma)
-    )
     return (
         f"expected {relative:.0f} mm relative to the root, {world:.0f} mm absolute (mean joint error by the "
         "estimated covariances; there is no truth to compare with)"

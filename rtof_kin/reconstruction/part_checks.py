@@ -51,10 +51,10 @@ def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
     for part in parts:
         for sentence in part.warnings:
             times.setdefault(sentence, []).append(part.start)
-    out = [
-        text if len(at) in (1, len(parts)) else f"{text} (in {len(at)} of {len(parts)} parts, first from {at[0]:.0f} s)"
-        for text, at in times.items()
-    ]
+    out = []
+    for text, at in times.items():
+        where = f" (in {len(at)} of {len(parts)} parts, first from {at[0]:.0f} s)"
+        out.append(text if len(at) in (1, len(parts)) else text + where)
     for own in _alike(parts):
         wrong = [(start, check) for start, check in own if check.failed]
         runs = (len(list(run)) for fails, run in groupby(own, lambda one: one[1].failed) if fails)

@@ -1,4 +1,4 @@
-"""Results of the parts of a long recording: cut to the frames that are kept, and continued from the part before."""
+"""Results of the parts of a long recording: cut to the kept frames, and continued from the part before."""
 
 from __future__ import annotations
 

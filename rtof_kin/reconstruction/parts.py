@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -38,6 +39,10 @@ MARGIN_SECONDS: Final = 3.0
 """[s] by which a part is longer at either end."""
 LONG_SECONDS: Final = 2 * PART_SECONDS
 """[s] Recordings beyond this are reconstructed in parts."""
+_STEP_SECONDS: Final = 2.0
+"""[s] by which video and sensors may be out of step."""
+_FEW_HZ: Final = 5.0
+"""Frames per second that show where in a recording the person is and moves."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +72,7 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
     length = max(round(seconds * rate_hz / step), 1) * step
     margin = -(-round(MARGIN_SECONDS * rate_hz) // step) * step
     borders = [*range(0, max(frames - length // 2, 1), length), frames]
-    return [
-        Part(a, b, max(a - margin, 0), min(b + margin, frames))
-        for a, b in zip(borders[:-1], borders[1:], strict=True)
-    ]
+    return [Part(a, b, max(a - margin, 0), min(b + margin, frames)) for a, b in pairwise(borders)]
 
 
 def reconstruct_in_parts(
@@ -135,8 +137,8 @@ def _frame_times(source: RecordingSlices, mode: Mode, settings: ReconstructionSe
 
 
 def _between(source: RecordingSlices, times: Array) -> Recording:
-    """The recording during some frames."""
-    return source.between(float(times[0]), float(times[-1]))
+    """The recording during some frames, and a little longer, as video and sensors may be out of step."""
+    return source.between(float(times[0]) - _STEP_SECONDS, float(times[-1]) + _STEP_SECONDS)
 
 
 def _lost(
@@ -182,7 +184,7 @@ def _estimated_once(
     choices = Choices("no", known is not None)
     calibration = None if known is None else known.for_another_recording()
     if calibrate and mode in ("sf2", "rtof") and job.recording.imus is not None:
-        recording = _between(source, _liveliest(_thinned(source)))
+        recording = _between(source, _liveliest(_thinned(source)).times)
         recording = recording if camera is None else with_camera(recording, camera.found)
         calibration, _, warnings = estimated(replace(job, recording=recording), None, calibration)
         choices = replace(choices, calibrate="yes")
@@ -190,6 +192,22 @@ def _estimated_once(
 
 
 def _thinned(source: RecordingSlices) -> KeypointSequence:
-    """The keypoints of the whole recording, a few frames a second."""
-    times = source.times
-    ...
+    """The keypoints of the whole recording, at most `_FEW_HZ` frames a second."""
+    every, begin, found = max(1, round(source.rate_hz / _FEW_HZ)), source.start_s, list[KeypointSequence]()
+    while begin <= source.stop_s:
+        seen = source.between(begin, begin + PART_SECONDS).keypoints
+        begin = np.nextafter(begin + PART_SECONDS, np.inf)
+        if seen is not None:
+            few = seen[::every]
+            found.append(replace(few, own_times=None, turning=None))
+    names = ("times", "uv_px", "confidence")
+    return replace(found[0], **{name: np.concatenate([getattr(k, name) for k in found]) for name in names})
+
+
+def _liveliest(keypoints: KeypointSequence) -> KeypointSequence:
+    """The minute in which the points that are seen move most."""
+    moves = np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2))
+    so_far = np.concatenate([[0.0], np.cumsum(moves)])
+    last = np.searchsorted(keypoints.times, keypoints.times + PART_SECONDS, "right") - 1
+    first = int(np.argmax(so_far[last] - so_far))
+    return keypoints[first : last[first] + 1]

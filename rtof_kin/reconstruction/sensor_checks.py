@@ -124,7 +124,8 @@ def naming_wrong_samples(recording: Recording) -> Iterator[None]:
 def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:
     """Return the lifted keypoints on the declared clock."""
     lifted, declared = prepared.recording.video, recording.video
-    return replace(lifted, times=lifted.times + declared.times[0] - lifted.times[0])
+    times = np.interp(lifted.video_times, declared.video_times, declared.times)
+    return replace(lifted, times=times)
 
 
 def _exchanged_segments(native: BoneImuSequence) -> Iterator[BoneImuSequence]:

@@ -48,7 +48,7 @@ def audit(found: Reconstruction | ReconstructionStatistics) -> tuple[AuditResult
     Returns:
         Results of the sections inputs to confidence; also the errors if the recording has a reference.
     """
-    statistics = found if isinstance(found, ReconstructionStatistics) else ReconstructionStatistics.of([found])
+    statistics = ReconstructionStatistics.of(found)
     before = (_inputs, _streams, _image, _sensors, _body)
     return (
         *(found for section in before for found in section(statistics)),
@@ -85,9 +85,10 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
     else:
         note = "occluded, out of the image, or not detected"
+        names = first.keypoints.landmarks.names
         shares += [
             ("share of frames unseen", landmark, share, *_UNSEEN.get(landmark, (10.0, 90.0)), note)
-            for landmark, share in zip(first.keypoints.landmarks.names, statistics["unseen"].mean, strict=True)
+            for landmark, share in zip(names, statistics["unseen"].mean, strict=True)
         ]
     if first.bone_imus is not None:
         shares += [

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import chain
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +37,7 @@ from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
 from rtof_kin.report.provenance import input_provenance
 from rtof_kin.report.statistics import ReconstructionStatistics
+from rtof_kin.report.summary_file import SIGMAS
 
 MARKER: Final = MOTION
 MOST_SECONDS: Final = 600.0
@@ -93,29 +94,33 @@ def export_parts(
         Errors of `export`, and those raised while the parts are made.
     """
     check_formats(formats or ())
-    parts = iter(parts)
-    first = next(parts)
-    statistics = ReconstructionStatistics(first)
+    statistics: ReconstructionStatistics | None = None
     with new_folder(Path(folder), MARKER, overwrite, inputs) as temporary:
-        how: Any = {"first_frame": first.recording.first_frame, "mode": first.mode}
-        with (
-            MotionWriter(temporary / MARKER, first.motion.skeleton, **how) as motion,
-            MeasurementsWriter(temporary / MEASUREMENTS) as measurements,
-        ):
-            for number, part in enumerate(chain([first], parts)):
+        with ExitStack() as files:
+            for part in parts:
+                if statistics is None:
+                    statistics, whole = ReconstructionStatistics(part), part
+                    first_frame, body = part.recording.first_frame, part.motion.skeleton
+                    path = temporary / MARKER
+                    motion = MotionWriter(path, body, mode=part.mode, first_frame=first_frame)
+                    measurements = MeasurementsWriter(temporary / MEASUREMENTS)
+                    files.enter_context(motion)
+                    files.enter_context(measurements)
+                else:
+                    statistics.add(part)
+                    whole = None
                 motion.append(part.motion)
                 measurements.append(measurements_of(part))
-                if number:
-                    statistics.add(part)
+        assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
         write_motion_files(temporary, MotionReader(temporary / MARKER), formats)
         text = json.dumps(summary(statistics), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
-        if figures and statistics.parts == 1:
+        if figures and whole is not None:
             from rtof_kin.report.figures import write_figures
 
-            write_figures(first, temporary / "figures")
+            write_figures(whole, temporary / "figures")
     return statistics
 
 
@@ -125,9 +130,9 @@ def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
     Args:
         found: result of `reconstruct`, or the statistics of its parts.
     """
-    statistics = ReconstructionStatistics.of([found]) if isinstance(found, Reconstruction) else found
+    statistics = ReconstructionStatistics.of(found)
     first = statistics.first
-    results = audit(statistics)
+    results, sigmas = audit(statistics), statistics.mean_sigmas
     out: dict[str, Any] = {
         "recording": first.recording.name,
         "mode": first.mode,
@@ -144,6 +149,7 @@ def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
         "dofs_from_prior": statistics.from_prior,
         "limit_violations_deg": {k: float(np.degrees(v)) for k, v in statistics.limit_violations.items()},
         "singular_share": statistics["singular"].mean_of_all,
+        "mean_sigma_m": None if sigmas is None else _plain(dict(zip(SIGMAS, sigmas, strict=True))),
         "settings": first.choices.plain(),
         "inputs": input_provenance(statistics),
         "audit": [result.plain() for result in results],

@@ -5,9 +5,8 @@ A long recording is reconstructed in parts (`rtof_kin.reconstruction.parts`), no
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 
@@ -50,13 +49,9 @@ class ReconstructionStatistics:
         self.add(first)
 
     @classmethod
-    def of(cls, parts: Iterable[Reconstruction]) -> Self:
-        """Return the statistics of a whole reconstruction, given as its parts in the order of time."""
-        first, *others = parts
-        out = cls(first)
-        for part in others:
-            out.add(part)
-        return out
+    def of(cls, found: Reconstruction | ReconstructionStatistics) -> ReconstructionStatistics:
+        """Return the statistics of a reconstruction in one part, or those that are given."""
+        return cls(found) if isinstance(found, Reconstruction) else found
 
     def add(self, part: Reconstruction) -> None:
         """Add the next part.
@@ -102,6 +97,13 @@ class ReconstructionStatistics:
         """Largest excess, rad, of each revolute that violates its limits."""
         names, largest = self.first.motion.report.dof_names, self["limit excess"].largest
         return {name: float(v) for name, v in zip(names, largest, strict=True) if v > 0}
+
+    @property
+    def mean_sigmas(self) -> tuple[float, float] | None:
+        """Mean standard deviations per axis of the joints, relative to the root and in world, m."""
+        if "position sigma" not in self:
+            return None
+        return self["relative sigma"].mean_of_all, self["position sigma"].mean_of_all
 
     @property
     def parts(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"
+SIGMAS: Final = ("relative_m", "world_m")
 _NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s2")  # suffixes of fields that are numbers
 _COUNTS: Final = ("first_frame", "cameras")
 _LISTS: Final = ("lever_arm_m", "landmarks")
@@ -31,6 +33,9 @@ class Summary:
     results: tuple[AuditResult, ...] | None
     """Of the audit; None if the file has none."""
     settings: dict[str, Any] | None = None
+    mean_sigmas: tuple[float, float] | None = None
+    """Mean standard deviations per axis of the joints, relative to the root and in world, m; NaN where
+    unknown, None of a motion without covariances."""
 
     @property
     def subject(self) -> dict[str, Any]:
@@ -63,9 +68,15 @@ def read_summary(path: str | Path) -> Summary:
         if audit is not None:
             _check("audit", audit, list, "list")
             results = tuple(AuditResult.from_plain(entry) for entry in audit)
-    except InvalidInputError as error:
+        sigmas = data.get("mean_sigma_m")
+        if sigmas is not None:
+            _check_table("mean_sigma_m", sigmas)
+            sigmas = tuple(math.nan if sigmas.get(n) is None else float(sigmas[n]) for n in SIGMAS)
+    except (InvalidInputError, ValueError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
-    return Summary(**texts, session=session, inputs=inputs, results=results, settings=settings)
+    return Summary(
+        **texts, session=session, inputs=inputs, results=results, settings=settings, mean_sigmas=sigmas
+    )  # fmt: skip
 
 
 _TABLES = ("calibration", "camera_estimate")

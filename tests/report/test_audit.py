@@ -20,9 +20,9 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.report.audit import audit
 from rtof_kin.report.audit_results import AuditResult, Grade, SectionVerdict, section_verdict
-from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.report.headline import headline
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
+from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.solution import SolverStatus
 
 BODY = SkeletonModel.default()
@@ -59,7 +59,7 @@ def with_keypoints(result: Reconstruction, names: tuple[str, ...], uv_px: Any) -
 
 def test_the_true_motion_has_no_residuals(good: Reconstruction) -> None:
     assert np.nanmax(reprojection_errors(good)) < 1e-6
-    assert 200 < ReconstructionStatistics.of([good])["body height px"].median_of_all < 900
+    assert 200 < ReconstructionStatistics(good)["body height px"].median_of_all < 900
     for residual in orientation_residuals(good):
         assert np.nanmax(residual) < 1e-6
     a = acceleration_residuals(good)
