@@ -100,27 +100,35 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
     Raises:
         InvalidInputError: the motion has no rotation at the times of the keypoints, or was applied before.
     """
-    camera = keypoints.camera
+    R, still = still_camera_of(keypoints.camera, keypoints.times, motion)
+    return turned(keypoints, R, still)
+
+
+def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple[Array, Camera]:
+    """Return rotations (T, 3, 3) from the camera to one that stands still, and that one; see `stabilised`.
+
+    Args:
+        camera: that turns. times: (T,) s, of its frames. motion: on their clock.
+
+    Raises:
+        InvalidInputError: see `stabilised`.
+    """
     if camera.stabilised:
         raise InvalidInputError("camera motion: these keypoints are stabilised already; leave it out")
     known = np.isfinite(motion.R_first_camera).all(axis=(1, 2))
-    span, step = (
-        motion.times[known][[0, -1]],
-        np.median(np.diff(keypoints.times)) if len(keypoints) > 1 else 0.0,
-    )
-    at = keypoints.times
-    inside = (at >= span[0] - 1.5 * step) & (at <= span[1] + 1.5 * step)  # a frame more at either end
+    span, step = (motion.times[known][[0, -1]], np.median(np.diff(times)) if len(times) > 1 else 0.0)
+    inside = (times >= span[0] - 1.5 * step) & (times <= span[1] + 1.5 * step)  # a frame more at either end
     R = signals.interpolate_rotations(
-        motion.times, motion.R_first_camera[:, None], np.clip(at, *span), LONGEST_GAP
+        motion.times, motion.R_first_camera[:, None], np.clip(times, *span), LONGEST_GAP
     )[:, 0]
     R[~inside] = np.nan
     if np.isnan(R).all():
         raise InvalidInputError(
-            f"camera motion: known from {span[0]:g} to {span[1]:g} s, keypoints are from {at[0]:g} to "
-            f"{at[-1]:g} s; put it on their clock"
+            f"camera motion: known from {span[0]:g} to {span[1]:g} s, keypoints are from {times[0]:g} to "
+            f"{times[-1]:g} s; put it on their clock"
         )
     still = motion.R_first_still
-    return turned(keypoints, still.T @ R, _still(camera, motion, still))
+    return np.asarray(still.T @ R), _still(camera, motion, still)
 
 
 def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) -> KeypointSequence:

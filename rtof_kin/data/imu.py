@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Self
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,88 @@ _ABSURD_ACCELERATION: Final = 1e4
 """Acceleration beyond any IMU, m/s^2."""
 
 
+class UnitCheck:
+    """Checks by gravity that specific force is in m/s^2, on samples that may come in blocks.
+
+    The median over a whole recording is compared with one gravity. Repeated samples are ignored, because a
+    sensor may freeze during an impact, and so are sensors that repeat one sample throughout.
+    """
+
+    def __init__(self) -> None:
+        self._norms: list[Array] = []
+        self._turned: list[Array] = []
+        self._last: tuple[Array, Array] | None = None
+        self._still: Any = True
+
+    def add(self, R_inertial_sensor: Array, f_sensor: Array) -> None:
+        """Take the next samples.
+
+        Args:
+            R_inertial_sensor: (T, S, 3, 3). f_sensor: (T, S, 3).
+        """
+        R, f = R_inertial_sensor, f_sensor
+        norm = np.linalg.norm(f, axis=-1)
+        self._turned.append(_sums(np.einsum("tsij,tsj->tsi", R, f)))
+        before, self._last = self._last, (R[-1:], f[-1:])
+        if before is not None:
+            R, f = np.concatenate([before[0], R]), np.concatenate([before[1], f])
+        norm[len(norm) - len(f) + 1 :][(f[1:] == f[:-1]).all(axis=-1)] = np.nan
+        self._norms.append(norm)
+        self._still &= (R[1:] == R[:-1]).all(axis=(0, 2, 3))
+
+    def check(self, names: Sequence[str]) -> None:
+        """Check the samples that were added.
+
+        Args:
+            names: S sensors.
+
+        Raises:
+            UnitError: a sensor's unit is another one, or its gravity was removed.
+        """
+        norms = np.concatenate(self._norms)
+        turned = np.sum(self._turned, axis=0)
+        frozen = np.asarray(np.isfinite(norms).sum(axis=0) == 1) & self._still & (len(norms) > 1)
+        for s, name in enumerate(names):
+            if not frozen[s] and np.any(np.isfinite(norms[:, s])):
+                _check_unit(name, norms[:, s], turned[s])
+
+
+def _sums(f: Array) -> Array:
+    """Return the sums (S, 3) over known samples of f (T, S, 3), with their number (S,) as a fourth column."""
+    known = np.isfinite(f).all(axis=-1)
+    return np.column_stack([np.where(known[..., None], f, 0.0).sum(axis=0), known.sum(axis=0)])
+
+
+def _check_unit(name: str, norm: Array, turned: Array) -> None:
+    """Check the specific force of a sensor: norms (T,), and `_sums` (4,) in the inertial reference."""
+    median = float(np.nanmedian(norm))
+    if 0.5 < median < 2.0 and _feels_gravity(norm, turned):
+        raise UnitError(
+            f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
+            f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
+        )
+    if median < 4.0:
+        raise UnitError(
+            f"IMU {name}: the median specific force is {median:.2f} m/s^2, so gravity was "
+            "removed; give the raw accelerometer, which reads 9.81 upwards at rest"
+        )
+    if median > 30.0:
+        raise UnitError(
+            f"IMU {name}: the median specific force is {median:.3g}, far above one gravity; "
+            "give m/s^2 (9.81 at rest), not milli-g or raw counts"
+        )
+
+
+def _feels_gravity(norm: Array, turned: Array) -> bool:
+    """Return whether a norm (T,) of specific force, in any unit, contains gravity.
+
+    Either it is rarely small, or most of it is constant in the inertial reference.
+    """
+    if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
+        return True
+    return bool(turned[3] > 0 and np.linalg.norm(turned[:3] / turned[3]) > 0.5 * np.nanmean(norm))
+
+
 @dataclass(frozen=True)
 class ImuSequence:
     """Orientation and specific force of IMUs, as measured."""
@@ -37,6 +119,8 @@ class ImuSequence:
     """(T, S, 3) specific force in sensor axes, m/s^2, gravity included; NaN where missing."""
     names: tuple[str, ...]
     """S sensor names."""
+    unit_checked: bool = field(default=False, repr=False)
+    """Whether it is part of a longer sequence on which the unit of `f_sensor` was checked."""
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -47,49 +131,19 @@ class ImuSequence:
         checked_rotations("IMU R_inertial_sensor", self.R_inertial_sensor)
         if np.any(np.isinf(self.f_sensor)):
             raise InvalidInputError("IMU f_sensor: infinite; write NaN where a sample is missing")
-        self._check_unit()
+        if not self.unit_checked:
+            unit = UnitCheck()
+            unit.add(self.R_inertial_sensor, self.f_sensor)
+            unit.check(self.names)
 
-    def _check_unit(self) -> None:
-        """Check that the median specific force is near one gravity.
-
-        Repeated samples are ignored, because a sensor may freeze during an impact, and so are sensors that
-        repeat one sample throughout.
-        """
-        norm = np.linalg.norm(self.f_sensor, axis=-1)
-        norm[1:][(self.f_sensor[1:] == self.f_sensor[:-1]).all(axis=-1)] = np.nan
-        R = self.R_inertial_sensor
-        frozen = np.isfinite(norm).sum(axis=0) == 1
-        frozen &= (R[1:] == R[:-1]).all(axis=(0, 2, 3)) & (len(R) > 1)
-        for s, name in enumerate(self.names):
-            if frozen[s] or not np.any(np.isfinite(norm[:, s])):
-                continue
-            median = float(np.nanmedian(norm[:, s]))
-            if 0.5 < median < 2.0 and self._feels_gravity(s, norm[:, s]):
-                raise UnitError(
-                    f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
-                    f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
-                )
-            if median < 4.0:
-                raise UnitError(
-                    f"IMU {name}: the median specific force is {median:.2f} m/s^2, so gravity was "
-                    "removed; give the raw accelerometer, which reads 9.81 upwards at rest"
-                )
-            if median > 30.0:
-                raise UnitError(
-                    f"IMU {name}: the median specific force is {median:.3g}, far above one gravity; "
-                    "give m/s^2 (9.81 at rest), not milli-g or raw counts"
-                )
-
-    def _feels_gravity(self, s: int, norm: Array) -> bool:
-        """Return whether a norm (T,) of specific force, in any unit, contains gravity.
-
-        Either it is rarely small, or most of it is constant in the inertial reference.
-        """
-        if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
-            return True
-        f = np.einsum("tij,tj->ti", self.R_inertial_sensor[:, s], self.f_sensor[:, s])
-        f = f[np.isfinite(f).all(axis=-1)]
-        return len(f) > 0 and bool(np.linalg.norm(f.mean(axis=0)) > 0.5 * np.nanmean(norm))
+    def __getitem__(self, rows: slice) -> Self:
+        return replace(
+            self,
+            times=self.times[rows],
+            R_inertial_sensor=self.R_inertial_sensor[rows],
+            f_sensor=self.f_sensor[rows],
+            unit_checked=True,
+        )
 
     def __len__(self) -> int:
         return len(self.times)

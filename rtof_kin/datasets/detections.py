@@ -66,7 +66,8 @@ def read_detections(
     else:
         arrays = files.read_arrays(path, _ARRAYS)
         names = _landmarks(Path(folder), skeleton)
-    shape = files.needed(path, arrays, "uv_px", "(T, L, 2)").shape
+    shapes = {name: array.shape for name, array in arrays.items()}
+    shape = files.needed(path, shapes, "uv_px", "(T, L, 2)")
     if shape[1:] != (len(names), 2):
         raise FileFormatError(
             path, f"uv_px has shape {shape}, and {len(names)} landmarks are named; list the names of its "

@@ -21,7 +21,11 @@ from rtof_kin.data.camera_turning import CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 
 _TURNING: Final = ("R_still_camera", "K_still", "video_K", "video_distortion")
-VIDEO_ARRAYS: Final = ("video_times", *_TURNING)
+VIDEO_AXES: Final = {"video_times": 1, "R_still_camera": 3}
+"""Number of axes of arrays with a row for each frame."""
+VIDEO_CONSTANTS: Final = ("K_still", "video_K", "video_distortion")
+"""Arrays of the whole video."""
+VIDEO_ARRAYS: Final = (*VIDEO_AXES, *VIDEO_CONSTANTS)
 
 
 def video_arrays(keypoints: KeypointSequence) -> dict[str, Array]:

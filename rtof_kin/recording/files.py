@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,14 +26,21 @@ from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, with_video
+from rtof_kin.formats.video_arrays import VIDEO_AXES, VIDEO_CONSTANTS, with_video
+from rtof_kin.recording.sources import Source, Table
+from rtof_kin.recording.streams import Stream
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table, is_detector_point
 
 _OWN_LAYOUT: Final = "joints"
 RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
-TRUTH: Final = ("times", "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed")
+_KEYPOINT_AXES: Final = {"uv_px": 3, "confidence": 2, "times": 1}
+_TRUTH_AXES: Final = {
+    "times": 1, "p_world_joint": 3, "R_world_bone": 4, "provenance": 2, "valid": 2, "orientation_observed": 2,
+}  # fmt: skip
+"""Number of axes of arrays with a row for each sample; with fewer they hold for all samples."""
+TRUTH: Final = tuple(_TRUTH_AXES)
 """Fields of `PoseSequence` in a file."""
 _log = logging.getLogger(__name__)
 
@@ -66,18 +73,18 @@ def read_arrays(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
     return arrays
 
 
-def needed(path: Path, arrays: dict[str, Array], name: str, shape: str) -> Array:
-    """Return a required array, or raise `FileFormatError`.
+def needed(path: Path, shapes: Mapping[str, tuple[int, ...]], name: str, shape: str) -> tuple[int, ...]:
+    """Return the shape of a required array, or raise `FileFormatError`.
 
     Args:
-        path: the file. arrays: its content. name: of the array. shape: its axes, e.g. ``"(T, S, 4)"``.
+        path: the file. shapes: of its arrays. name: of the array. shape: its axes, e.g. ``"(T, S, 4)"``.
     """
-    if name not in arrays:
-        have = ", ".join(arrays) or "nothing"
+    if name not in shapes:
+        have = ", ".join(shapes) or "nothing"
         raise FileFormatError(path, f"no array {name!r} of shape {shape}; there is {have}")
-    if arrays[name].ndim != shape.count(",") + 1:
-        raise FileFormatError(path, f"{name}: expected shape {shape}, got {arrays[name].shape}")
-    return arrays[name]
+    if len(shapes[name]) != shape.count(",") + 1:
+        raise FileFormatError(path, f"{name}: expected shape {shape}, got {shapes[name]}")
+    return shapes[name]
 
 
 def data_path(section: Section, or_folder: bool = False, field: str = "file") -> Path:
@@ -95,17 +102,18 @@ def data_path(section: Section, or_folder: bool = False, field: str = "file") ->
     return path
 
 
-def times_of(section: Section, path: Path, arrays: dict[str, Array], T: int) -> Array:
+def times_of(section: Section, path: Path, table: Table, T: int) -> Array:
     """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz``; ``start_s`` is added.
 
     Args:
-        section: table of the file. path: the file. arrays: its content. T: number of samples.
+        section: table of the file. path: the file. table: its arrays. T: number of samples.
     """
+    times = table.column("times")
     if not section.has("rate_hz"):
-        if "times" not in arrays:
+        if times is None:
             raise section.error("rate_hz", f"missing, and {path} has no times; give one of the two")
-        return arrays["times"] + section.number("start_s", 0.0)
-    if "times" in arrays:
+        return times + section.number("start_s", 0.0)
+    if times is not None:
         raise section.error("rate_hz", f"{path} has times of its own; give only one of the two")
     rate = section.number("rate_hz")
     if rate <= 0:
@@ -116,31 +124,42 @@ def times_of(section: Section, path: Path, arrays: dict[str, Array], T: int) -> 
 # --- keypoints -----------------------------------------------------------------------------------
 
 
-def read_keypoints(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
-    """Read keypoints whose names are landmarks of the skeleton.
+def keypoint_stream(
+    section: Section, camera: Camera, skeleton: SkeletonModel, source: Source
+) -> Stream[KeypointSequence]:
+    """Open keypoints whose names are landmarks of the skeleton.
 
     Args:
         section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
+        source: how the file is read.
     """
     if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT or section.has("person"):
-        return _read_detected(section, camera, skeleton)
+        return source.keep(_read_detected(section, camera, skeleton))
     path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
-    names, arrays = read_keypoint_csv(path) if is_csv else _keypoint_npz(section, path, skeleton)
+    names, table = (
+        source.csv(path, arranged_keypoints) if is_csv else _keypoint_npz(section, path, skeleton, source)
+    )
     unknown = [n for n in names if n and n not in skeleton.landmarks and not is_detector_point(n)]
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
         raise UnknownNameError(f"landmark in {where}", unknown, list(skeleton.landmarks))
     kept = [i for i, name in enumerate(names) if name]
     with naming(path):
-        uv, confidence = keypoint_arrays(arrays)
-        times, named = times_of(section, path, arrays, len(uv)), tuple(names[i] for i in kept)
+        times, named = times_of(section, path, table, table.shapes["uv_px"][0]), tuple(names[i] for i in kept)
         start = section.number("start_s", 0.0)
         section.close()
-        keypoints = KeypointSequence(camera, times, uv[:, kept], confidence[:, kept], named)
-        return with_video(_on_video(keypoints, start), arrays)
+
+    def part(rows: slice) -> KeypointSequence:
+        arrays = table.rows(rows)
+        with naming(path):
+            uv, confidence = keypoint_arrays(arrays)
+            keypoints = KeypointSequence(camera, times[rows], uv[:, kept], confidence[:, kept], named)
+            return with_video(_on_video(keypoints, start), arrays)
+
+    return Stream(times, part)
 
 
 def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
@@ -159,10 +178,10 @@ def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
 
 
 def _keypoint_npz(
-    section: Section, path: Path, skeleton: SkeletonModel
-) -> tuple[tuple[str, ...], dict[str, Array]]:
-    arrays = read_arrays(path, ("uv_px", "confidence", "times", *VIDEO_ARRAYS))
-    uv = needed(path, arrays, "uv_px", "(T, L, 2)")
+    section: Section, path: Path, skeleton: SkeletonModel, source: Source
+) -> tuple[tuple[str, ...], Table]:
+    table = source.npz(path, _KEYPOINT_AXES | VIDEO_AXES, VIDEO_CONSTANTS)
+    points = needed(path, table.shapes, "uv_px", "(T, L, 2)")[1]
     names = section.optional_names("landmarks")
     if section.has("layout"):
         if names is not None:
@@ -170,12 +189,12 @@ def _keypoint_npz(
         names = skeleton.names
     if names is None:
         raise section.error("landmarks", "missing; list the names of the points in the file's order")
-    if len(names) != uv.shape[1]:
+    if len(names) != points:
         raise section.error(
-            "landmarks", f"{len(names)} names, but {path} has {uv.shape[1]} points; name each one, "
+            "landmarks", f"{len(names)} names, but {path} has {points} points; name each one, "
             'with "" for those to leave out'
         )  # fmt: skip
-    return names, arrays
+    return names, table
 
 
 def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) -> KeypointSequence:
@@ -219,9 +238,17 @@ def read_keypoint_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
     Args:
         path: a .csv file with the columns of a recording's keypoints.
     """
-    columns = read_csv(path)
-    arrays = {"times": columns.pop("time")} if "time" in columns else {}
-    names = csv_names(path, list(columns), _KEYPOINT_COLUMNS, optional=1)
+    return arranged_keypoints(path, read_csv(path))
+
+
+def arranged_keypoints(path: Path, columns: dict[str, Array]) -> tuple[tuple[str, ...], dict[str, Array]]:
+    """Return what `read_keypoint_csv` does of columns.
+
+    Args:
+        path: of the file, for errors. columns: (T,) by name.
+    """
+    arrays = {"times": columns["time"]} if "time" in columns else {}
+    names = csv_names(path, [name for name in columns if name != "time"], _KEYPOINT_COLUMNS, optional=1)
     uv = np.stack([[columns[n + end] for end in _KEYPOINT_COLUMNS[:2]] for n in names]).transpose(2, 0, 1)
     seen = np.isfinite(uv).all(axis=-1).astype(float)
     given = [columns.get(f"{n}_confidence", seen[:, i]) for i, n in enumerate(names)]
@@ -256,16 +283,22 @@ def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: 
 # --- truth ---------------------------------------------------------------------------------------
 
 
-def read_truth(section: Section, skeleton: SkeletonModel) -> PoseSequence:
-    """Read known poses, joints in the skeleton's order.
+def truth_stream(section: Section, skeleton: SkeletonModel, source: Source) -> Stream[PoseSequence]:
+    """Open known poses, joints in the skeleton's order.
 
     Args:
-        section: table ``[truth]``. skeleton: that names the joints.
+        section: table ``[truth]``. skeleton: that names the joints. source: how the file is read.
     """
     path = data_path(section)
-    arrays = read_arrays(path, TRUTH)
+    table = source.npz(path, _TRUTH_AXES)
     for name, shape in zip(TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
-        needed(path, arrays, name, shape)
+        needed(path, table.shapes, name, shape)
     section.close()
-    with naming(path):
-        return PoseSequence(names=skeleton.names, **arrays)  # type: ignore[arg-type]
+    times = table.column("times")
+    assert times is not None  # needed
+
+    def part(rows: slice) -> PoseSequence:
+        with naming(path):
+            return PoseSequence(names=skeleton.names, **table.rows(rows))  # type: ignore[arg-type]
+
+    return Stream(times, part)

@@ -6,10 +6,10 @@ The folder's format, ``recording.toml`` and the arrays that it names, is describ
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cache, cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 import numpy as np
 import tomli_w
@@ -30,21 +30,18 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.video_arrays import video_arrays
-from rtof_kin.recording import files
-from rtof_kin.recording.camera_motion_files import read_filmed
-from rtof_kin.recording.sensor_files import IMUS, read_imus, write_imus
-from rtof_kin.recording.session import Session, read_session
-from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, read_views
+from rtof_kin.recording.files import TRUTH, naming
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
+from rtof_kin.recording.sensor_files import IMUS, write_imus
+from rtof_kin.recording.session import Session
+from rtof_kin.recording.sources import InMemory
+from rtof_kin.recording.streams import ALL, Part, Stream, Streams, TimeAxis, rows_between
+from rtof_kin.recording.views import camera_and_keypoints, keypoint_file
 from rtof_kin.vision.layouts import is_detector_point
-
-SCHEMA_VERSION: Final = 1
-INDEX: Final = "recording.toml"
-_SKELETONS: Final = ("total_capture", "human36m")
-_shipped = cache(SkeletonModel.named)
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(TimeAxis):
     """All inputs of one take: what the pipeline starts from."""
 
     name: str
@@ -87,14 +84,16 @@ class Recording:
     views: tuple[KeypointSequence, ...] = ()
     """Further cameras of the same person on the same clock, at times of their own; the first camera is that
     of `keypoints`."""
+    is_part: bool = False
+    """Whether it was cut from a longer recording, on which the clocks were checked."""
 
     def __post_init__(self) -> None:
         if self.keypoints is None and self.imus is None:
             raise InvalidInputError(f"recording {self.name}: has neither keypoints nor IMUs; give either")
         if self.floor_height is not None and not np.isfinite(self.floor_height):
             raise InvalidInputError("floor_height: not finite; leave it out where there is no floor")
-        if self.skeleton_table not in _SKELETONS:
-            raise UnknownNameError("skeleton table", [self.skeleton_table], _SKELETONS)
+        if self.skeleton_table not in SKELETONS:
+            raise UnknownNameError("skeleton table", [self.skeleton_table], SKELETONS)
         set_ = object.__setattr__
         set_(self, "views", tuple(self.views))
         if self.views and self.keypoints is None:
@@ -104,13 +103,14 @@ class Recording:
             set_(self, "bone_lengths", lengths)
         offsets = self.joint_offsets
         if offsets is None or len(offsets) == 0:  # callers may say None
-            body = _body(self.skeleton_table, height=self.height, bone_lengths=self.bone_lengths)
+            body = body_of(self.skeleton_table, height=self.height, bone_lengths=self.bone_lengths)
             offsets = body.joint_offsets
-        J = len(_shipped(self.skeleton_table).names)
+        J = len(shipped(self.skeleton_table).names)
         set_(self, "joint_offsets", readonly("joint_offsets", offsets, (J, 3)))
         self._check_body()
         self._check_names()
-        self._check_clocks()
+        if not self.is_part:
+            self._streams.check_clocks()
 
     def _check_body(self) -> None:
         """Check that the offsets agree with the lengths and the height given beside them."""
@@ -147,21 +147,10 @@ class Recording:
                 f"expected {', '.join(skeleton.names)}"
             )
 
-    def _check_clocks(self) -> None:
-        parts = {"keypoints": self.keypoints, "IMU": self.imus, "truth": self.truth}
-        parts |= {f"view {i}": view for i, view in enumerate(self.views, start=1)}
-        (first, times), *others = ((what, part.times) for what, part in parts.items() if part is not None)
-        for what, other in others:
-            if not (other[0] <= times[-1] and times[0] <= other[-1]):
-                raise InvalidInputError(
-                    f"{what} times run from {other[0]:g} to {other[-1]:g} s, those of the "
-                    f"{first} from {times[0]:g} to {times[-1]:g} s; shift them to one clock"
-                )
-
     @cached_property
     def skeleton(self) -> SkeletonModel:
         """Subject's body: the table with these offsets, mass, sex, neutral posture and pose prior."""
-        body = _body(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
+        body = body_of(self.skeleton_table, self.joint_offsets, mass_kg=self.mass_kg, sex=self.sex)
         body = body if self.posture is None else body.with_posture(self.posture)
         return body if self.model_prior is None else body.with_prior(self.model_prior)
 
@@ -194,6 +183,57 @@ class Recording:
             times = self.imus.times if self.keypoints is None else self.keypoints.times
         return applied.resample(times, max_gap)
 
+    # --- time ------------------------------------------------------------------------------------
+
+    @property
+    def frame_times(self) -> Array | None:
+        """(T,) s of the frames of the first camera; None without one."""
+        return None if self.keypoints is None else self.keypoints.times
+
+    @property
+    def times(self) -> Array:
+        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+        first = self.keypoints or self.imus
+        assert first is not None  # checked when made
+        return first.times
+
+    @property
+    def _streams(self) -> Streams:
+        def stream(part: Part | None) -> Stream[Part] | None:
+            return None if part is None else InMemory().keep(part)
+
+        views = tuple(InMemory().keep(view) for view in self.views)
+        return Streams(stream(self.keypoints), views, stream(self.imus), stream(self.truth))
+
+    def between(self, start_s: float, stop_s: float) -> Self:
+        """Return what was recorded in a closed interval; samples at its ends belong to it.
+
+        Where a stream has no sample in it, it is None; views are left out, and all of them where the first
+        camera saw nothing. All else is as in the whole recording, so that no check is repeated which needs
+        the whole: of clocks, and of the sensors' unit.
+
+        Args:
+            start_s, stop_s: first and last instant, s.
+
+        Raises:
+            InvalidInputError: neither a camera nor a sensor has a sample in it.
+        """
+        return self.cut(self._streams, start_s, stop_s)
+
+    def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
+        """Return what was recorded in a closed interval; see `between`.
+
+        Args:
+            streams: of the whole recording. start_s, stop_s: first and last instant, s.
+        """
+        parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
+        if parts["keypoints"] is None and parts["imus"] is None:
+            raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
+        before = 0
+        if parts["keypoints"] is not None and streams.keypoints is not None:
+            before = rows_between(streams.keypoints.times, start_s, stop_s).start
+        return replace(self, **parts, first_frame=self.first_frame + before, is_part=True)
+
     # --- files -----------------------------------------------------------------------------------
 
     @classmethod
@@ -207,46 +247,9 @@ class Recording:
             FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
         """
         index = Section.of_file(Path(folder) / INDEX)
-        version = index.integer("schema_version")
-        if version != SCHEMA_VERSION:
-            raise index.error(
-                "schema_version", f"{version} is not {SCHEMA_VERSION}, which this version of the "
-                "package reads; use the version that wrote it, or a newer one"
-            )  # fmt: skip
-        with files.naming(index.path):
-            return cls._from_index(index)
-
-    @classmethod
-    def _from_index(cls, index: Section) -> Self:
-        subject, skeleton, scene, notes = (index.table(n) for n in ("subject", "skeleton", "scene", "notes"))
-        fields: dict[str, Any] = {
-            "name": index.text("name", index.path.absolute().parent.name),
-            "first_frame": index.integer("first_frame", 0),
-            "height": subject.optional_number("height_m"),
-            "mass_kg": subject.optional_number("mass_kg"),
-            "sex": subject.optional_text("sex"),
-            "floor_height": scene.optional_number("floor_height_m"),
-            "acknowledgement": notes.text("acknowledgement", ""),
-            "notes": notes.text("text", ""),
-            "session": read_session(index.table("session")),
-            **_read_skeleton(skeleton),
-        }
-        if index.has("camera") or index.has("keypoints") or not index.has("imus"):
-            body = _shipped(fields["skeleton_table"])
-            fields["keypoints"], note = read_filmed(index.table("camera"), index.table("keypoints"), body)
-            fields["notes"] = "\n".join(filter(None, (fields["notes"], note)))
-        fields["views"] = read_views(index.tables("views"), _shipped(fields["skeleton_table"]))
-        facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
-        body = _body(**{name: fields[name] for name in facts if name in fields})
-        if index.has("imus"):
-            fields["imus"], fields["calibration"] = read_imus(index.table("imus"), body)
-        if index.has("posture"):
-            fields["posture"] = _read_posture(index.table("posture"), body.names)
-        if index.has("truth"):
-            fields["truth"] = files.read_truth(index.table("truth"), body)
-        for section in (index, subject, skeleton, scene, notes):
-            section.close()
-        return cls(**fields)
+        with naming(index.path):
+            fields, streams = read_index(index, InMemory())
+            return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))
 
     def save(
         self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None
@@ -268,7 +271,7 @@ class Recording:
             if imus is not None:
                 write_imus(fresh / IMUS, imus)
             if self.truth is not None:
-                write_npz(fresh / "truth.npz", {name: getattr(self.truth, name) for name in files.TRUTH})
+                write_npz(fresh / "truth.npz", {name: getattr(self.truth, name) for name in TRUTH})
             (fresh / INDEX).write_text(tomli_w.dumps(self._index()), encoding="utf-8")
 
     def _index(self) -> dict[str, Any]:
@@ -303,56 +306,3 @@ class Recording:
         if self.truth is not None:
             index["truth"] = {"file": "truth.npz"}
         return index
-
-
-def _body(
-    skeleton_table: str,
-    joint_offsets: Array | None = None,
-    bone_lengths: Mapping[str, float] | None = None,
-    height: float | None = None,
-    mass_kg: float | None = None,
-    sex: str | None = None,
-) -> SkeletonModel:
-    """Return a table's skeleton with these offsets, or else this height and then these lengths."""
-    skeleton = _shipped(skeleton_table)
-    if joint_offsets is None:
-        skeleton = skeleton if height is None else skeleton.with_height(height)
-        skeleton = skeleton.with_bone_lengths(bone_lengths) if bone_lengths else skeleton
-    elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
-        skeleton = skeleton.with_offsets(joint_offsets)
-    if mass_kg is None and sex is None:
-        return skeleton
-    return skeleton.with_mass(skeleton.table.mass_kg if mass_kg is None else mass_kg, sex)
-
-
-def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
-    """Read the quaternions of ``[posture.quat_wxyz]`` by joint."""
-    quats = section.table("quat_wxyz")
-    named = tuple(quats.keys())
-    unknown = [name for name in named if name not in joints[1:]]
-    if unknown:
-        raise UnknownNameError(f"joint in {section.path}, {section.where('quat_wxyz')}", unknown, joints[1:])
-    section.close()
-    return NeutralPosture(named, np.array([quats.array(name, (4,)) for name in named]).reshape(-1, 4))
-
-
-def _read_skeleton(section: Section) -> dict[str, Any]:
-    """Read the fields of `Recording` that describe the skeleton."""
-    table = section.text("table", "total_capture")
-    if table not in _SKELETONS:
-        where = f"skeleton in {section.path}, {section.where('table')}"
-        raise UnknownNameError(where, [table], _SKELETONS)
-    joints = _shipped(table).names
-    fields: dict[str, Any] = {"skeleton_table": table}
-    for name in ("bone_lengths_m", "joint_offsets_m"):
-        unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
-        if unknown:
-            where = f"joint in {section.path}, {section.where(name)}"
-            raise UnknownNameError(where, unknown, joints[1:])
-    lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
-    if len(lengths):
-        fields["bone_lengths"] = {name: lengths.number(name) for name in lengths.keys()}  # noqa: SIM118
-    if len(offsets):
-        given = [offsets.array(name, (3,)) for name in joints[1:]]
-        fields["joint_offsets"] = np.array([np.zeros(3), *given])
-    return fields

@@ -6,7 +6,7 @@ The format is described in docs/recording.md and docs/sensors.md.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.files.arrays import read_csv, write_npz
+from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -29,62 +29,78 @@ from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.formats.sensors.sensor_text import cells
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment
-from rtof_kin.recording.files import csv_names, data_path, naming, needed, read_arrays, times_of
+from rtof_kin.recording.files import csv_names, data_path, naming, needed, times_of
+from rtof_kin.recording.sources import Source
+from rtof_kin.recording.streams import ALL, Stream
 
 IMUS: Final = "imus.npz"
 """File of a recording's sensors that this package writes."""
 _QUATERNION_TOLERANCE: Final = 1e-3
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
+_IMU_AXES: Final = {"quat_wxyz": 3, "R_inertial_sensor": 4, "f_sensor": 3, "times": 1}
+"""Number of axes of the arrays."""
 _LARGEST_DRIFT: Final = 0.01
 _log = logging.getLogger(__name__)
 
 
-def read_imus(section: Section, skeleton: SkeletonModel) -> tuple[ImuSequence | None, ImuCalibration | None]:
-    """Read sensor data, where the section names a file, and their calibration, where it has one.
+def imu_stream(
+    section: Section, skeleton: SkeletonModel, source: Source
+) -> tuple[Stream[ImuSequence] | None, ImuCalibration | None]:
+    """Open sensor data, where the section names a file, and read their calibration, where it has one.
 
     Args:
-        section: table ``[imus]``. skeleton: with the usual places of sensors.
+        section: table ``[imus]``. skeleton: with the usual places of sensors. source: how the file is read.
     """
     calibration = calibration_of(section.table("sensors"), skeleton)
-    imus = _imu_sequence(section, calibration, skeleton) if section.has("file") else None
-    if imus is not None and calibration is not None:
-        missing = [name for name in imus.names if name not in calibration.sensors]
-        if missing:
+    imus = None
+    if section.has("file"):
+        names, imus = _opened(section, calibration, skeleton, source)
+        missing = [name for name in names if calibration is not None and name not in calibration.sensors]
+        if calibration is not None and missing:
             where = f"sensor (it has no table [imus.sensors.*] in {section.path})"
             raise UnknownNameError(where, missing, calibration.sensors)
     section.close()
     return imus, calibration
 
 
-def _imu_sequence(
-    section: Section, calibration: ImuCalibration | None, skeleton: SkeletonModel
-) -> ImuSequence:
+def _opened(
+    section: Section, calibration: ImuCalibration | None, skeleton: SkeletonModel, source: Source
+) -> tuple[tuple[str, ...], Stream[ImuSequence]]:
+    """Return the names of the sensors and their samples."""
     path = data_path(section, or_folder=True)
     is_csv = _is_own_csv(path)
     if path.suffix.lower() != ".npz" and not is_csv:
         log = read_log(section, skeleton, calibration.sensors if calibration is not None else ())
         with naming(path):
-            return imus_of_log(log)
+            imus = imus_of_log(log)
+        return imus.names, source.keep(imus)
     if is_csv:
-        names, arrays = _imu_csv(path)
+        names, table = source.csv(path, _arranged)
     else:
-        arrays = read_arrays(path, ("quat_wxyz", "R_inertial_sensor", "f_sensor", "times"))
+        table = source.npz(path, _IMU_AXES)
         listed = section.optional_names("names")
         if listed is None and calibration is not None:
             listed = calibration.sensors
         if listed is None:
             raise section.error("names", "missing; list the sensors in the file's order")
         names = listed
-    f = needed(path, arrays, "f_sensor", "(T, S, 3)")
-    if f.shape[1] != len(names):
+    T, S = needed(path, table.shapes, "f_sensor", "(T, S, 3)")[:2]
+    if len(names) != S:
         raise section.error(
-            "names", f"{len(names)} sensors are named, but {path} has {f.shape[1]}; list them in the "
-            "file's order"
+            "names", f"{len(names)} sensors are named, but {path} has {S}; list them in the file's order"
         )  # fmt: skip
     with naming(path):
-        R = _imu_rotations(path, arrays, names)
-        times, (drift, shift) = times_of(section, path, arrays, len(f)), _clock(section)
-        return ImuSequence(times if drift == 0 else times + drift * (times - shift), R, f, names)
+        _check_rotations(path, table.shapes, len(names))
+        times, (drift, shift) = times_of(section, path, table, T), _clock(section)
+    times = times if drift == 0 else times + drift * (times - shift)
+
+    def part(rows: slice) -> ImuSequence:
+        arrays = table.rows(rows)
+        with naming(path):
+            R = _imu_rotations(path, arrays, names)
+            return ImuSequence(times[rows], R, arrays["f_sensor"], names, unit_checked=rows != ALL)
+
+    return names, Stream(times, part)
 
 
 # --- files of sensors' makers --------------------------------------------------------------------
@@ -192,7 +208,7 @@ def _with_force(stream: SensorStream) -> SensorStream:
 
 
 def write_imus(path: Path, imus: ImuSequence) -> None:
-    """Write sensors as `read_imus` reads them back exactly, with their names in the table.
+    """Write sensors as `imu_stream` reads them back exactly, with their names in the table.
 
     Args:
         path: .npz file. imus: the sensors.
@@ -215,15 +231,22 @@ def _is_own_csv(path: Path) -> bool:
     return own or format_of(path) is None
 
 
-def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -> Array:
-    if ("quat_wxyz" in arrays) == ("R_inertial_sensor" in arrays):
+def _check_rotations(path: Path, shapes: Mapping[str, tuple[int, ...]], S: int) -> None:
+    """Check that there are rotations of all sensors, in one of two forms."""
+    if ("quat_wxyz" in shapes) == ("R_inertial_sensor" in shapes):
         raise FileFormatError(path, "give one of quat_wxyz (T, S, 4) and R_inertial_sensor")
+    if "R_inertial_sensor" in shapes:
+        needed(path, shapes, "R_inertial_sensor", "(T, S, 3, 3)")
+        return
+    shape = (shapes["f_sensor"][0], S, 4)
+    if needed(path, shapes, "quat_wxyz", "(T, S, 4)") != shape:
+        raise FileFormatError(path, f"quat_wxyz: expected shape {shape}, got {shapes['quat_wxyz']}")
+
+
+def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -> Array:
     if "R_inertial_sensor" in arrays:
-        return needed(path, arrays, "R_inertial_sensor", "(T, S, 3, 3)")
-    quat = needed(path, arrays, "quat_wxyz", "(T, S, 4)")
-    shape = (len(arrays["f_sensor"]), len(names), 4)
-    if quat.shape != shape:
-        raise FileFormatError(path, f"quat_wxyz: expected shape {shape}, got {quat.shape}")
+        return arrays["R_inertial_sensor"]
+    quat = arrays["quat_wxyz"]
     norm = np.linalg.norm(quat, axis=-1)
     known = ~np.isnan(norm)
     wrong = known & ~(np.abs(norm - 1) <= _QUATERNION_TOLERANCE)
@@ -236,9 +259,9 @@ def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -
     return so3.known_from_quat_wxyz(quat)
 
 
-def _imu_csv(path: Path) -> tuple[tuple[str, ...], dict[str, Array]]:
-    columns = read_csv(path)
-    arrays = {"times": columns.pop("time")} if "time" in columns else {}
-    names = csv_names(path, list(columns), _IMU_COLUMNS)
+def _arranged(path: Path, columns: dict[str, Array]) -> tuple[tuple[str, ...], dict[str, Array]]:
+    """Return names and arrays of the columns of a .csv file."""
+    arrays = {"times": columns["time"]} if "time" in columns else {}
+    names = csv_names(path, [name for name in columns if name != "time"], _IMU_COLUMNS)
     values = np.stack([[columns[n + end] for end in _IMU_COLUMNS] for n in names]).transpose(2, 0, 1)
     return names, arrays | {"quat_wxyz": values[..., :4], "f_sensor": values[..., 4:]}

@@ -8,19 +8,24 @@ from typing import Any
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.camera_motion_files import read_filmed
+from rtof_kin.recording.camera_motion_files import filmed_stream
 from rtof_kin.recording.camera_table import camera_table
+from rtof_kin.recording.sources import Source
+from rtof_kin.recording.streams import Stream
 
 
-def read_views(sections: Sequence[Section], skeleton: SkeletonModel) -> tuple[KeypointSequence, ...]:
-    """Read further cameras, each with a table ``camera`` and a table ``keypoints``.
+def view_streams(
+    sections: Sequence[Section], skeleton: SkeletonModel, source: Source
+) -> tuple[Stream[KeypointSequence], ...]:
+    """Open further cameras, each with a table ``camera`` and a table ``keypoints``.
 
     Args:
-        sections: tables ``[[views]]``. skeleton: that has the landmarks.
+        sections: tables ``[[views]]``. skeleton: that has the landmarks. source: how files are read.
     """
     views = []
     for section in sections:
-        views.append(read_filmed(section.table("camera"), section.table("keypoints"), skeleton)[0])
+        filmed, _ = filmed_stream(section.table("camera"), section.table("keypoints"), skeleton, source)
+        views.append(filmed)
         section.close()
     return tuple(views)
 

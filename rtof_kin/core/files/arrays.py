@@ -15,6 +15,7 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any
@@ -30,20 +31,23 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, rea
 LARGEST_BYTES = 4 * 2**30
 """Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30
+_CSV = "a CSV file; its first line names the columns"
 _UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
 """Archives above this size with a higher compression ratio are refused."""
 
 
-def read_npz(path: Path, limit: int = LARGEST_BYTES) -> dict[str, Array]:
-    """Return all arrays of an .npz file as float64, by name.
+def read_npz(
+    path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | None = None
+) -> dict[str, Array]:
+    """Return arrays of an .npz file as float64, by name.
 
     Args:
-        path: file. limit: largest total size of the arrays, bytes.
+        path: file. limit: largest total size of the arrays, bytes. names: of the arrays; None: all.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or numbers of another type or magnitude.
     """
-    saved = read_npz_as_saved(path, limit)
+    saved = read_npz_as_saved(path, limit, names=names)
     return {name: _as_floats(path, name, array) for name, array in saved.items()}
 
 
@@ -81,6 +85,23 @@ def npz_names(path: Path) -> tuple[str, ...]:
     """
     with _open_npz(path) as archive:
         return tuple(name.removesuffix(".npy") for name in archive.namelist())
+
+
+def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays in an .npz file without reading them.
+
+    Args:
+        path: file.
+
+    Raises:
+        FileFormatError: no such file, or not an archive of arrays.
+    """
+    shapes = {}
+    with _open_npz(path) as archive:
+        for member in archive.namelist():
+            with archive.open(member) as stream:
+                shapes[member.removesuffix(".npy")] = read_npy_header(stream)[0]
+    return shapes
 
 
 @contextmanager
@@ -214,19 +235,50 @@ def read_csv(path: Path) -> dict[str, Array]:
     Raises:
         FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
     """
-    text = read_text(path, "a CSV file; its first line names the columns", _LARGEST_CSV)
-    try:
-        columns = _read_table(path, io.StringIO(text, newline=""))
-    except csv.Error as error:
-        raise FileFormatError(path, f"not a readable CSV file: {error}") from error
-    for name, column in columns.items():
-        if not measurable(column):
-            raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
+    text = read_text(path, _CSV, _LARGEST_CSV)
+    (columns,) = _tables(path, io.StringIO(text, newline=""), None)
     return columns
 
 
-def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
+def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
+    """Yield the columns that `read_csv` returns by blocks of rows, at least one block.
+
+    Args:
+        path: file. rows: of a block.
+
+    Raises:
+        FileFormatError: see `read_csv`.
+    """
+    try:
+        check_file(path, _CSV)
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            yield from _tables(path, stream, rows)
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, f"not a text file in UTF-8, so not {_CSV}") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+
+
+def _tables(path: Path, stream: IO[str], rows: int | None) -> Iterator[dict[str, Array]]:
+    """Yield the columns of so many rows at a time, at least once; None: of all."""
     lines = csv.reader(stream)
+    try:
+        header = _header(path, lines)
+        numbers = (_numbers(path, lines.line_num, header, cells) for cells in lines if cells)
+        first = True
+        while (block := list(islice(numbers, rows))) or first:
+            first = False
+            table = np.array(block, dtype=np.float64).reshape(len(block), len(header))
+            columns = dict(zip(header, np.ascontiguousarray(table.T), strict=True))
+            for name, column in columns.items():
+                if not measurable(column):
+                    raise FileFormatError(path, f"column {name}: contains a number beyond {LARGEST_NUMBER:g}")
+            yield columns
+    except csv.Error as error:
+        raise FileFormatError(path, f"not a readable CSV file: {error}") from error
+
+
+def _header(path: Path, lines: Iterator[list[str]]) -> list[str]:
     header = [name.strip() for name in next(lines, [])]
     if not any(header):
         raise FileFormatError(path, "empty; its first line names the columns", 1)
@@ -235,9 +287,7 @@ def _read_table(path: Path, stream: IO[str]) -> dict[str, Array]:
     double = sorted(name for name, count in Counter(header).items() if count > 1)
     if double:
         raise FileFormatError(path, f"column {double[0]!r} occurs more than once", 1)
-    rows = [_numbers(path, lines.line_num, header, cells) for cells in lines if cells]
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
-    return dict(zip(header, np.ascontiguousarray(table.T), strict=True))
+    return header
 
 
 def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list[float]:

@@ -1,0 +1,128 @@
+"""`RecordingReader`: a recording's folder read by spans of time, for recordings larger than the memory."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.section import Section
+from rtof_kin.recording.files import naming
+from rtof_kin.recording.index import INDEX, read_index
+from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.sources import OnDisk
+from rtof_kin.recording.streams import Streams, TimeAxis
+
+
+class RecordingSlices(Protocol):
+    """A recording of which any span of time can be had: a `Recording`, or a `RecordingReader`."""
+
+    @property
+    def name(self) -> str:
+        """Title in reports."""
+
+    @property
+    def frame_times(self) -> Array | None:
+        """(T,) s of the frames of the first camera; None without one."""
+
+    @property
+    def times(self) -> Array:
+        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+
+    @property
+    def start_s(self) -> float:
+        """First instant of `times`, s."""
+
+    @property
+    def stop_s(self) -> float:
+        """Last instant of `times`, s."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of `times`, Hz."""
+
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """Return what was recorded in a closed interval; see `Recording.between`."""
+
+
+class RecordingReader(TimeAxis):
+    """A recording's folder of which spans of time are read when they are asked for.
+
+    It is checked as a whole when it is opened, by blocks. Arrays in .npz files stay there. What can only be
+    read as a whole or in order (.csv files, files of sensors' makers and of detectors) is kept in temporary
+    files.
+    """
+
+    def __init__(self, first: Recording, streams: Streams, closing: ExitStack):
+        """Take a recording with everything but its samples, these, and what closes the files; see `open`."""
+        self._first, self._streams, self._closing = first, streams, closing
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """Open a recording's folder; to be closed after use.
+
+        Args:
+            folder: that has a file ``recording.toml``.
+
+        Raises:
+            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
+        """
+        try:
+            return cls._opened(Path(folder))
+        except RtofError:
+            Recording.load(folder)  # its error counts samples from the start of the whole
+            raise
+
+    @classmethod
+    def _opened(cls, folder: Path) -> Self:
+        index = Section.of_file(folder / INDEX)
+        with ExitStack() as closing, naming(index.path):
+            fields, streams = read_index(index, OnDisk(closing))
+            parts = streams.parts(lambda stream: stream.part(slice(0, 1)))
+            recording = Recording(**fields, **parts, is_part=True)
+            streams.check_clocks()
+            return cls(recording, streams, closing.pop_all())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files and remove the temporary ones."""
+        self._closing.close()
+
+    @property
+    def name(self) -> str:
+        """Title in reports."""
+        return self._first.name
+
+    @property
+    def frame_times(self) -> Array | None:
+        """(T,) s of the frames of the first camera; None without one."""
+        return None if self._streams.keypoints is None else self._streams.keypoints.times
+
+    @property
+    def times(self) -> Array:
+        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+        first = self._streams.keypoints or self._streams.imus
+        assert first is not None  # a recording has either
+        return first.times
+
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """Return what was recorded in a closed interval, as `Recording.between` of the whole does.
+
+        Args:
+            start_s, stop_s: first and last instant, s.
+
+        Raises:
+            InvalidInputError: neither a camera nor a sensor has a sample in it.
+            FileFormatError: the files have changed or cannot be read any more.
+        """
+        return self._first.cut(self._streams, start_s, stop_s)

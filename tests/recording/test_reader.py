@@ -1,0 +1,213 @@
+"""`RecordingReader`: any span of time equals that of the whole recording, in bounded memory."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.camera_motion import CameraMotion
+from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.recording.reader import RecordingReader
+from rtof_kin.recording.recording import INDEX, Recording
+
+FIRST, LAST = 0.0, 10.0
+
+
+def assert_same(a: object, b: object, where: str = "recording") -> None:
+    """Equal to the last bit, field by field."""
+    assert type(a) is type(b), where
+    if hasattr(a, "__dataclass_fields__"):
+        for field in fields(a):  # type: ignore[arg-type]
+            if field.name != "unit_checked":
+                assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, tuple) and a and hasattr(a[0], "__dataclass_fields__"):
+        assert isinstance(b, tuple)
+        for i, (one, other) in enumerate(zip(a, b, strict=True)):
+            assert_same(one, other, f"{where}[{i}]")
+    elif isinstance(a, np.ndarray):
+        np.testing.assert_array_equal(a, b, err_msg=where, strict=True)
+    else:
+        assert a == b, where
+
+
+def demo() -> Recording:
+    """Ten seconds of the demo, whose sensors start later, with a second camera that starts later still."""
+    whole = Recording.load(model_path("demo")).between(FIRST, LAST)
+    assert whole.keypoints is not None
+    assert whole.imus is not None
+    return replace(whole, imus=whole.imus[30:], views=(whole.keypoints[150:400:2],), is_part=False)
+
+
+# --- formats -------------------------------------------------------------------------------------
+
+
+def as_saved(folder: Path) -> None:
+    demo().save(folder)
+
+
+def in_fortran_order(folder: Path) -> None:
+    demo().save(folder)
+    for path in folder.glob("*.npz"):
+        with np.load(path) as arrays:
+            np.savez(path, **{name: np.asfortranarray(arrays[name]) for name in arrays})
+
+
+def as_csv(folder: Path) -> None:
+    recording = demo()
+    recording.save(folder)
+    keypoints, imus = recording.keypoints, recording.imus
+    assert keypoints is not None
+    assert imus is not None
+    columns = {"time": keypoints.times}
+    for i, name in enumerate(keypoints.names):
+        columns |= {f"{name}_u_px": keypoints.uv_px[:, i, 0], f"{name}_v_px": keypoints.uv_px[:, i, 1]}
+        columns |= {f"{name}_confidence": keypoints.confidence[:, i]}
+    write_csv(folder / "keypoints.csv", columns)
+    quat = so3.known_to_quat_wxyz(imus.R_inertial_sensor)
+    columns = {"time": imus.times}
+    for i, name in enumerate(imus.names):
+        columns |= {f"{name}_q{axis}": quat[:, i, k] for k, axis in enumerate("wxyz")}
+        columns |= {f"{name}_f{axis}": imus.f_sensor[:, i, k] for k, axis in enumerate("xyz")}
+    write_csv(folder / "imus.csv", columns)
+    with changed(folder) as index:
+        index["keypoints"] = {"file": "keypoints.csv", "start_s": 0.0}
+        index["imus"] |= {"file": "imus.csv", "clock_drift": 2e-5}
+        del index["imus"]["names"]
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=",".join(columns), comments="")
+
+
+def of_a_detector(folder: Path) -> None:
+    """A detector's own file, without times, in which a person is followed."""
+    demo().save(folder)
+    with np.load(folder / "keypoints.npz") as arrays:
+        uv, confidence = np.nan_to_num(arrays["uv_px"]), arrays["confidence"]
+    np.savez(folder / "detected.npz", keypoints=uv, scores=confidence)
+    with changed(folder) as index:
+        person = {"layout": "joints", "person": 0}
+        index["keypoints"] = {"file": "detected.npz", "rate_hz": 60.0, "start_s": 0.01} | person
+
+
+def of_a_turning_camera(folder: Path) -> None:
+    demo().save(folder)
+    times = np.arange(-1, 12, 0.04)
+    angles = np.stack([0.1 * np.sin(times), 0.3 * np.sin(0.5 * times), 0.02 * times], axis=-1)
+    write_camera_motion(folder / "motion.npz", CameraMotion(times, so3.exp(angles), sigma=0.01))
+    with changed(folder) as index:
+        index["camera"]["motion"] = {"file": "motion.npz"}
+
+
+def that_was_stabilised(folder: Path) -> None:
+    """A saved recording of a handheld camera, with arrays that lead back to the video."""
+    of_a_turning_camera(folder.parent / "turning")
+    Recording.load(folder.parent / "turning").save(folder)
+
+
+def without_a_camera(folder: Path) -> None:
+    replace(demo(), keypoints=None, views=()).save(folder)
+
+
+def of_sensor_files(folder: Path) -> None:
+    """Sensors in the columns of a log, whose orientation is estimated over the whole."""
+    recording = demo()
+    recording.save(folder)
+    imus = recording.imus
+    assert imus is not None
+    columns = {"time": imus.times}
+    for i, name in enumerate(imus.names):
+        R = imus.R_inertial_sensor[:, i]
+        w = np.gradient(so3.log(R[0].T @ R), imus.times, axis=0)
+        columns |= {f"{name}_w{axis}": w[:, k] for k, axis in enumerate("xyz")}
+        columns |= {f"{name}_f{axis}": imus.f_sensor[:, i, k] for k, axis in enumerate("xyz")}
+    write_csv(folder / "sensors.csv", columns)
+    with changed(folder) as index:
+        index["imus"]["file"] = "sensors.csv"
+
+
+class changed:
+    """The table of a folder's index, written back at the end."""
+
+    def __init__(self, folder: Path):
+        self.path = folder / INDEX
+
+    def __enter__(self) -> dict[str, Any]:
+        self.index = tomllib.loads(self.path.read_text())
+        return self.index
+
+    def __exit__(self, *_: object) -> None:
+        self.path.write_text(tomli_w.dumps(self.index))
+
+
+FORMATS = [
+    as_saved, in_fortran_order, as_csv, of_a_detector, of_a_turning_camera, that_was_stabilised,
+    without_a_camera, of_sensor_files,
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=FORMATS, ids=lambda made: made.__name__)
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made: Callable[[Path], None] = request.param
+    path = tmp_path_factory.mktemp(made.__name__) / "recording"
+    made(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def both(folder: Path) -> Iterator[tuple[Recording, RecordingReader]]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rtof_kin.recording.streams.BLOCK", 128)  # several blocks in ten seconds
+        patch.setattr("rtof_kin.recording.sources.BLOCK", 128)
+        patch.setattr("rtof_kin.recording.sources._SPACING", 2**16)
+        with RecordingReader.open(folder) as reader:
+            yield Recording.load(folder), reader
+
+
+# --- equality ------------------------------------------------------------------------------------
+
+
+instants = st.floats(FIRST - 1, LAST + 1) | st.integers(0, 600).map(lambda frame: frame / 60)
+
+
+@settings(max_examples=25, deadline=None)
+@given(instants, instants)
+def test_any_span_equals_that_of_the_whole(
+    both: tuple[Recording, RecordingReader], one: float, other: float
+) -> None:
+    whole, reader = both
+    span = min(one, other), max(one, other)
+    try:
+        wanted = whole.between(*span)
+    except InvalidInputError as error:
+        with pytest.raises(InvalidInputError, match=re.escape(str(error))):
+            reader.between(*span)
+        return
+    assert_same(reader.between(*span), wanted)
+
+
+def test_all_of_it_equals_the_whole(both: tuple[Recording, RecordingReader]) -> None:
+    whole, reader = both
+    assert_same(replace(reader.between(-np.inf, np.inf), is_part=False), whole)
+
+
+def test_the_time_axis_is_that_of_the_whole(both: tuple[Recording, RecordingReader]) -> None:
+    whole, reader = both
+    np.testing.assert_array_equal(reader.times, whole.times)
+    assert (reader.name, reader.start_s, reader.stop_s) == (whole.name, whole.start_s, whole.stop_s)
+    assert reader.rate_hz == whole.rate_hz == pytest.approx(60)
+    assert (reader.frame_times is None) == (whole.keypoints is None)
