@@ -28,9 +28,11 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsWriter
+from rtof_kin.formats.measurements_npz import MEASUREMENTS
+from rtof_kin.formats.measurements_writer import MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.motion_npz import MOTION, MotionReader, MotionWriter
+from rtof_kin.formats.motion_npz import MOTION, MotionReader
+from rtof_kin.formats.motion_writer import MotionWriter
 from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit
@@ -114,7 +116,8 @@ def export_parts(
         assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
-        write_motion_files(temporary, MotionReader(temporary / MARKER), formats)
+        with MotionReader(temporary / MARKER) as reader:  # TODO blocks
+            write_motion_files(temporary, reader.block(0, len(reader)).motion(), formats)
         text = json.dumps(summary(statistics), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
         if figures and whole is not None:

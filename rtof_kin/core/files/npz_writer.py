@@ -55,7 +55,7 @@ class _Member:
     """[bytes] in the scratch file."""
 
     def write(self, rows: NDArray[Any]) -> None:
-        data = memoryview(np.ascontiguousarray(rows).reshape(-1).view(np.uint8))
+        data = np.ascontiguousarray(rows).reshape(-1).view(np.uint8).data
         for place in range(0, len(data), _PIECE):
             piece = data[place : place + _PIECE]
             self.checksum = zlib.crc32(piece, self.checksum)
