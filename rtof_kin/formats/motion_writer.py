@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.compact import multiples
+from rtof_kin.core.files.compact import multiples, short_quaternions
 from rtof_kin.core.files.npz_writer import NpzWriter
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats import covariance_nodes
@@ -118,12 +117,14 @@ class MotionWriter:
         if not stored.any() and "poses_stored" in self._arrays:
             self._append_none(len(q))
         elif stored.any():
-            quat = so3.known_to_quat_wxyz(poses.R_world_bone)
+            quat = short_quaternions(poses.R_world_bone, _Q_BITS)
             kept = stored[:, None, None]
-            values = [np.where(kept, part, np.nan) for part in (poses.p_world_joint, quat)]
-            self._append_stored(stored, values)
+            self._append_stored(
+                stored, [np.where(kept, part, np.nan) for part in (poses.p_world_joint, quat)]
+            )
 
     def _append_none(self, count: int) -> None:
+        """Append frames whose poses are the forward kinematics of `q`."""
         J = len(self._skeleton.names)
         none = [np.full((count, J, width), np.nan) for width in (3, 4)]
         self._append_stored(np.zeros(count, dtype=bool), none)

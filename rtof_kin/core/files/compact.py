@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 
 _MANTISSA: Final = 23
@@ -33,3 +34,13 @@ def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
     whole = exact.view(np.uint32)
     rounded = (whole + np.uint32(1 << (cut - 1))) >> np.uint32(cut) << np.uint32(cut)
     return np.where(np.isfinite(exact), rounded.view(np.float32), exact)
+
+
+def short_quaternions(R: Array, bits: int) -> NDArray[np.float32]:
+    """Return quaternions (..., 4), scalar first and not negative; NaN where a matrix is not finite.
+
+    Args:
+        R: rotation matrices (..., 3, 3). bits: after the point.
+    """
+    quat = so3.known_to_quat_wxyz(R)
+    return multiples(np.where(quat[..., :1] < 0, -quat, quat), bits).astype(np.float32)
