@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ShapeError
@@ -31,11 +34,11 @@ class ColumnStatistics:
         self._kept: list[Array] = []
         self._rows, self._step = 0, 1
 
-    def add(self, times: Array, values: Array) -> None:
+    def add(self, times: Array, values: NDArray[Any]) -> None:
         """Add rows.
 
         Args:
-            times: (T,) s. values: (T, K).
+            times: (T,) s. values: (T, K), numbers or a mask.
 
         Raises:
             ShapeError: another number of columns or rows.
@@ -96,6 +99,6 @@ class ColumnStatistics:
         return np.concatenate([np.empty((0, len(self.known))), *self._kept])
 
 
-def _divided(sums: Array, counts: Array) -> Array:
+def _divided(sums: NDArray[Any], counts: NDArray[Any]) -> Array:
     some = counts > 0
     return np.where(some, sums / np.where(some, counts, 1), np.nan)

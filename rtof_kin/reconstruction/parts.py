@@ -200,8 +200,12 @@ def _thinned(source: RecordingSlices) -> KeypointSequence:
         if seen is not None:
             few = seen[::every]
             found.append(replace(few, own_times=None, turning=None))
-    names = ("times", "uv_px", "confidence")
-    return replace(found[0], **{name: np.concatenate([getattr(k, name) for k in found]) for name in names})
+    return replace(
+        found[0],
+        times=np.concatenate([few.times for few in found]),
+        uv_px=np.concatenate([few.uv_px for few in found]),
+        confidence=np.concatenate([few.confidence for few in found]),
+    )
 
 
 def _liveliest(keypoints: KeypointSequence) -> KeypointSequence:

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.core.array_types import Array
@@ -157,7 +159,7 @@ class ReconstructionStatistics:
         return self.stage_metrics.get(self.first.mode)
 
 
-def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, Array]]:
+def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
     """Yield name, times (T,) and values (T, ...) of every quantity."""
     motion, poses, imus = part.motion, part.motion.poses, part.bone_imus
     yield "invalid", motion.times, ~poses.valid
