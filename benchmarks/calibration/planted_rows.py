@@ -62,7 +62,7 @@ class Job:
     seconds: float = 20.0
     floor: bool = False
     """Whether the flat floor is known."""
-    keypoints: str = "realistic"
+    keypoints: str = "independent"
     sensors: str = "8"
     camera: int = 0
 

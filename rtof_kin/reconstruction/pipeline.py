@@ -11,14 +11,15 @@ from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
+from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.choices import MODES, Calibrate, Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
+from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.job import Job
@@ -39,8 +40,6 @@ from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
-_MISALIGNED_FRACTION = 0.8
-"""Minimum fraction of the recording over which a sensor must disagree to count as misaligned."""
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
 
@@ -108,7 +107,7 @@ def _from_video(
     name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
     choices = Choices(how, known is not None, name)
     known = None if known is None else known.for_another_recording()
-    rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
+    warnings = tuple[str, ...]()
     camera: CameraEstimate | None = None
     with explained(job.recording, job.subject, job.lifter):
         if job.recording.video.camera.uncertainty is not None:
@@ -116,14 +115,14 @@ def _from_video(
             job = replace(job, recording=with_camera(job.recording, camera.found))
             warnings = camera.sentences
         if estimate:
-            calibration, rejected, more = _estimated(job, priors, known)
+            calibration, more = _estimated(job, priors, known)
             warnings += more
         elif calibration is None:
             calibration = known
         elif known is not None:
             calibration = known.followed_by(calibration)
         own = job.calibrated(calibration)
-        prepared, poses, solution = _optimised(own, mode, rejected, calibration)
+        prepared, poses, solution = _optimised(own, mode, calibration)
         others = list[PoseSequence]()
         if camera is not None and solution is not None and solution.confidence is not None:
             cameras = (with_camera(own.recording, other) for other in camera.deviations())
@@ -149,10 +148,10 @@ def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
 
 
 def _optimised(
-    job: Job, mode: Mode, rejected: tuple[StreamFault, ...], calibration: SelfCalibration | None
+    job: Job, mode: Mode, calibration: SelfCalibration | None
 ) -> tuple[Prepared, PoseSequence, FragmentSolution | None]:
     """Prepare and solve; once more without the sensors that contradict the motion."""
-    prepared = job.prepare(mode, rejected, calibration)
+    prepared = job.prepare(mode, calibration=calibration)
     if mode not in ("rto", "rtof"):
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
@@ -249,26 +248,24 @@ def calibrate_recording(
             "add them, or reconstruct it as it is with mode 'rto'"
         )
     job = Job.of(recording, skeleton, lifter, settings, progress)
-    return _calibrate(job, priors, None)[0]
+    return _calibrate(job, priors, None)
 
 
 def _estimated(
     job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
-) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:
-    """Self-calibration, intervals of sensors that it excluded, and warnings."""
+) -> tuple[SelfCalibration | None, tuple[str, ...]]:
+    """Self-calibration, and warnings."""
     try:
-        found, slipped = _calibrate(job, priors, known)
+        found = _calibrate(job, priors, known)
     except CalibrationError as error:
         if priors is not None:
             raise
-        return known, (), (f"not calibrated from the recording, which is used as given: {error}",)
-    return found, slipped, consistency_warnings(job.recording, found)
+        return known, (f"not calibrated from the recording, which is used as given: {error}",)
+    return found, consistency_warnings(job.recording, found)
 
 
-def _calibrate(
-    job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
-) -> tuple[SelfCalibration, tuple[StreamFault, ...]]:
-    """Self-calibration, joined with what is known, and the intervals of sensors that it excluded."""
+def _calibrate(job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None) -> SelfCalibration:
+    """Self-calibration, joined with what is known."""
     recording = job.recording
     check_height(recording)
     if job.skeleton is not None:
@@ -280,34 +277,17 @@ def _calibrate(
         priors = replace(priors, sigma_ankle_height=None)
     own = replace(job, recording=recording, skeleton=None).with_solver(known)
     prepared = own.prepare("sf2", calibration=known)
-    slipped = _slipped(own, prepared)
     assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
     solver = own.settings.fragment
     if not isinstance(solver, JointSpaceSettings):  # calibration is always solved in joint space
         solver = JointSpaceSettings(floor_height=recording.floor_height)
-    used = replace(
-        prepared,
-        bone_imus=mask_faults(prepared.bone_imus, slipped),
-        settings=own.settings.with_fragment(solver),
-    )
+    used = replace(prepared, settings=own.settings.with_fragment(solver))
+    whole = Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus)
     found = estimate_calibration(
-        replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
-        own.settings.frames, lambda done, total: own.progress("calibrate", done, total), slipped,
-        used.bone_imus,
+        [whole], priors, solver, own.settings.frames,
+        lambda done, total: own.progress("calibrate", done, total), "motion" in own.settings.guards,
     )  # fmt: skip
-    return (found if known is None else known.followed_by(found)), slipped
-
-
-def _slipped(job: Job, prepared: Prepared) -> tuple[StreamFault, ...]:
-    """Intervals in which a sensor contradicts the motion solved with all of them, but for those of nearly
-    the whole recording, which a constant mounting error explains.
-    """
-    if "motion" not in job.settings.guards or prepared.bone_imus is None:
-        return ()
-    poses = job.solve(prepared, confidence=False).poses
-    most = _MISALIGNED_FRACTION * (poses.times[-1] - poses.times[0])
-    wrong = find_disagreements(poses, prepared.bone_imus, prepared.skeleton)
-    return tuple(fault for fault in wrong if fault.stop - fault.start < most)
+    return found if known is None else known.followed_by(found)
 
 
 def _from_sensors(job: Job) -> Reconstruction:
