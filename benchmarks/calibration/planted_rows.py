@@ -19,7 +19,8 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Detector, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import simulate, standard_cameras
@@ -62,7 +63,7 @@ class Job:
     seconds: float = 20.0
     floor: bool = False
     """Whether the flat floor is known."""
-    keypoints: str = "realistic"
+    keypoints: str = "independent"
     sensors: str = "8"
     camera: int = 0
 

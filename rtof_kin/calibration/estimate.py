@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
 from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.calibration.excerpt import Excerpt, Slice
 from rtof_kin.calibration.posture_unknown import Posture
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import BONE_GROUPS, Detector, Quantity, SelfCalibration, Verdict, bone_groups
@@ -25,14 +25,10 @@ from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weigh
 from rtof_kin.calibration.unknowns import Bones, Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.observations import Observations, bone_axis, low_passed, sensor_data
+from rtof_kin.solve.joint_space.observations import bone_axis, low_passed, sensor_data
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _NORMAL_MEDIAN: Final = 1.177
@@ -42,80 +38,91 @@ _USUAL_HEIGHT_PX: Final = 500.0
 
 
 def calibrate(
-    recording: Recording,
-    guess: InitialGuess,
+    slices: Sequence[Slice],
     priors: CalibrationPriors | None = None,
     settings: JointSpaceSettings | None = None,
     frames: int = 50,
     progress: Callable[[int, int], None] | None = None,
-    left_out: tuple[StreamFault, ...] = (),
-    bone_imus: BoneImuSequence | None = None,
+    without_slipped: bool = False,
 ) -> SelfCalibration:
     """Estimate the unknowns of a recording.
 
     Args:
-        recording: with IMUs and an approximate calibration.
-        guess: initial guess at the keypoints' times, from poses after SF2.
+        slices: the recording, or parts of it in the order of time; of a long one some tens of seconds, spread
+            over it, are enough.
         priors: by default `CalibrationPriors.of` the recording.
         settings: of the joint-space solver. frames: N of a fragment.
         progress: called with (steps done, steps in all).
-        left_out: faults of sensors, by segment, whose samples are not used.
-        bone_imus: sensors at the keypoints' times without those faults; by default made of the recording.
+        without_slipped: leave out sensors where they contradict the motion.
 
     Raises:
         CalibrationError: there are no IMUs, or they and the video have too little time in common.
         SolverError: the recording cannot be solved.
     """
+    recording = slices[0].recording
     priors = priors or CalibrationPriors.of(recording)
     settings = settings or JointSpaceSettings(floor_height=recording.floor_height)
-    fragments = shared_fragments(recording, guess, priors, settings, frames, left_out, bone_imus)
+    fragments = shared_fragments(slices, priors, settings, frames)
+    fragments.begin()
+    if without_slipped and (slipped := fragments.slipped()):
+        fragments = _fragments(replace(fragments.excerpt, left_out=slipped), priors, settings)
+        fragments.begin()
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
     quantities = quantities_of(
         fragments.unknowns, shared.y, shared.hessian, fragments.prior, priors.overcount
     )
+    times = fragments.excerpt.times
     return SelfCalibration(
-        quantities=tuple(_doubted(q, recording, guess.poses, shared) for q in quantities),
-        detector=_detector(fragments.data, shared.residuals, guess.poses.rate_hz),
-        middle=float(guess.poses.times[0] + guess.poses.times[-1]) / 2,
+        quantities=tuple(_doubted(q, slices, shared) for q in quantities),
+        detector=_detector(fragments, shared.residuals),
+        middle=float(times[0] + times[-1]) / 2,
         converged=shared.converged,
     )
 
 
 def shared_fragments(
-    recording: Recording,
-    guess: InitialGuess,
-    priors: CalibrationPriors,
-    settings: JointSpaceSettings,
-    frames: int,
-    left_out: tuple[StreamFault, ...] = (),
-    bone_imus: BoneImuSequence | None = None,
+    slices: Sequence[Slice], priors: CalibrationPriors, settings: JointSpaceSettings, frames: int
 ) -> SharedFragments:
     """Return the problem that `calibrate` solves; arguments and errors are those of `calibrate`."""
-    imus, seen = recording.imus, recording.keypoints
-    if imus is None or recording.calibration is None or seen is None:
-        raise CalibrationError(
-            f"recording {recording.name}: without calibrated IMUs and a video there is nothing to "
-            "calibrate by"
-        )
-    _check_long_enough(seen, imus, priors)
-    start = guess.poses
-    native = mask_faults(recording.calibration.apply(imus), left_out)
-    bone_imus = native.resample(start.times) if bone_imus is None else bone_imus
-    data = Observations(recording.skeleton, frames, settings, guess, seen, bone_imus, places=native.joints)
-    slow = low_passed(even_noise(native), settings)
+    for part in slices:
+        recording = part.recording
+        if recording.imus is None or recording.calibration is None or recording.keypoints is None:
+            raise CalibrationError(
+                f"recording {recording.name}: without calibrated IMUs and a video there is nothing to "
+                "calibrate by"
+            )
+    _check_long_enough(slices, priors)
+    return _fragments(Excerpt.chosen(slices, frames, settings, priors.most_seconds), priors, settings)
+
+
+def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpaceSettings) -> SharedFragments:
+    """The problem of an excerpt."""
+    sensors = excerpt.data[0].sensors
+    slow = [
+        low_passed(even_noise(mask_faults(_sensed(part.recording), excerpt.left_out)), settings)
+        for part in excerpt.slices
+    ]
 
     def sampled(times: Array) -> tuple[Array, Array, Array, Array]:
-        q, w, a, w_a, _ = sensor_data(times, slow, data.sensors, settings)
+        found = [sensor_data(own, slow[i], sensors, settings) for i, own in excerpt.by_slice(times)]
+        q, w, a, w_a, _ = (np.concatenate(values) for values in zip(*found, strict=True))
         return q, w, a, w_a
 
-    unknowns = _unknowns(recording.skeleton, seen, data, start, priors, sampled)
-    seconds = min(float(start.times[-1] - start.times[0]), priors.most_seconds)
+    unknowns = _unknowns(excerpt, priors, sampled)
+    seconds = len(excerpt.times) / excerpt.data[0].rate_hz
     share = priors.effective_seconds / max(seconds, priors.effective_seconds)
     weights = Weights(
         vision=share * priors.weight_vision, sensors=share * priors.weight_sensors, motion=share,
         prior=share * priors.weight_poses,
     )  # fmt: skip
-    return SharedFragments(data, start.times, unknowns, weights, priors.most_seconds)
+    return SharedFragments(excerpt, unknowns, weights)
+
+
+def _sensed(recording: Recording) -> BoneImuSequence:
+    """Sensors at their own rate, as they are calibrated approximately."""
+    assert recording.imus is not None
+    assert recording.calibration is not None
+    return recording.calibration.apply(recording.imus)
 
 
 def even_noise(imus: BoneImuSequence) -> BoneImuSequence:
@@ -130,21 +137,23 @@ def even_noise(imus: BoneImuSequence) -> BoneImuSequence:
     return replace(imus, a_world=a_world)
 
 
-def _check_long_enough(keypoints: KeypointSequence, imus: ImuSequence, priors: CalibrationPriors) -> None:
-    common = min(keypoints.times[-1], imus.times[-1]) - max(keypoints.times[0], imus.times[0])
+def _check_long_enough(slices: Sequence[Slice], priors: CalibrationPriors) -> None:
+    common = 0.0
+    for part in slices:
+        seen, imus = part.recording.video.times, part.recording.imus
+        assert imus is not None
+        common += max(0.0, min(seen[-1], imus.times[-1]) - max(seen[0], imus.times[0]))
     searched = 0.0 if priors.sigma_delay is None else 4 * priors.sigma_delay
     if common <= searched:
         raise CalibrationError(
-            f"video and IMUs have {max(common, 0):.2f} s in common, too little to look for a delay of "
+            f"video and IMUs have {common:.2f} s in common, too little to look for a delay of "
             f"{searched:.2f} s; record longer, or give sigma_delay=None where the clocks agree"
         )
 
 
-def _unknowns(
-    skeleton: SkeletonModel, seen: KeypointSequence, data: Observations, start: PoseSequence,
-    priors: CalibrationPriors, sampled: sensing.Sampled,
-) -> list[Unknown]:  # fmt: skip
+def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Sampled) -> list[Unknown]:
     """The unknowns, in the order in which they correct the observations."""
+    data, skeleton = excerpt.data[0], excerpt.slices[0].recording.skeleton
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
         found.append(sensing.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
@@ -162,11 +171,15 @@ def _unknowns(
             tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
         ))  # fmt: skip
     if p.sigma_image_bias is not None:
-        tall = _height_px(seen.landmarks)
+        tall = _height_px(excerpt.slices)
         sigma_px = p.sigma_image_bias * tall / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(seeing.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
-        slopes = data.points.slopes(seen.camera, start.p_world_joint, start.R_world_bone)
+        slopes = excerpt.joined([
+            data.points.slopes(part.recording.video.camera, start.p_world_joint, start.R_world_bone)
+            for part in excerpt.slices
+            for start in [part.guess.poses]
+        ])  # fmt: skip
         found.append(seeing.Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
         found.append(seeing.Focal(p.sigma_focal))
@@ -180,9 +193,11 @@ def _unknowns(
     return [*found, *posture]
 
 
-def _height_px(keypoints: KeypointSequence) -> float:
+def _height_px(slices: Sequence[Slice]) -> float:
     """Median extent of the landmarks in the image, px."""
-    seen = keypoints.uv_px[keypoints.seen.sum(axis=1) > 1]
+    seen = np.concatenate(
+        [k.uv_px[k.seen.sum(axis=1) > 1] for k in (s.recording.video.landmarks for s in slices)]
+    )
     if len(seen) == 0:
         raise CalibrationError("the video sees nothing of the person: there is nothing to calibrate by")
     extent = np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)
@@ -235,29 +250,34 @@ def quantities_of(
     return listed(given, np.where(told, claimed, variance))
 
 
-def _doubted(quantity: Quantity, recording: Recording, start: PoseSequence, shared: Shared) -> Quantity:
+def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Quantity:
     """A delay in doubt, by the search or by `check_clocks`, gets its prior's standard deviation."""
-    imus, calibration = recording.imus, recording.calibration
-    known = quantity.verdict is not Verdict.PRIOR
-    if quantity.kind != "delay" or not known or imus is None or calibration is None:
+    if quantity.kind != "delay" or quantity.verdict is Verdict.PRIOR:
         return quantity
-    clocks = check_clocks(recording.video, calibration.apply(imus), start, recording.skeleton)
-    doubt = clocks.cause if clocks.failed else next(iter(shared.doubts.values()), "")
+    checks = (
+        check_clocks(own.video, _sensed(own), part.guess.poses, own.skeleton)
+        for part in slices
+        for own in [part.recording]
+    )
+    causes = (clocks.cause for clocks in checks if clocks.failed)
+    doubt = next(causes, "") or next(iter(shared.doubts.values()), "")
     return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
 
 
-def _detector(data: Observations, residuals: Array, rate_hz: float) -> tuple[Detector, ...]:
-    """Size and memory of the residuals of every landmark seen at least ten times."""
-    found = []
-    for i, name in enumerate(data.names):
-        seen = data.confidence[:, i] > 0
+def _detector(fragments: SharedFragments, residuals: Array) -> tuple[Detector, ...]:
+    """Size and memory of the residuals (T', L, 2) of every landmark seen at least ten times."""
+    found, excerpt = [], fragments.excerpt
+    rate_hz, steps = excerpt.data[0].rate_hz, np.diff(excerpt.times)
+    together = steps < 1.5 / rate_hz
+    for i, name in enumerate(excerpt.data[0].names):
+        seen = fragments.confidence[:, i] > 0
         r = residuals[:, i]
         seen &= np.isfinite(r).all(axis=1)
         if seen.sum() < 10:
             continue
         sigma = max(float(np.median(np.linalg.norm(r[seen], axis=1))) / _NORMAL_MEDIAN, 1e-6)
         clipped = np.clip(r, -3 * sigma, 3 * sigma)
-        pairs = seen[1:] & seen[:-1]
+        pairs = seen[1:] & seen[:-1] & together
         alike = float(np.mean(clipped[1:][pairs] * clipped[:-1][pairs])) if pairs.any() else 0.0
         share = np.clip(alike / max(float(np.mean(clipped[seen] ** 2)), 1e-12), 0.0, 0.999)
         memory = -1 / (rate_hz * np.log(share)) if share > 0 else 0.0

@@ -19,7 +19,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.observations import Attached, Observations, fragment_of
@@ -59,13 +59,12 @@ class CalibrationObservations:
 
     @cached_property
     def jerk_world(self) -> Array:
-        """(T, S, 3) derivative of low-passed accelerations, m/s^3; 0 next to missing ones."""
-        if len(self.times) < 4:
-            return np.zeros_like(self.a_world)
-        smooth = signals.low_pass(self.a_world, self.rate_hz, min(_CUTOFF_HZ, 0.4 * self.rate_hz))
-        near = round(self.rate_hz / (2 * _CUTOFF_HZ))
-        known = minimum_filter1d((self.w_acceleration > 0).astype(float), 2 * near + 1, axis=0)
-        return np.asarray(np.gradient(smooth, axis=0) * self.rate_hz * known[..., None])
+        """(T, S, 3) derivative of low-passed accelerations, m/s^3; 0 next to missing ones. Where times jump,
+        the frames before and after are apart.
+        """
+        breaks = np.flatnonzero(np.diff(self.times) > 1.5 / self.rate_hz) + 1
+        parts = zip(np.split(self.a_world, breaks), np.split(self.w_acceleration, breaks), strict=True)
+        return np.concatenate([_jerk(a, w > 0, self.rate_hz) for a, w in parts])
 
     def changed(self, **rows: Array) -> Self:
         """Return them with other rows."""
@@ -258,3 +257,13 @@ class CalibrationResiduals:
 def _robust(weight: Array, r: Array, delta: Array | float) -> Array:
     """Weights times the slope of the pseudo-Huber loss."""
     return np.asarray(weight / np.sqrt(1 + weight * np.sum(r**2, axis=-1) / delta**2))
+
+
+def _jerk(a_world: Array, known: Mask, rate_hz: float) -> Array:
+    """(T, S, 3) of accelerations at even times."""
+    if len(a_world) < 4:
+        return np.zeros_like(a_world)
+    smooth = signals.low_pass(a_world, rate_hz, min(_CUTOFF_HZ, 0.4 * rate_hz))
+    near = round(rate_hz / (2 * _CUTOFF_HZ))
+    around = minimum_filter1d(known.astype(float), 2 * near + 1, axis=0)
+    return np.asarray(np.gradient(smooth, axis=0) * rate_hz * around[..., None])

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
+from rtof_kin.calibration.excerpt import Excerpt
 from rtof_kin.calibration.fragment_profile import ProfiledFragment
 from rtof_kin.calibration.learned_prior import learned_precision
 from rtof_kin.calibration.residuals import CalibrationObservations
@@ -32,9 +33,9 @@ from rtof_kin.calibration.schur_complement import UnknownsHessian, finished
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
+from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
-from rtof_kin.solve.joint_space.observations import Observations
 
 _INNER: Final = 8
 """Iterations of a fragment's states after the first round."""
@@ -70,7 +71,7 @@ class Shared:
     sigma_px: float
     """Standard deviation used for the landmarks, px."""
     residuals: Array
-    """(T, L, 2) of reprojection after correction, px; NaN in unused fragments."""
+    """(T', L, 2) of reprojection after correction, px, of the excerpt's frames."""
     energies: tuple[float, ...]
     """Before the first and after every accepted step."""
     converged: bool
@@ -82,30 +83,29 @@ class SharedFragments:
     """The fragments of one recording and the unknowns that they share.
 
     Attributes:
-        columns: of each unknown in y. prior: (G, G) its precision.
+        excerpt: the fragments. columns: of each unknown in y. prior: (G, G) its precision.
+        data: what all fragments have in common: states, problem, limits, settings.
+        confidence: (T', L) relative weights of the landmarks, 0 where unobserved.
     """
 
-    def __init__(
-        self, data: Observations, times: Array, unknowns: Sequence[Unknown], weights: Weights,
-        most_seconds: float = np.inf,
-    ) -> None:  # fmt: skip
-        """Choose the fragments.
+    def __init__(self, excerpt: Excerpt, unknowns: Sequence[Unknown], weights: Weights) -> None:
+        """Take the fragments.
 
         Args:
-            data: observations. times: (T,) stamps of the frames, s. weights: of the residuals.
+            excerpt: the fragments of the recording that are used.
             unknowns: in the order in which they correct the observations; a delay is the first.
-            most_seconds: length of all fragments, evenly distributed over a longer recording, s.
+            weights: of the residuals.
         """
-        self.data, self.times, self.unknowns, self.weights = data, times, tuple(unknowns), weights
-        self._given = CalibrationObservations.of(data, times)
+        self.excerpt, self.unknowns, self.weights = excerpt, tuple(unknowns), weights
+        self.data = excerpt.data[0]
+        self._given = excerpt.observations
+        self._start = excerpt.joined([own.start for own in excerpt.data])
+        self.confidence = excerpt.joined([own.confidence for own in excerpt.data])
         stops = np.cumsum([len(u.covariance) for u in unknowns]).tolist()
         self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True))
         self.prior = _precision(self.unknowns)
-        self._solver = LevenbergMarquardt(data.problem, data.limits)
-        firsts = np.arange(0, len(times), data.frames)
-        most = min(float(len(firsts)), most_seconds * self._given.rate_hz / data.frames)
-        chosen = np.linspace(0, len(firsts) - 1, max(int(most), 1)).round().astype(int)
-        self._firsts: list[int] = firsts[chosen].tolist()
+        self._solver = LevenbergMarquardt(self.data.problem, self.data.limits)
+        self._firsts = list(excerpt.firsts)
         self._sigma_px = np.nan
         self._states: dict[int, tuple[Array, Array | None]] = {}
         self._doubts: dict[int, str] = {}
@@ -126,7 +126,8 @@ class SharedFragments:
             SolverError: a fragment cannot be solved, or the unknowns' Hessian is not positive definite.
         """
         report = progress or (lambda done, total: None)
-        self.begin()
+        if not self._states:
+            self.begin()
         report(1, rounds + 1)
         y, energies, converged = self._searched() if start is None else start, [], False
         best, step, given = (np.inf, y), np.zeros_like(y), self.prior
@@ -198,7 +199,7 @@ class SharedFragments:
         rows, s = given.rows, self.data.settings
         knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(weights.vision)
         return replace(given, weight_of_motion=weights.motion).changed(
-            w_visual=weights.vision * self.data.confidence / self._sigma_px**2,
+            w_visual=weights.vision * self.confidence / self._sigma_px**2,
             knee_visual=np.full(len(given.times), knee),
             w_sensor=weights.sensors * rows["w_sensor"],
             w_prior=weights.prior * rows["w_prior"],
@@ -209,21 +210,27 @@ class SharedFragments:
         """Solve the fragments as reconstruction does; set sigma_px and limit the priors of biases."""
         s, data, sizes, constant = self.data.settings, self.data, list[float](), list[float]()
         for first in self._firsts:
-            index, inside, values = data.fragment(first)
+            values = self._given.fragment(first, data.frames)
             data.problem.bind(values)
+            index = np.clip(np.arange(first, first + data.frames), 0, len(self._start) - 1)
             annealing = Annealing(
-                s, data.problem, data.confidence[index], data.points.sizes, values.observation
+                s, data.problem, self.confidence[index], data.points.sizes, values.observation
             )
             solved = self._solver.solve(
-                data.start[index], s.annealing + s.max_iterations, s.tolerance, None, annealing
+                self._start[index], s.annealing + s.max_iterations, s.tolerance, None, annealing
             )
             self._states[first] = solved.x, solved.multipliers
-            if data.anything_seen(first, inside):
+            rows = *(values.observation[name] for name in ("w_visual", "w_sensor")), values.w_acceleration
+            if any(row.any() for row in rows):
                 sizes.append(annealing.sigma)
                 constant.append(annealing.constant_px)
         self._sigma_px = float(np.median(sizes))
         self.unknowns = tuple(u.limited(float(np.median(constant))) for u in self.unknowns)
         self.prior = _precision(self.unknowns)
+
+    def slipped(self) -> tuple[StreamFault, ...]:
+        """Intervals in which a sensor contradicts the present states; see `Excerpt.slipped`."""
+        return self.excerpt.slipped([self._states[first][0] for first in self._firsts])
 
     def settle(self, corrected: CalibrationObservations, firsts: Sequence[int] | None = None) -> float:
         """Optimise the states of all fragments, or of those with first frames `firsts`; return the energy."""
@@ -247,7 +254,7 @@ class SharedFragments:
         return problem
 
     def _residuals(self, corrected: CalibrationObservations) -> Array:
-        """(T, L, 2) px."""
+        """(T', L, 2) px."""
         out = np.full((len(corrected.times), len(self.data.names), 2), np.nan)
         for first in self._firsts:
             own = out[first : first + self.data.frames]

@@ -24,9 +24,10 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, cut, lost
-from rtof_kin.reconstruction.pipeline import calibrate_camera, estimated, run
+from rtof_kin.reconstruction.pipeline import calibrate_camera, run
 from rtof_kin.reconstruction.prepare import Progress, even_times
 from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
@@ -41,6 +42,10 @@ LONG_SECONDS: Final = 2 * PART_SECONDS
 """[s] Recordings beyond this are reconstructed in parts."""
 _STEP_SECONDS: Final = 2.0
 """[s] by which video and sensors may be out of step."""
+_CHAIN: Final = 8
+_SLICES: Final = 12
+_SLICE_SECONDS: Final = 4.0
+"""Number and length [s] of the slices of a recording by which it is calibrated."""
 _FEW_HZ: Final = 5.0
 """Frames per second that show where in a recording the person is and moves."""
 
@@ -102,7 +107,7 @@ def reconstruct_in_parts(
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
     times = _frame_times(source, mode, settings)
     rate_hz = float(1 / np.median(np.diff(times)))
-    parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds)
+    parts = parts_of(len(times), rate_hz, _CHAIN * settings.frames // 2, seconds)
     job = Job.of(_between(source, times[: parts[0].stop]), None, lifter, settings, progress)
     once = _estimated_once(source, job, mode, calibrate, known)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
@@ -178,16 +183,20 @@ def _estimated_once(
     if mode == "imu":
         return _Once(None, None, Choices(), ())
     camera, warnings = None, tuple[str, ...]()
-    if job.recording.video.camera.uncertainty is not None:
-        seen = excerpt(_thinned(source))
-        camera = calibrate_camera(_between(source, seen.times), lifter=job.lifter, progress=job.progress)
-    choices = Choices("no", known is not None)
+    uncertain = job.recording.video.camera.uncertainty is not None
+    calibrate = calibrate and mode in ("sf2", "rtof") and job.recording.imus is not None
+    seen = _thinned(source) if uncertain or calibrate else None
+    if uncertain and seen is not None:
+        recording = _between(source, excerpt(seen).times)
+        camera = calibrate_camera(recording, lifter=job.lifter, progress=job.progress)
+    choices = Choices("yes" if calibrate else "no", known is not None)
     calibration = None if known is None else known.for_another_recording()
-    if calibrate and mode in ("sf2", "rtof") and job.recording.imus is not None:
-        recording = _between(source, _liveliest(_thinned(source)).times)
-        recording = recording if camera is None else with_camera(recording, camera.found)
-        calibration, _, warnings = estimated(replace(job, recording=recording), None, calibration)
-        choices = replace(choices, calibrate="yes")
+    if calibrate and seen is not None:
+        slices = [_between(source, times) for times in _lively_slices(seen)]
+        if camera is not None:
+            slices = [with_camera(recording, camera.found) for recording in slices]
+        jobs = [replace(job, recording=recording) for recording in slices]
+        calibration, warnings = estimated(jobs, None, calibration)
     return _Once(calibration, camera, choices, warnings)
 
 
@@ -198,8 +207,7 @@ def _thinned(source: RecordingSlices) -> KeypointSequence:
         seen = source.between(begin, begin + PART_SECONDS).keypoints
         begin = np.nextafter(begin + PART_SECONDS, np.inf)
         if seen is not None:
-            few = seen[::every]
-            found.append(replace(few, own_times=None, turning=None))
+            found.append(replace(seen[::every], own_times=None, turning=None))
     return replace(
         found[0],
         times=np.concatenate([few.times for few in found]),
@@ -208,10 +216,16 @@ def _thinned(source: RecordingSlices) -> KeypointSequence:
     )
 
 
-def _liveliest(keypoints: KeypointSequence) -> KeypointSequence:
-    """The minute in which the points that are seen move most."""
+def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
+    """Yield times of short slices of the recording in which the points move most, one of each of its equal
+    parts in which they move at all.
+    """
+    times = keypoints.times
     moves = np.nan_to_num(np.abs(np.diff(keypoints.uv_px, axis=0))).sum(axis=(1, 2))
     so_far = np.concatenate([[0.0], np.cumsum(moves)])
-    last = np.searchsorted(keypoints.times, keypoints.times + PART_SECONDS, "right") - 1
-    first = int(np.argmax(so_far[last] - so_far))
-    return keypoints[first : last[first] + 1]
+    last = np.searchsorted(times, times + _SLICE_SECONDS, "right") - 1
+    moved = so_far[last] - so_far
+    for part in np.array_split(np.flatnonzero(times <= times[-1] - _SLICE_SECONDS), _SLICES):
+        first = part[np.argmax(moved[part])]
+        if moved[first] > 0:
+            yield times[first : last[first] + 1]

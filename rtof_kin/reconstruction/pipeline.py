@@ -10,22 +10,21 @@ from functools import partial
 from rtof_kin.body.metrics import stage_metrics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
-from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.choices import MODES, Calibrate, Mode
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults
+from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
-from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
     check_sensor_form,
@@ -39,8 +38,6 @@ from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
-_MISALIGNED_FRACTION = 0.8
-"""Minimum fraction of the recording over which a sensor must disagree to count as misaligned."""
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
 
@@ -121,21 +118,21 @@ def _from_video(
     name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
     choices = Choices(how, known is not None, name)
     known = None if known is None else known.for_another_recording()
-    rejected, warnings = tuple[StreamFault, ...](), tuple[str, ...]()
+    warnings = tuple[str, ...]()
     with explained(job.recording, job.subject, job.lifter):
         if job.recording.video.camera.uncertainty is not None:
             camera = camera or _found_camera(job, mode)
             job = replace(job, recording=with_camera(job.recording, camera.found))
             warnings = camera.sentences
         if estimate:
-            calibration, rejected, more = estimated(job, priors, known)
+            calibration, more = estimated([job], priors, known)
             warnings += more
         elif calibration is None:
             calibration = known
         elif known is not None:
             calibration = known.followed_by(calibration)
         own = job.calibrated(calibration)
-        prepared, poses, solution = _optimised(own, mode, rejected, calibration)
+        prepared, poses, solution = _optimised(own, mode, calibration)
         others = list[PoseSequence]()
         if camera is not None and solution is not None and solution.confidence is not None:
             cameras = (with_camera(own.recording, other) for other in camera.deviations())
@@ -161,10 +158,10 @@ def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
 
 
 def _optimised(
-    job: Job, mode: Mode, rejected: tuple[StreamFault, ...], calibration: SelfCalibration | None
+    job: Job, mode: Mode, calibration: SelfCalibration | None
 ) -> tuple[Prepared, PoseSequence, FragmentSolution | None]:
     """Prepare and solve; once more without the sensors that contradict the motion."""
-    prepared = job.prepare(mode, rejected, calibration)
+    prepared = job.prepare(mode, calibration=calibration)
     if mode not in ("rto", "rtof"):
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
@@ -232,94 +229,6 @@ def calibrate_camera(
     job = Job.of(recording, None, lifter, None, progress)
     with explained(job.recording, job.subject, job.lifter):
         return _found_camera(job, "lift")
-
-
-def calibrate_recording(
-    recording: Recording,
-    skeleton: SkeletonModel | None = None,
-    priors: CalibrationPriors | None = None,
-    *,
-    lifter: LifterLike | None = None,
-    settings: ReconstructionSettings | None = None,
-    progress: Progress | None = None,
-) -> SelfCalibration:
-    """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
-
-    Args:
-        recording: with IMUs and a calibration of them, however rough.
-        skeleton: the subject's. Default: that of the recording.
-        priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
-        lifter, settings, progress: as for `reconstruct`.
-
-    Raises:
-        CalibrationError: the recording has no IMUs, or too little in common with its video. Errors of
-            the stages.
-    """
-    if recording.imus is None:
-        raise CalibrationError(
-            f"recording {recording.name}: has no IMUs, and self-calibration needs them; "
-            "add them, or reconstruct it as it is with mode 'rto'"
-        )
-    job = Job.of(recording, skeleton, lifter, settings, progress)
-    return _calibrate(job, priors, None)[0]
-
-
-def estimated(
-    job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
-) -> tuple[SelfCalibration | None, tuple[StreamFault, ...], tuple[str, ...]]:
-    """Self-calibration, intervals of sensors that it excluded, and warnings."""
-    try:
-        found, slipped = _calibrate(job, priors, known)
-    except CalibrationError as error:
-        if priors is not None:
-            raise
-        return known, (), (f"not calibrated from the recording, which is used as given: {error}",)
-    return found, slipped, consistency_warnings(job.recording, found)
-
-
-def _calibrate(
-    job: Job, priors: CalibrationPriors | None, known: SelfCalibration | None
-) -> tuple[SelfCalibration, tuple[StreamFault, ...]]:
-    """Self-calibration, joined with what is known, and the intervals of sensors that it excluded."""
-    recording = job.recording
-    check_height(recording)
-    if job.skeleton is not None:
-        offsets = job.skeleton.joint_offsets
-        recording = replace(recording, joint_offsets=offsets, height=None, bone_lengths=None)
-    recording = recording if known is None else known.apply(recording)
-    priors = priors or CalibrationPriors.of(recording)
-    if known is not None and known.ankle_height:
-        priors = replace(priors, sigma_ankle_height=None)
-    own = replace(job, recording=recording, skeleton=None).with_solver(known)
-    prepared = own.prepare("sf2", calibration=known)
-    slipped = _slipped(own, prepared)
-    assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
-    solver = own.settings.fragment
-    if not isinstance(solver, JointSpaceSettings):  # calibration is always solved in joint space
-        solver = JointSpaceSettings(floor_height=recording.floor_height)
-    used = replace(
-        prepared,
-        bone_imus=mask_faults(prepared.bone_imus, slipped),
-        settings=own.settings.with_fragment(solver),
-    )
-    found = estimate_calibration(
-        replace(prepared.recording, keypoints=prepared.keypoints), used.guess, priors, solver,
-        own.settings.frames, lambda done, total: own.progress("calibrate", done, total), slipped,
-        used.bone_imus,
-    )  # fmt: skip
-    return (found if known is None else known.followed_by(found)), slipped
-
-
-def _slipped(job: Job, prepared: Prepared) -> tuple[StreamFault, ...]:
-    """Intervals in which a sensor contradicts the motion solved with all of them, but for those of nearly
-    the whole recording, which a constant mounting error explains.
-    """
-    if "motion" not in job.settings.guards or prepared.bone_imus is None:
-        return ()
-    poses = job.solve(prepared, confidence=False).poses
-    most = _MISALIGNED_FRACTION * (poses.times[-1] - poses.times[0])
-    wrong = find_disagreements(poses, prepared.bone_imus, prepared.skeleton)
-    return tuple(fault for fault in wrong if fault.stop - fault.start < most)
 
 
 def _from_sensors(job: Job) -> Reconstruction:

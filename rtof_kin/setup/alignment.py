@@ -263,7 +263,7 @@ def _refined(
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
     """Refine the sensors on segments that the solver takes sensors on."""
-    from rtof_kin.reconstruction.pipeline import calibrate_recording
+    from rtof_kin.reconstruction.self_calibration import calibrate_recording
 
     carriers = {joint for joint, _ in skeleton.sensors.values()}
     used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]

@@ -49,9 +49,7 @@ def test_profile_gradient_equals_finite_differences(kinds: tuple[str, ...]) -> N
 def test_size_is_unobserved_without_a_floor() -> None:
     truth, no_floor = cs.motion(24), replace(cs.SETTINGS, floor_height=None)
     recording = planted.recording(truth, sigma_px=3.0, degrees=3.0)
-    shared = shared_fragments(
-        recording, cs.guessed(recording, truth.poses), cs.only("bones"), no_floor, cs.FRAMES
-    )
+    shared = shared_fragments([cs.whole(recording, truth.poses)], cs.only("bones"), no_floor, cs.FRAMES)
     shared.begin()
     y = np.zeros(len(shared.prior))
     evidence = shared.corrected(y)

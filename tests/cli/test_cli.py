@@ -119,8 +119,8 @@ def test_wrong_input_is_refused_in_one_line(
 def test_unwritable_output_is_refused_before_the_work(
     short: Path, wrong: Path, cli: Any, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    for work in ("reconstruct", "calibrate_recording"):
-        monkeypatch.setattr(f"rtof_kin.reconstruction.pipeline.{work}", None)
+    monkeypatch.setattr("rtof_kin.reconstruction.pipeline.reconstruct", None)
+    monkeypatch.setattr("rtof_kin.reconstruction.self_calibration.calibrate_recording", None)
     done = cli(command, short, "-o", wrong / "broken.pt" / "out")
     assert done.code == 2
     assert "broken.pt" in done.err

@@ -19,8 +19,9 @@ from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reconstruction.pipeline import calibrate_recording, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings

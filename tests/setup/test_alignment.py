@@ -16,7 +16,7 @@ from rtof_kin.core.errors import CalibrationError, ViewError
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.inertial.headings import wrapped
-from rtof_kin.reconstruction import pipeline
+from rtof_kin.reconstruction import self_calibration
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.alignment import Alignment, align_sensors
 
@@ -101,7 +101,7 @@ def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(
     def fails(*_: object, **__: object) -> None:
         raise ViewError("the person is behind the camera")
 
-    monkeypatch.setattr(pipeline, "calibrate_recording", fails)
+    monkeypatch.setattr(self_calibration, "calibrate_recording", fails)
     motion = planted.moving(skeleton(), 600)
     log, truth = worn(motion)
     found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
@@ -134,7 +134,7 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(
             ]
         return SelfCalibration(tuple(found), (), 4.5, True)
 
-    monkeypatch.setattr(pipeline, "calibrate_recording", finds)
+    monkeypatch.setattr(self_calibration, "calibrate_recording", finds)
     after = align_sensors(*video, log, places, skeleton())
     assert after.sensors[0].heading == before.sensors[0].heading
     for old, new in zip(before.sensors[1:], after.sensors[1:], strict=True):

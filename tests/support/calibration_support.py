@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.calibration.estimate import calibrate, shared_fragments
+from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core import rotations as so3
+from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
@@ -55,7 +57,16 @@ def motion(frames: int, seed: int = 0) -> MotionSequence:
 
 def fragments(recording: Recording, start: PoseSequence, priors: CalibrationPriors) -> SharedFragments:
     """Fragments of so few frames that a test is quick."""
-    return shared_fragments(recording, guessed(recording, start), priors, SETTINGS, FRAMES)
+    return shared_fragments([whole(recording, start)], priors, SETTINGS, FRAMES)
+
+
+def whole(recording: Recording, start: PoseSequence) -> Slice:
+    """A recording as one slice, from poses."""
+    bone_imus = recording.bone_imus(times=start.times)
+    if bone_imus is None:  # to be refused
+        nothing = np.zeros((len(start), 0, 3))
+        bone_imus = BoneImuSequence(start.times, np.zeros((len(start), 0, 3, 3)), nothing, nothing[0], ())
+    return Slice(recording, guessed(recording, start), bone_imus)
 
 
 def guessed(recording: Recording, start: PoseSequence) -> InitialGuess:
@@ -65,7 +76,7 @@ def guessed(recording: Recording, start: PoseSequence) -> InitialGuess:
 
 def calibrated(recording: Recording, start: PoseSequence, *given: Any, **settings: Any) -> SelfCalibration:
     """`calibrate` from poses."""
-    return calibrate(recording, guessed(recording, start), *given, **settings)
+    return calibrate([whole(recording, start)], *given, **settings)
 
 
 def misaligned(recording: Recording, **wrong: Array) -> Recording:
