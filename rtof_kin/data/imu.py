@@ -65,7 +65,7 @@ class UnitCheck:
         """
         norms = np.concatenate(self._norms)
         turned = np.sum(self._turned, axis=0)
-        frozen = np.asarray(np.isfinite(norms).sum(axis=0) == 1) & self._still & (len(norms) > 1)
+        frozen = np.asarray((np.isfinite(norms).sum(axis=0) == 1) & self._still & (len(norms) > 1))
         for s, name in enumerate(names):
             if not frozen[s] and np.any(np.isfinite(norms[:, s])):
                 _check_unit(name, norms[:, s], turned[s])

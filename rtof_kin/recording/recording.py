@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import tomli_w
@@ -31,13 +31,16 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.video_arrays import video_arrays
 from rtof_kin.recording.files import TRUTH, naming
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
+from rtof_kin.recording.index import SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.recording.session import Session
 from rtof_kin.recording.sources import InMemory
 from rtof_kin.recording.streams import ALL, Part, Stream, Streams, TimeAxis, rows_between
 from rtof_kin.recording.views import camera_and_keypoints, keypoint_file
 from rtof_kin.vision.layouts import is_detector_point
+
+INDEX: Final = "recording.toml"
+"""File of every recording's folder."""
 
 
 @dataclass(frozen=True)

@@ -176,42 +176,19 @@ class NpzBlocks:
             FileFormatError: the file is damaged.
         """
         while self._done < self.length and not (stop is not None and stop.is_set()):
-            self._pass(_ROWS)
-
-    def take(self, count: int) -> dict[str, NDArray[Any]]:
-        """Pass over the next rows of all arrays, which become readable, and return them; fewer at the end.
-
-        Args:
-            count: number of rows.
-
-        Raises:
-            FileFormatError: damaged, or a number beyond any measurement.
-        """
-        start = self._done
-        data = self._pass(count)
-        stop = self._done
-        taken = {name: self._table(self._members[name], part, stop - start) for name, part in data.items()}
-        return {
-            name: taken[name] if name in taken else self.rows(name, start, stop) for name in self._members
-        }
-
-    def _pass(self, count: int) -> dict[str, bytes]:
-        """Return the bytes of the next rows by member, but of those that are held as a whole."""
-        count = min(count, self.length - self._done)
-        passed: dict[str, bytes] = {}
-        for member in self._streamed():
-            if self._far(member):
-                copy = member.reader.copy()
-                with self._lock:
-                    member.copies.append((self._done, copy))
-            passed[member.name] = self._read(member, member.reader, count)
-            member.checksum = zlib.crc32(passed[member.name], member.checksum)
-        self._done += count
+            count = min(_ROWS, self.length - self._done)
+            for member in self._streamed():
+                if self._far(member):
+                    copy = member.reader.copy()
+                    with self._lock:
+                        member.copies.append((self._done, copy))
+                data = self._read(member, member.reader, count)
+                member.checksum = zlib.crc32(data, member.checksum)
+            self._done += count
         if self._done == self.length:
             for member in self._streamed():
                 if member.checksum != member.crc:
                     raise FileFormatError(self.path, f"{member.name}: damaged (checksum); reconstruct again")
-        return passed
 
     def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Return rows of an array.
@@ -225,23 +202,17 @@ class NpzBlocks:
         member = self._members[name]
         if not 0 <= start <= stop <= self._done:
             raise IndexError(f"rows {start} to {stop} of {self._done} that are readable")
-        if member.whole is None:
-            return self._table(member, self._slice(member, start, stop), stop - start)
-        return self._measurable(member, member.whole[start:stop])
+        array = self._slice(member, start, stop) if member.whole is None else member.whole[start:stop]
+        if member.dtype.kind == "f" and not measurable(array):
+            raise FileFormatError(self.path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
+        return array
 
-    def _slice(self, member: _Member, start: int, stop: int) -> bytes:
+    def _slice(self, member: _Member, start: int, stop: int) -> NDArray[Any]:
         with self._lock:
             first, reader = member.copies[bisect_right(member.copies, start, key=itemgetter(0)) - 1]
             reader = reader.copy()
-        return self._read(member, reader, stop - start, skip=start - first)
-
-    def _table(self, member: _Member, data: bytes, count: int) -> NDArray[Any]:
-        return self._measurable(member, np.frombuffer(data, member.dtype).reshape(count, *member.shape[1:]))
-
-    def _measurable(self, member: _Member, array: NDArray[Any]) -> NDArray[Any]:
-        if member.dtype.kind == "f" and not measurable(array):
-            raise FileFormatError(self.path, f"{member.name}: holds a number beyond {LARGEST_NUMBER:g}")
-        return array
+        data = self._read(member, reader, stop - start, skip=start - first)
+        return np.frombuffer(data, member.dtype).reshape(stop - start, *member.shape[1:])
 
     def _far(self, member: _Member) -> bool:
         """Return whether the last copy of a decompressor is so far back that one more is worth its memory."""
