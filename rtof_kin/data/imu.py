@@ -65,7 +65,7 @@ class UnitCheck:
         """
         norms = np.concatenate(self._norms)
         turned = np.sum(self._turned, axis=0)
-        frozen = np.asarray(np.isfinite(norms).sum(axis=0) == 1) & self._still & (len(norms) > 1)
+        frozen = (np.isfinite(norms).sum(axis=0) == 1) & self._still & (len(norms) > 1)
         for s, name in enumerate(names):
             if not frozen[s] and np.any(np.isfinite(norms[:, s])):
                 _check_unit(name, norms[:, s], turned[s])
@@ -73,7 +73,7 @@ class UnitCheck:
 
 def _sums(f: Array) -> Array:
     """Return the sums (S, 3) over known samples of f (T, S, 3), with their number (S,) as a fourth column."""
-    known = np.isfinite(f).all(axis=-1)
+    known = np.asarray(np.isfinite(f).all(axis=-1))
     return np.column_stack([np.where(known[..., None], f, 0.0).sum(axis=0), known.sum(axis=0)])
 
 

@@ -25,8 +25,6 @@ from rtof_kin.recording.streams import Streams
 from rtof_kin.recording.views import view_streams
 
 SCHEMA_VERSION: Final = 1
-INDEX: Final = "recording.toml"
-"""File of every recording."""
 SKELETONS: Final = ("total_capture", "human36m")
 """Tables of skeletons that a recording may name."""
 shipped = cache(SkeletonModel.named)

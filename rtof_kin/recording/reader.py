@@ -11,8 +11,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.section import Section
 from rtof_kin.recording.files import naming
-from rtof_kin.recording.index import INDEX, read_index
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.index import read_index
+from rtof_kin.recording.recording import INDEX, Recording
 from rtof_kin.recording.sources import OnDisk
 from rtof_kin.recording.streams import Streams, TimeAxis
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import tomli_w
@@ -29,15 +29,18 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
-from rtof_kin.formats.video_arrays import video_arrays
 from rtof_kin.recording.files import TRUTH, naming
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
-from rtof_kin.recording.sensor_files import IMUS, write_imus
+from rtof_kin.recording.index import SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
+from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.session import Session
 from rtof_kin.recording.sources import InMemory
 from rtof_kin.recording.streams import ALL, Part, Stream, Streams, TimeAxis, rows_between
-from rtof_kin.recording.views import camera_and_keypoints, keypoint_file
+from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, keypoint_file_arrays
 from rtof_kin.vision.layouts import is_detector_point
+
+INDEX: Final = "recording.toml"
+"""File of every recording's folder."""
+_TRUTH: Final = "truth.npz"
 
 
 @dataclass(frozen=True)
@@ -263,16 +266,24 @@ class Recording(TimeAxis):
         Raises:
             OutputExistsError: the folder exists and may not be replaced. RtofError: it cannot be written.
         """
-        keypoints, imus = self.keypoints, self.imus
         with new_folder(Path(folder).resolve(), INDEX, overwrite, inputs) as fresh:
-            for i, seen in enumerate((keypoints, *self.views) if keypoints is not None else ()):
-                arrays = {"uv_px": seen.uv_px, "confidence": seen.confidence, "times": seen.times}
-                write_npz(fresh / keypoint_file(i), arrays | video_arrays(seen))
-            if imus is not None:
-                write_imus(fresh / IMUS, imus)
-            if self.truth is not None:
-                write_npz(fresh / "truth.npz", {name: getattr(self.truth, name) for name in TRUTH})
-            (fresh / INDEX).write_text(tomli_w.dumps(self._index()), encoding="utf-8")
+            for name, arrays in self.arrays().items():
+                write_npz(fresh / name, arrays)
+            (fresh / INDEX).write_text(self.index(), encoding="utf-8")
+
+    def arrays(self) -> dict[str, dict[str, Any]]:
+        """Return the arrays of each file in the folder, by name."""
+        seen = (self.keypoints, *self.views) if self.keypoints is not None else ()
+        arrays = {keypoint_file(i): keypoint_file_arrays(one) for i, one in enumerate(seen)}
+        if self.imus is not None:
+            arrays[IMUS] = imu_arrays(self.imus)
+        if self.truth is not None:
+            arrays[_TRUTH] = {name: getattr(self.truth, name) for name in TRUTH}
+        return arrays
+
+    def index(self) -> str:
+        """Return the text of ``recording.toml``."""
+        return tomli_w.dumps(self._index())
 
     def _index(self) -> dict[str, Any]:
         joints = self.skeleton.names
@@ -304,5 +315,5 @@ class Recording(TimeAxis):
             pairs = zip(self.posture.joints, self.posture.quat_wxyz.tolist(), strict=True)
             index["posture"] = {"quat_wxyz": dict(pairs)}
         if self.truth is not None:
-            index["truth"] = {"file": "truth.npz"}
+            index["truth"] = {"file": _TRUTH}
         return index

@@ -213,8 +213,16 @@ def write_imus(path: Path, imus: ImuSequence) -> None:
     Args:
         path: .npz file. imus: the sensors.
     """
-    arrays = {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor}
-    write_npz(path, {**arrays, "times": imus.times})
+    write_npz(path, imu_arrays(imus))
+
+
+def imu_arrays(imus: ImuSequence) -> dict[str, Any]:
+    """Return the arrays of a file of sensors.
+
+    Args:
+        imus: the sensors.
+    """
+    return {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor, "times": imus.times}
 
 
 def _is_own_csv(path: Path) -> bool:

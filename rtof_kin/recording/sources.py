@@ -173,7 +173,7 @@ class OnDisk:
 
 @dataclass(frozen=True)
 class _Packed:
-    """Arrays of an .npz file; the first pass over their rows, in order, makes them all readable."""
+    """Arrays of an .npz file, of which rows are decompressed when they are asked for."""
 
     shapes: dict[str, tuple[int, ...]]
     axes: Mapping[str, int]
@@ -187,10 +187,8 @@ class _Packed:
         start, stop, _ = rows.indices(self.blocks.length)
         given = {name: self.whole[name] for name in self.whole}
         given |= {name: given[name][rows] for name in _with_rows(self.shapes, self.axes) if name in given}
-        if start == self.blocks.available:
-            read = self.blocks.take(stop - start)
-        else:
-            read = {name: self.blocks.rows(name, start, stop) for name in self.shapes if name in self.blocks}
+        self.blocks.scan(until=stop)
+        read = {name: self.blocks.rows(name, start, stop) for name in self.shapes if name in self.blocks}
         return given | {name: array.astype(np.float64) for name, array in read.items()}
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.video_arrays import video_arrays
 from rtof_kin.recording.camera_motion_files import filmed_stream
 from rtof_kin.recording.camera_table import camera_table
 from rtof_kin.recording.sources import Source
@@ -38,6 +39,16 @@ def camera_and_keypoints(keypoints: KeypointSequence, which: int) -> dict[str, A
     """
     seen = {"file": keypoint_file(which), "landmarks": list(keypoints.names)}
     return {"camera": camera_table(keypoints.camera), "keypoints": seen}
+
+
+def keypoint_file_arrays(keypoints: KeypointSequence) -> dict[str, Any]:
+    """Return the arrays of a `keypoint_file`.
+
+    Args:
+        keypoints: of the camera.
+    """
+    arrays = {"uv_px": keypoints.uv_px, "confidence": keypoints.confidence, "times": keypoints.times}
+    return arrays | video_arrays(keypoints)
 
 
 def keypoint_file(which: int) -> str:

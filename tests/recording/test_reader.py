@@ -62,7 +62,8 @@ def in_fortran_order(folder: Path) -> None:
     demo().save(folder)
     for path in folder.glob("*.npz"):
         with np.load(path) as arrays:
-            np.savez(path, **{name: np.asfortranarray(arrays[name]) for name in arrays})
+            turned: dict[str, Any] = {name: np.asfortranarray(arrays[name]) for name in arrays}
+        np.savez(path, **turned)
 
 
 def as_csv(folder: Path) -> None:

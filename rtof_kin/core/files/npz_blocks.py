@@ -143,7 +143,7 @@ class NpzBlocks:
             FileFormatError: no such file, not an archive, or arrays of another kind or of different lengths.
         """
         self.path, self._spacing = path, spacing
-        self._lock, self._passing = threading.Lock(), threading.Lock()
+        self._lock, self._pass = threading.Lock(), threading.Lock()
         self._done = 0
         check_file(path, "an NPZ archive")
         self._file = _File(path)
@@ -178,47 +178,25 @@ class NpzBlocks:
         """
         wanted = self.length if until is None else min(until, self.length)
         while self._done < wanted and not (stop is not None and stop.is_set()):
-            with self._passing:
-                self._pass(min(_ROWS, wanted - self._done))
+            with self._pass:
+                self._step()
 
-    def take(self, count: int) -> dict[str, NDArray[Any]]:
-        """Pass over the next rows of all arrays, which become readable, and return them; fewer at the end.
-
-        Args:
-            count: number of rows.
-
-        Raises:
-            FileFormatError: damaged, or a number beyond any measurement.
-        """
-        with self._passing:
-            start = self._done
-            data = self._pass(count)
-            stop = self._done
-        taken = {name: self._table(self._members[name], part, stop - start) for name, part in data.items()}
-        return {
-            name: taken[name] if name in taken else self.rows(name, start, stop) for name in self._members
-        }
-
-    def _pass(self, count: int) -> dict[str, bytes]:
-        """Return the bytes of the next rows by member, but of those that are held as a whole; at the end
-        compare the checksums.
-        """
-        count = min(count, self.length - self._done)
-        passed: dict[str, bytes] = {}
+    def _step(self) -> None:
+        """Pass over the next rows; at the end compare the checksums."""
+        count = min(_ROWS, self.length - self._done)
         streamed = [member for member in self._members.values() if member.whole is None]
         for member in streamed:
             if self._far(member):
                 copy = member.reader.copy()
                 with self._lock:
                     member.copies.append((self._done, copy))
-            passed[member.name] = self._read(member, member.reader, count)
-            member.checksum = zlib.crc32(passed[member.name], member.checksum)
+            data = self._read(member, member.reader, count)
+            member.checksum = zlib.crc32(data, member.checksum)
         if self._done + count == self.length:
             for member in streamed:
                 if member.checksum != member.crc:
                     raise FileFormatError(self.path, f"{member.name}: damaged (checksum); reconstruct again")
         self._done += count
-        return passed
 
     def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Return rows of an array.
@@ -232,23 +210,17 @@ class NpzBlocks:
         member = self._members[name]
         if not 0 <= start <= stop <= self._done:
             raise IndexError(f"rows {start} to {stop} of {self._done} that are readable")
-        if member.whole is None:
-            return self._table(member, self._slice(member, start, stop), stop - start)
-        return self._measurable(member, member.whole[start:stop])
+        array = self._slice(member, start, stop) if member.whole is None else member.whole[start:stop]
+        if member.dtype.kind == "f" and not measurable(array):
+            raise FileFormatError(self.path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
+        return array
 
-    def _slice(self, member: _Member, start: int, stop: int) -> bytes:
+    def _slice(self, member: _Member, start: int, stop: int) -> NDArray[Any]:
         with self._lock:
             first, reader = member.copies[bisect_right(member.copies, start, key=itemgetter(0)) - 1]
             reader = reader.copy()
-        return self._read(member, reader, stop - start, skip=start - first)
-
-    def _table(self, member: _Member, data: bytes, count: int) -> NDArray[Any]:
-        return self._measurable(member, np.frombuffer(data, member.dtype).reshape(count, *member.shape[1:]))
-
-    def _measurable(self, member: _Member, array: NDArray[Any]) -> NDArray[Any]:
-        if member.dtype.kind == "f" and not measurable(array):
-            raise FileFormatError(self.path, f"{member.name}: holds a number beyond {LARGEST_NUMBER:g}")
-        return array
+        data = self._read(member, reader, stop - start, skip=start - first)
+        return np.frombuffer(data, member.dtype).reshape(stop - start, *member.shape[1:])
 
     def _far(self, member: _Member) -> bool:
         """Return whether the last copy of a decompressor is so far back that one more is worth its memory."""
