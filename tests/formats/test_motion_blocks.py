@@ -16,7 +16,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
 from rtof_kin.data.measurements import Measurements
-from rtof_kin.formats.covariance_nodes import SPACING, TOLERANCE, NodeFinder, nodes, packed
+from rtof_kin.formats.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
 from rtof_kin.formats.measurements_npz import MeasurementsReader, read_measurements_npz
 from rtof_kin.formats.measurements_writer import MeasurementsWriter, write_measurements_npz
 from rtof_kin.formats.motion_npz import MotionFile, MotionReader, read_motion_npz
@@ -73,11 +73,7 @@ def test_blocks_of_a_motion_are_parts_of_the_whole(
     (npz_v1.write_motion if version == 1 else write_motion_npz)(path, motion)
     whole = read_motion_npz(path)
     with MotionReader(path) as reader:
-        assert (len(reader), reader.names, reader.skeleton.name) == (
-            FRAMES,
-            whole.poses.names,
-            whole.skeleton,
-        )
+        assert (len(reader), reader.names) == (FRAMES, whole.poses.names)
         assert reader.rate_hz == pytest.approx(motion.poses.rate_hz)
         assert reader.available == 0
         places = [(290, 300), (0, 1), (40, 100), (140, 141), (0, 300)]
@@ -118,7 +114,7 @@ def test_rounded_covariances_stay_valid_and_are_rounded_once() -> None:
     rng = np.random.default_rng(0)
     thin = rng.normal(size=(5000, 3, 2))
     matrices = thin @ np.swapaxes(thin, -1, -2)  # of rank two
-    entries = matrices[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)][:, None]
+    entries = matrices[..., ROWS, COLUMNS][:, None]
     once = packed(entries)
     back = np.empty((5000, 1, 3, 3))
     back[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)] = back[..., (0, 1, 2, 1, 2, 2), (0, 1, 2, 0, 0, 1)] = (
@@ -181,8 +177,8 @@ def test_joints_far_from_the_origin_are_as_precise(tmp_path: Path) -> None:
     found = read_motion_npz(tmp_path / "m.npz")
     np.testing.assert_allclose(found.poses.p_world_joint, p, rtol=0, atol=1e-6)
     exact, read = (np.diff(points, 2, axis=0) * 200.0**2 for points in (p, found.poses.p_world_joint))
-    np.testing.assert_allclose(read, exact, rtol=0, atol=0.06)  # m/s^2, of 80
-    assert np.sqrt(np.mean((read - exact) ** 2)) < 0.01
+    np.testing.assert_allclose(read, exact, rtol=0, atol=0.02)  # m/s^2, of 80
+    assert np.sqrt(np.mean((read - exact) ** 2)) < 0.005
 
 
 @pytest.mark.parametrize("what", ["body", "times", "confidence", "nothing"])
