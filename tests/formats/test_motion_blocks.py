@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -250,3 +254,58 @@ def test_other_cameras_are_refused(motion: MotionSequence, tmp_path: Path) -> No
                 writer.append(part_of(given, first))
                 writer.append(second_part)
     assert not list(tmp_path.iterdir())
+
+
+LONG = """
+    import resource, sys
+    from dataclasses import replace
+    from pathlib import Path
+
+    import numpy as np
+    from scene_support import measured, walking
+
+    from rtof_kin.formats.measurements_npz import MeasurementsReader
+    from rtof_kin.formats.measurements_writer import MeasurementsWriter
+    from rtof_kin.formats.motion_npz import MotionReader
+    from rtof_kin.formats.motion_writer import MotionWriter
+
+    BLOCK, folder = 600, Path(sys.argv[1])
+
+    def later(motion, seconds):
+        times = motion.times + seconds
+        known, poses = replace(motion.confidence, times=times), replace(motion.poses, times=times)
+        return replace(motion, poses=poses, confidence=known)
+
+    def pass_over(name, count):
+        motion = walking(BLOCK, shaking=0.2)
+        with MotionWriter(folder / f"{name}.npz", motion.skeleton) as writer, MeasurementsWriter(
+            folder / f"{name}_measurements.npz"
+        ) as beside:
+            for number in range(count):
+                part = later(motion, 12.0 * number)
+                writer.append(part)
+                beside.append(measured(part))
+        with MotionReader(folder / f"{name}.npz") as reader, MeasurementsReader(
+            folder / f"{name}_measurements.npz"
+        ) as beside:
+            assert len(reader) == len(beside) == count * BLOCK
+            for block, other in zip(reader.blocks(BLOCK), beside.blocks(BLOCK), strict=True):
+                np.testing.assert_allclose(block.q, motion.q, rtol=0, atol=3e-8)
+                np.testing.assert_array_equal(other.times, block.poses.times)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    short = pass_over("short", 3)
+    print(pass_over("long", 30) - short)
+"""
+
+
+def test_long_motions_pass_in_the_memory_of_a_block(tmp_path: Path) -> None:
+    script = tmp_path / "long.py"
+    script.write_text(textwrap.dedent(LONG))
+    support = Path(__file__).parents[1] / "support"
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(support), *sys.path])},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) < 30.0  # MiB; the frames of the long one take 150
