@@ -7,17 +7,19 @@ times                         (T,)              s
 view_I_uv_px                  (T, L, 2)         of each camera, px, multiples of 1/64
 view_I_confidence             (T, L)            0 to 255
 view_I_video_times            (T,)              s, if not `times`
-view_I_quat_wxyz_...          (T, 4)            ..._still_camera, of a handheld camera; it has three more
-                                                arrays, those of `video_arrays`
-quat_wxyz_world_sensor        (T, S, 4)         measured orientations, multiples of 2^-16; NaN where missing
+view_I_rotvec_still_camera    (T, 3)            rad, of a handheld camera, which has three more arrays, those
+                                                of `video_arrays`
+rotvec_world_sensor           (T, S, 3)         measured orientations, rad, multiples of 2^-15; NaN where
+                                                missing
 quat_wxyz_bone_sensor         (S, 4)            mounting
 p_bone_sensor                 (S, 3)            m
 truth_p_world_joint           (T, J, 3)         m, multiples of 2^-16
-truth_quat_wxyz               (T, J, 4)         orientations of the segments in world, multiples of 2^-14
+truth_rotvec                  (T, J, 3)         orientations of the segments in world, rad, multiples of 2^-13
 truth_valid                   (T, J)            bool
 ============================  ================  ==========================================================
 
-In version 1 confidences are 0 to 1 and the handheld camera has ``R_still_camera`` (T, 3, 3).
+In version 1 confidences are 0 to 1, orientations are quaternions, ``quat_wxyz_world_sensor`` and
+``truth_quat_wxyz``, and the handheld camera has ``R_still_camera`` (T, 3, 3).
 """
 
 from __future__ import annotations
@@ -33,9 +35,10 @@ import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import checked_times
+from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
+from rtof_kin.core.files.compact import rotations
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -189,7 +192,7 @@ def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measur
         views=tuple(_view(i, own, times, arrays, full) for i, own in enumerate(header["views"])),
         sensors=tuple(header["sensors"]),
         segments=tuple(header["segments"]),
-        R_world_sensor=so3.known_from_quat_wxyz(arrays["quat_wxyz_world_sensor"]),
+        R_world_sensor=_rotations(arrays, "rotvec_world_sensor", "quat_wxyz_world_sensor"),
         R_bone_sensor=so3.known_from_quat_wxyz(arrays["quat_wxyz_bone_sensor"]),
         p_bone_sensor=arrays["p_bone_sensor"],
         truth=_truth(header["joints"], times, arrays) if header["joints"] else None,
@@ -211,11 +214,18 @@ def _view(
     uv, confidence = arrays[f"view_{i}_uv_px"], arrays[f"view_{i}_confidence"] / full
     keypoints = KeypointSequence(camera, times, uv, np.clip(confidence, 0, 1), tuple(header["names"]))
     video = {name: arrays[f"view_{i}_{name}"] for name in VIDEO_ARRAYS if f"view_{i}_{name}" in arrays}
-    if (still := f"view_{i}_quat_wxyz_still_camera") in arrays:
-        video["R_still_camera"] = so3.known_from_quat_wxyz(arrays[still])
+    if (still := f"view_{i}_rotvec_still_camera") in arrays:
+        video["R_still_camera"] = rotations(readonly(still, arrays[still], ("T", 3)))
     return with_video(keypoints, video)
 
 
 def _truth(names: list[str], times: Array, arrays: Mapping[str, Array]) -> PoseSequence:
-    p, R = arrays["truth_p_world_joint"], so3.known_from_quat_wxyz(arrays["truth_quat_wxyz"])
+    p, R = arrays["truth_p_world_joint"], _rotations(arrays, "truth_rotvec", "truth_quat_wxyz")
     return PoseSequence(times, p, R, tuple(names), valid=arrays["truth_valid"] > 0)
+
+
+def _rotations(arrays: Mapping[str, Array], vectors: str, quaternions: str) -> Array:
+    """Return rotation matrices of the array of version 2 or else of version 1."""
+    if quaternions in arrays:
+        return so3.known_from_quat_wxyz(arrays[quaternions])
+    return rotations(readonly(vectors, arrays[vectors], ("T", "S", 3)))

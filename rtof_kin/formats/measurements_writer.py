@@ -11,9 +11,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.compact import multiples, short_quaternions
+from rtof_kin.core.files.compact import multiples, rotation_vectors
 from rtof_kin.core.files.npz_writer import NpzWriter
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -24,10 +25,10 @@ from rtof_kin.formats.video_arrays import video_arrays
 
 _PIXEL_BITS: Final = 6
 """[bits] after the point: 1/128 px of error, far below that of a detector."""
-_SENSOR_BITS: Final = 16
-"""Errors below 0.002 deg."""
-_TRUTH_BITS: Final = 14
-"""Errors below 0.01 deg."""
+_SENSOR_BITS: Final = 15
+"""0.0015 deg of error."""
+_TRUTH_BITS: Final = 13
+"""0.006 deg of error."""
 _POSITION_BITS: Final = 16
 """0.008 mm of error."""
 _CAMERA_BITS: Final = 22
@@ -143,23 +144,23 @@ def _camera(camera: Camera) -> dict[str, Any]:
 def _arrays(m: Measurements) -> tuple[dict[str, Array], dict[str, NDArray[Any]]]:
     """Return the arrays that do not change over time, and those with one row per frame."""
     constant: dict[str, Array] = {
-        "quat_wxyz_bone_sensor": short_quaternions(m.R_bone_sensor, _CAMERA_BITS).astype(float),
+        "quat_wxyz_bone_sensor": so3.known_to_quat_wxyz(m.R_bone_sensor),
         "p_bone_sensor": m.p_bone_sensor,
     }
     rows: dict[str, NDArray[Any]] = {"times": m.times}
     for i, view in enumerate(m.views):
         own, video = _view(view), video_arrays(view)
         if "R_still_camera" in video:
-            own["quat_wxyz_still_camera"] = short_quaternions(video.pop("R_still_camera"), _CAMERA_BITS)
+            own["rotvec_still_camera"] = rotation_vectors(video.pop("R_still_camera"), _CAMERA_BITS)
         if "video_times" in video:
             own["video_times"] = video.pop("video_times")
         rows |= {f"view_{i}_{name}": array for name, array in own.items()}
         constant |= {f"view_{i}_{name}": array for name, array in video.items()}
-    rows["quat_wxyz_world_sensor"] = short_quaternions(m.R_world_sensor, _SENSOR_BITS)
+    rows["rotvec_world_sensor"] = rotation_vectors(m.R_world_sensor, _SENSOR_BITS)
     if m.truth is not None:
         p = multiples(m.truth.p_world_joint, _POSITION_BITS)
         rows["truth_p_world_joint"] = p.astype(np.float32)
-        rows["truth_quat_wxyz"] = short_quaternions(m.truth.R_world_bone, _TRUTH_BITS)
+        rows["truth_rotvec"] = rotation_vectors(m.truth.R_world_bone, _TRUTH_BITS)
         rows["truth_valid"] = m.truth.valid
     return constant, rows
 

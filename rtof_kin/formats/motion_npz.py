@@ -5,14 +5,14 @@ where the motion has others. Arrays of a file of version 2, with T frames, J joi
 
 ======================  ===============  ================================================================
 times                   (T,)             s
-q                       (T, nq)          configurations, multiples of 2^-22 m and rad
+q                       (T, nq)          configurations, multiples of 2^-24 m and rad
 valid                   (T, J)           these four as in `PoseSequence`
 provenance              (T, J)
 orientation_observed    (T, J)
 direction_observed      (T, J)
 poses_stored            (T,)             True where the next two are not those of `q`; absent if nowhere
 p_world_joint           (T, J, 3)        m, in these frames; NaN in others
-quat_wxyz_world_bone    (T, J, 4)        the same
+rotvec_world_bone       (T, J, 3)        rad, rotation vectors of the segments, the same
 covariance_frames       (K,)             frames of the covariances, see `covariance_nodes`
 position_covariance     (K, J, 6)        these three as in `Confidence`, entries xx, yy, zz, xy, xz, yz
 relative_covariance     (K, J, 6)
@@ -38,11 +38,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.files.compact import rotations
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -54,7 +54,7 @@ _OF_RUN: Final = "motion"
 """Folder of the motion in the output of `run`."""
 MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observed")
 """Fields of `PoseSequence` in the file."""
-STORED: Final = ("p_world_joint", "quat_wxyz_world_bone")
+STORED: Final = ("p_world_joint", "rotvec_world_bone")
 _WHOLE: Final = ("p_world_joint", "R_world_bone")
 """Poses in a file of version 1."""
 COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
@@ -279,16 +279,8 @@ class MotionReader:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
-        return MotionFile(
-            q,
-            poses,
-            self.dof_names,
-            self._offsets,
-            self.first_frame,
-            self.mode,
-            self.skeleton.name,
-            confidence,
-        )
+        about = (self.dof_names, self._offsets, self.first_frame, self.mode, self.skeleton.name)
+        return MotionFile(q, poses, *about, confidence)
 
     def blocks(self, frames: int = 3600, overlap: int = 0) -> Iterator[MotionFile]:
         """Yield all frames in order.
@@ -332,8 +324,8 @@ class MotionReader:
             stored: Mask = readonly(
                 "poses_stored", self._rows.rows("poses_stored", start, stop), (len(q),), np.bool_
             )
-            given, quat = (self._rows.rows(name, start, stop)[stored].astype(float) for name in STORED)
-            p[stored], R[stored] = given, so3.known_from_quat_wxyz(quat)
+            given, turns = (self._rows.rows(name, start, stop)[stored].astype(float) for name in STORED)
+            p[stored], R[stored] = given, rotations(turns)
         return p, R
 
     def _confidence(self, start: int, stop: int) -> Confidence:

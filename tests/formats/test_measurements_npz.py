@@ -149,7 +149,8 @@ def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
         ("view_0_uv_px", np.zeros((2, 2)), "different lengths"),
         ("view_0_uv_px", np.zeros((FRAMES, 2)), "uv_px"),
         ("view_0_uv_px", None, "view_0_uv_px' is missing"),
-        ("quat_wxyz_world_sensor", np.zeros((FRAMES, 2, 4)), "norm"),
+        ("rotvec_world_sensor", np.zeros((FRAMES, 2, 4)), "rotvec_world_sensor"),
+        ("rotvec_world_sensor", None, "rotvec_world_sensor' is missing"),
     ):
         changed = {k: v for k, v in arrays.items() if k != name} | ({} if array is None else {name: array})
         write_npz(path, changed, overwrite=True)

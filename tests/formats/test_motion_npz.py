@@ -62,7 +62,7 @@ def changed(path: Path, **changes: Any) -> Path:
 
 def test_written_motion_is_read_back(path: Path, motion: MotionSequence) -> None:
     read = read_motion_npz(path)
-    np.testing.assert_allclose(read.q, motion.q, rtol=0, atol=1.2e-7)
+    np.testing.assert_allclose(read.q, motion.q, rtol=0, atol=3e-8)
     np.testing.assert_array_equal(read.joint_offsets, BODY.joint_offsets)
     assert (read.first_frame, read.mode, read.skeleton) == (42, "rtof", "total_capture")
     assert (read.dof_names, read.poses.names) == (BODY.dof_names, motion.poses.names)
@@ -110,7 +110,7 @@ def test_numpy_alone_can_read_it(path: Path, motion: MotionSequence) -> None:
     with np.load(path, allow_pickle=False) as archive:
         assert int(archive["schema_version"]) == SCHEMA_VERSION
         assert archive["names"].tolist() == list(BODY.names)
-        np.testing.assert_allclose(archive["q"], motion.q, rtol=0, atol=1.2e-7)
+        np.testing.assert_allclose(archive["q"], motion.q, rtol=0, atol=3e-8)
 
 
 @pytest.mark.parametrize("named", ["motion", "confident"])
@@ -146,7 +146,7 @@ def test_gaps_are_kept(tmp_path: Path, motion: MotionSequence) -> None:
     poses = replace(motion.poses, p_world_joint=p, R_world_bone=R)
     write_motion_npz(tmp_path / "m.npz", replace(motion, q=q, poses=poses))
     read = read_motion_npz(tmp_path / "m.npz")
-    np.testing.assert_allclose(read.q, q, rtol=0, atol=1.2e-7)
+    np.testing.assert_allclose(read.q, q, rtol=0, atol=3e-8)
     assert not read.poses.valid[3].any()
 
 

@@ -36,11 +36,26 @@ def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
     return np.where(np.isfinite(exact), rounded.view(np.float32), exact)
 
 
-def short_quaternions(R: Array, bits: int) -> NDArray[np.float32]:
-    """Return quaternions (..., 4), scalar first and not negative; NaN where a matrix is not finite.
+def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
+    """Return rotation vectors (..., 3), rad, shorter than quaternions; NaN where a matrix is not finite.
 
     Args:
         R: rotation matrices (..., 3, 3). bits: after the point.
     """
-    quat = so3.known_to_quat_wxyz(R)
-    return multiples(np.where(quat[..., :1] < 0, -quat, quat), bits).astype(np.float32)
+    known = np.isfinite(R).all(axis=(-2, -1))
+    out = np.full((*known.shape, 3), np.nan, dtype=np.float32)
+    out[known] = multiples(so3.log(R[known]), bits)
+    return out
+
+
+def rotations(vectors: ArrayLike) -> Array:
+    """Return rotation matrices (..., 3, 3); NaN as a whole where a number is not finite.
+
+    Args:
+        vectors: rotation vectors (..., 3), rad.
+    """
+    given = np.asarray(vectors, dtype=float)
+    known = np.isfinite(given).all(axis=-1)
+    out = np.full((*known.shape, 3, 3), np.nan)
+    out[known] = so3.exp(given[known])
+    return out
