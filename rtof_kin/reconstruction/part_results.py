@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,13 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
         faults=tuple(_clipped(result.faults, start, stop)),
         warnings=warnings,
     )
+
+
+def sample(result: Reconstruction) -> Reconstruction:
+    """Return the first second of a reconstruction with arrays of its own, so that the rest can be freed."""
+    first = cut(result, slice(0, round(result.motion.poses.rate_hz)))
+    body = result.motion.skeleton
+    return deepcopy(first, {id(body): body})
 
 
 def _cut_solution(solution: FragmentSolution, kept: slice) -> FragmentSolution:

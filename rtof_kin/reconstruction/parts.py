@@ -23,7 +23,7 @@ from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.part_results import Seam, cut, lost
+from rtof_kin.reconstruction.part_results import Seam, lost, sample
 from rtof_kin.reconstruction.pipeline import calibrate_camera, run
 from rtof_kin.reconstruction.prepare import Progress, even_times
 from rtof_kin.reconstruction.result import Choices, Reconstruction
@@ -119,10 +119,12 @@ def reconstruct_in_parts(
         except RtofError as error:
             missing.append((times[part.start : part.stop], error))
             continue
-        like = cut(found, slice(0, round(rate_hz)))
+        like = like or sample(found)
         yield from _lost(like, source, missing)
-        missing = []
-        yield seam.continued(found, part.kept, part.first)
+        missing, kept = [], seam.continued(found, part.kept, part.first)
+        del found
+        yield kept
+        del kept  # before the next part
     if like is None:
         raise missing[0][1]
     yield from _lost(like, source, missing)
@@ -135,10 +137,10 @@ def _frame_times(source: RecordingSlices, mode: Mode, settings: ReconstructionSe
         if source.frame_times is None:
             raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
         return even_times(source.frame_times)
-    imus = source.between(source.start_s, source.start_s + MARGIN_SECONDS).imus
-    if imus is None:
+    first, last = (_between(source, np.array([end])).imus for end in (source.start_s, source.stop_s))
+    if first is None or last is None:
         raise InvalidInputError("mode imu needs IMUs and the recording has none; use 'lift' or 'rto'")
-    return frame_times(imus, settings.sensors_alone.rate_hz, source.stop_s)
+    return frame_times(first, settings.sensors_alone.rate_hz, float(last.times[-1]))
 
 
 def _between(source: RecordingSlices, times: Array) -> Recording:

@@ -113,6 +113,7 @@ def export_parts(
                     whole = None
                 motion.append(part.motion)
                 measurements.append(measurements_of(part))
+                del part  # before the next one is made
         assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()

@@ -21,7 +21,7 @@ from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
-from rtof_kin.reconstruction.part_results import cut
+from rtof_kin.reconstruction.part_results import sample
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
@@ -31,8 +31,10 @@ class ReconstructionStatistics:
     """Statistics of a reconstruction.
 
     Attributes:
-        first: the first part, or one second of it, for what is the same in all. last: the last one.
+        first: one second of the first part, for what is the same in all.
         frames: number of frames. fragments: reports of the fragment solver, in order.
+        root_sigma: standard deviation of the root's horizontal coordinates at the end, m; NaN unless in
+            mode imu.
     """
 
     def __init__(self, first: Reconstruction) -> None:
@@ -41,8 +43,8 @@ class ReconstructionStatistics:
         Args:
             first: of `reconstruct`.
         """
-        self.first = self.last = first
-        self.frames = 0
+        self.first, self.frames = sample(first), 0
+        self.root_sigma = float("nan")
         self.fragments: list[FragmentReport] = []
         self._faults: list[StreamFault] = []
         self._findings: list[PartFindings] = []
@@ -64,17 +66,17 @@ class ReconstructionStatistics:
         for name, times, values in _blocks(part):
             values = values.reshape(len(times), -1)
             self._statistics.setdefault(name, ColumnStatistics(values.shape[1])).add(times, values)
-        if self._findings and self.last is self.first:
-            self.first = cut(self.first, slice(0, round(self.first.motion.poses.rate_hz)))
         if part.solution is not None:
             self.fragments += part.solution.fragments
         self._faults += part.faults
         self._findings.append(PartFindings(float(part.motion.times[0]), part.checks, part.warnings))
         if part.metrics is not None:
             scored = int(np.isfinite(part.metrics.over_time["mpjpe_mm"]).sum())
-            self._scores.append((scored, part.stage_metrics))
+            means = {stage: replace(found, over_time={}) for stage, found in part.stage_metrics.items()}
+            self._scores.append((scored, means))
+        if part.root_sigma is not None:
+            self.root_sigma = float(part.root_sigma[-1])
         self.frames += len(part.motion.times)
-        self.last = part
 
     def __contains__(self, name: str) -> bool:
         return name in self._statistics
@@ -111,12 +113,6 @@ class ReconstructionStatistics:
     def parts(self) -> int:
         """Number of parts."""
         return len(self._findings)
-
-    @property
-    def root_sigma(self) -> float:
-        """Standard deviation of the root's horizontal coordinates at the end, m; NaN unless in mode imu."""
-        sigma = self.last.root_sigma
-        return float("nan") if sigma is None else float(sigma[-1])
 
     @property
     def seconds(self) -> float:

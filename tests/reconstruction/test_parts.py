@@ -1,0 +1,100 @@
+"""Long recordings: parts give the motion of the whole, and a part that is lost does not stop the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.resources import model_path
+from rtof_kin.reconstruction.parts import parts_of, reconstruct_in_parts
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.recording.recording import Recording
+from rtof_kin.report.audit import audit
+from rtof_kin.report.statistics import ReconstructionStatistics
+
+SECONDS = 4.0
+
+
+@pytest.fixture(scope="module")
+def demo() -> Recording:
+    return Recording.load(model_path("demo")).between(0.0, 14.0)
+
+
+def joined(parts: list[Reconstruction], field: str) -> np.ndarray:
+    return np.concatenate([getattr(part.motion.poses, field) for part in parts])
+
+
+def statistics_of(parts: list[Reconstruction]) -> ReconstructionStatistics:
+    out = ReconstructionStatistics(parts[0])
+    for part in parts[1:]:
+        out.add(part)
+    return out
+
+
+@pytest.mark.parametrize("frames, seconds", [(216_000, 60.0), (1000, 60.0), (5000, 60.0), (3700, 10.0)])
+def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
+    found = parts_of(frames, 60.0, 200, seconds)
+    kept = np.concatenate([np.arange(part.start, part.stop) for part in found])
+    np.testing.assert_array_equal(kept, np.arange(frames))
+    for part in found:
+        assert part.first % 200 == 0
+        assert 0 <= part.first <= part.start
+        assert part.stop <= part.last <= frames
+        assert part.start == 0 or part.start - part.first >= 180
+    assert len(found) == 1 or found[-1].stop - found[-1].start >= 0.5 * seconds * 60
+
+
+@pytest.mark.parametrize("mode", ["rtof", "imu"])
+def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str) -> None:
+    whole = reconstruct(demo, mode=mode)
+    parts = list(reconstruct_in_parts(demo, mode, seconds=SECONDS))
+    assert len(parts) > 2
+    count = sum(len(part.motion.times) for part in parts)
+    np.testing.assert_allclose(joined(parts, "times"), whole.motion.times[:count])
+    p, expected = joined(parts, "p_world_joint"), whole.motion.poses.p_world_joint[:count]
+    if mode == "imu":  # the path of the root drifts, the posture does not
+        p, expected = p - p[:, :1], expected - expected[:, :1]
+    assert np.abs(p - expected).max() < (1e-5 if mode == "rtof" else 2e-2)
+    q = np.concatenate([part.motion.q for part in parts])
+    ends = np.cumsum([len(part.motion.times) for part in parts])[:-1] - 1
+    assert np.abs(np.diff(q, axis=0)[ends]).max() < 0.2  # no jump between parts
+    fragments = [f.first_frame for part in parts for f in part.solution.fragments]
+    assert fragments == sorted(fragments)
+    if mode == "rtof":
+        assert fragments == [f.first_frame for f in whole.solution.fragments]
+        found, once = statistics_of(parts), ReconstructionStatistics(whole)
+        for name in ("mpjpe_rr_mm", "flexion_deg"):
+            assert found.metrics[name] == pytest.approx(once.metrics[name], rel=1e-3)
+        image = {r.subject: r.value for r in audit(whole) if r.section == "image"}
+        for result in audit(found):
+            if result.section == "image":
+                assert result.value == pytest.approx(image[result.subject], rel=1e-3, abs=1e-3)
+
+
+def test_a_part_in_which_nobody_is_seen_is_marked_and_the_others_are_kept(demo: Recording) -> None:
+    seen = demo.video
+    absent = seen.times < 8.5
+    uv = np.where(absent[:, None, None], np.nan, seen.uv_px)
+    away = replace(
+        demo, keypoints=replace(seen, uv_px=uv, confidence=np.where(absent[:, None], 0, seen.confidence))
+    )
+    parts = list(reconstruct_in_parts(away, "rtof", seconds=SECONDS))
+    np.testing.assert_allclose(joined(parts, "times"), seen.times)
+    lost = parts[0]
+    assert not lost.motion.poses.valid.any()
+    assert np.isnan(lost.motion.q).all()
+    assert parts[-1].motion.poses.valid.all()
+    found = statistics_of(parts)
+    assert any("not reconstructed" in text and "no person was seen" in text for text in found.warnings)
+    assert found["invalid"].mean_of_all > 0.2
+    assert any("not reconstructed" in result.note for result in audit(found))
+
+
+def test_where_no_part_can_be_reconstructed_the_error_is_raised(demo: Recording) -> None:
+    nobody = replace(demo.video, confidence=np.zeros_like(demo.video.confidence))
+    with pytest.raises(InvalidInputError, match="no person was seen"):
+        list(reconstruct_in_parts(replace(demo, keypoints=nobody), "rtof", seconds=SECONDS))
