@@ -123,9 +123,10 @@ def stage_metrics(
     if truth is None:
         return {}
     first, last = truth.times[[0, -1]]
-    times = next(iter(stages.values())).times
-    if np.count_nonzero((times >= first) & (times <= last)) < 4:
-        _log.warning("the truth covers fewer than four frames: nothing is scored")
+    poses = next(iter(stages.values()))
+    known = np.isfinite(poses.p_world_joint).all(axis=(1, 2))
+    if np.count_nonzero(known & (poses.times >= first) & (poses.times <= last)) < 4:
+        _log.warning("the truth covers fewer than four frames with a pose: nothing is scored")
         return {}
     return {name: evaluate(comparable(poses, truth, mode), truth, skeleton) for name, poses in stages.items()}
 

@@ -5,6 +5,7 @@ A long recording is reconstructed in parts (`rtof_kin.reconstruction.parts`), no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -64,7 +65,7 @@ class ReconstructionStatistics:
             part: of the same recording and settings.
         """
         for name, times, values in _blocks(part):
-            values = values.reshape(len(times), -1)
+            values = values.reshape(len(times), math.prod(values.shape[1:]))
             self._statistics.setdefault(name, ColumnStatistics(values.shape[1])).add(times, values)
         if part.solution is not None:
             self.fragments += part.solution.fragments
