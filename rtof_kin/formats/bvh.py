@@ -229,7 +229,8 @@ def _read_values(path: Path, rows: list[Row], width: int) -> Array:
 
 def _moving(nodes: list[_Joint], values: Array) -> list[bool]:
     """Return which joints leave their offsets; those with zeros for positions do not, nor does the root."""
-    moving, column = [], 0
+    moving: list[bool] = []
+    column = 0
     for node in (n for n in nodes if not n.is_end):
         p = np.tile(np.array(node.offset), (len(values), 1))
         for kind, axis in node.channels:
