@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
-from rtof_kin.formats.articulated import ArticulatedMotion
+from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
 
 Row = tuple[int, str]
 """Number of a line, from 1, and its text."""
@@ -48,16 +48,30 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
     Raises:
         FileFormatError: no such file, incomplete, inconsistent or not finite; names the line.
     """
+    return read_bvh_frames(path, rate_hz).motion(slice(None))
+
+
+def read_bvh_frames(path: str | Path, rate_hz: float | None = None) -> ArticulatedFrames:
+    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion.
+
+    Args:
+        path, rate_hz: see `read_bvh`.
+    """
     path = Path(path)
     lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
     tokens = _Tokens(path, lines)
     nodes = _read_hierarchy(tokens)
     width = sum(len(n.channels) for n in nodes)
-    rate_hz, values = _read_motion(path, lines, tokens.line, width, rate_hz)
-    try:
-        return _assemble(nodes, values, rate_hz)
-    except InvalidInputError as error:
-        raise FileFormatError(path, str(error)) from error
+    rate, values = _read_motion(path, lines, tokens.line, width, rate_hz)
+    moving = _moving(nodes, values)
+
+    def motion(frames: slice) -> ArticulatedMotion:
+        try:
+            return _assemble(nodes, values[frames], rate, moving)
+        except InvalidInputError as error:
+            raise FileFormatError(path, str(error)) from error
+
+    return ArticulatedFrames(len(values), motion)
 
 
 class _Tokens:
@@ -199,8 +213,8 @@ def _labelled_number(path: Path, row: Row, label: str) -> tuple[int, float]:
 
 def _read_values(path: Path, rows: list[Row], width: int) -> Array:
     """Read values (T, width) of numbered lines."""
-    table = []
-    for line, text in rows:
+    table = np.empty((len(rows), width))
+    for i, (line, text) in enumerate(rows):
         cells = text.split()
         if len(cells) != width:
             raise FileFormatError(path, f"{len(cells)} values, the channels are {width}", line)
@@ -209,11 +223,27 @@ def _read_values(path: Path, rows: list[Row], width: int) -> Array:
             if not abs(value) <= LARGEST_NUMBER:
                 found = cells[column - 1][:40]
                 raise FileFormatError(path, f"value {column} is {found!r}, not a finite number", line)
-        table.append(row)
-    return np.array(table).reshape(len(rows), width)
+        table[i] = row
+    return table
 
 
-def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> ArticulatedMotion:
+def _moving(nodes: list[_Joint], values: Array) -> list[bool]:
+    """Return which joints leave their offsets; those with zeros for positions do not, nor does the root."""
+    moving: list[bool] = []
+    column = 0
+    for node in (n for n in nodes if not n.is_end):
+        p = np.tile(np.array(node.offset), (len(values), 1))
+        for kind, axis in node.channels:
+            if kind == "position":
+                p[:, "xyz".index(axis)] = values[:, column]
+            column += 1
+        moving.append(
+            bool(moving) and bool(p.any()) and not np.array_equal(p, np.tile(node.offset, (len(p), 1)))
+        )
+    return moving
+
+
+def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[bool]) -> ArticulatedMotion:
     joints = [n for n in nodes if not n.is_end]
     ends = [n for n in nodes if n.is_end]
     number = {id(n): j for j, n in enumerate(joints)}
@@ -224,14 +254,11 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
     column = 0
     for j, node in enumerate(joints):
         for kind, axis in node.channels:
-            if kind == "position":
+            if kind == "position" and (j == 0 or moving[j]):
                 p[:, j, "xyz".index(axis)] = values[:, column]
-            else:
+            elif kind == "rotation":
                 R[:, j] = R[:, j] @ so3.about_axis(axis, np.deg2rad(values[:, column]))
             column += 1
-        if j > 0 and not p[:, j].any():
-            p[:, j] = node.offset
-    moves = not np.array_equal(p[:, 1:], np.broadcast_to(offsets[1:], (T, J - 1, 3)))
     return ArticulatedMotion(
         names=tuple(n.name for n in joints),
         parents=tuple(-1 if n.parent < 0 else number[id(nodes[n.parent])] for n in joints),
@@ -239,7 +266,7 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float) -> Articulated
         R_parent_joint=R,
         p_root=p[:, 0],
         rate_hz=rate_hz,
-        p_parent_joint=p if moves else None,
+        p_parent_joint=p if any(moving) else None,
         end_parents=tuple(number[id(nodes[n.parent])] for n in ends),
         end_offsets=np.array([n.offset for n in ends]).reshape(-1, 3),
     )

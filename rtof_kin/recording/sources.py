@@ -21,7 +21,7 @@ from rtof_kin.recording.streams import ALL, BLOCK, Part, Stream
 
 Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Array]]]
 """From a .csv file and its columns to names and arrays."""
-_SPACING: Final = 6 * 2**20
+_SPACING: Final = 3 * 2**20
 """[bytes] Distance of the places from which rows of an .npz file are read."""
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -23,8 +23,9 @@ from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.text import read_text
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.asf_amc import read_asf_amc
-from rtof_kin.formats.bvh import read_bvh
+from rtof_kin.formats.articulated import ArticulatedMotion
+from rtof_kin.formats.asf_amc import read_amc_frames
+from rtof_kin.formats.bvh import read_bvh_frames
 from rtof_kin.simulation.mocap_families import (
     NAMES,
     PARENTS,
@@ -39,6 +40,9 @@ __all__ = [
     "NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip",
     "without_spikes",
 ]  # fmt: skip
+
+_BLOCK: Final = 4096
+"""Frames that are mapped at once."""
 
 
 def read_mocap(
@@ -68,17 +72,42 @@ def read_mocap(
     """
     path = Path(path)
     if path.suffix.lower() == ".bvh":
-        motion = read_bvh(path, rate_hz)
+        frames = read_bvh_frames(path, rate_hz)
     elif path.suffix.lower() == ".amc":
-        motion = read_asf_amc(find_asf(path) if asf is None else asf, path)
+        frames = read_amc_frames(find_asf(path) if asf is None else asf, path)
     else:
         raise FileFormatError(path, "motion capture is read from .bvh and .amc files")
-    motion = without_character(motion.renamed(names or {}))
-    family = recognise_family(path, motion)
-    rate = _whole(motion.rate_hz) if rate_hz is None else rate_hz
-    unit_m = recognise_unit(path, motion, family) if unit_m is None else unit_m
-    clip = map_motion(motion[lead_in(motion, family) :], family, unit_m, rate, path.stem)
+    first = frames.motion(slice(0, 1))
+    block = (
+        _BLOCK if first.p_parent_joint is None else frames.length
+    )  # offsets are the median of moving joints
+
+    def motion(start: int) -> ArticulatedMotion:
+        return without_character(frames.motion(slice(start, start + block)).renamed(names or {}))
+
+    begins = motion(0)
+    family = recognise_family(path, begins)
+    rate = _whole(begins.rate_hz) if rate_hz is None else rate_hz
+    unit_m = recognise_unit(path, begins, family) if unit_m is None else unit_m
+    skipped = lead_in(begins, family)
+    if skipped == len(begins) - 1 < frames.length - 1:  # at rest for a whole block
+        skipped = lead_in(
+            frames.motion(slice(None)).renamed(dict(zip(first.names, begins.names, strict=True))), family
+        )
+    starts = range(skipped, frames.length, block)
+    clips = (map_motion(motion(start), family, unit_m, rate, path.stem) for start in starts)
+    clip = _joined(clips, frames.length - skipped, rate)
     return clip if output_rate_hz is None else resample_clip(clip, output_rate_hz)
+
+
+def _joined(clips: Iterable[MocapClip], length: int, rate_hz: float) -> MocapClip:
+    """Return clips one after the other, some at least, as one of so many frames."""
+    p, R = np.empty((length, len(NAMES), 3)), np.empty((length, len(NAMES), 3, 3))
+    start = 0
+    for clip in clips:
+        rows = slice(start, start := start + len(clip.poses))
+        p[rows], R[rows] = clip.poses.p_world_joint, clip.poses.R_world_bone
+    return replace(clip, poses=PoseSequence(np.arange(length) / rate_hz, p, R, NAMES))
 
 
 def find_asf(path_amc: str | Path) -> Path:

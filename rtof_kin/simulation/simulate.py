@@ -6,8 +6,9 @@ The clock is that of the poses and the IMUs. `rtof_kin.simulation.sensors` simul
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
@@ -96,7 +97,7 @@ def simulate(
     clip_poses: PoseSequence,
     joint_offsets: ArrayLike,
     *,
-    camera: Camera,
+    camera: Camera | Sequence[Camera],
     settings: SimulationSettings,
     seed: int,
     skeleton: SkeletonModel | None = None,
@@ -107,7 +108,8 @@ def simulate(
 
     Args:
         clip_poses: the motion, at the rate of the video; finite everywhere, at least four frames.
-        joint_offsets: (J, 3) m, of the motion and of the recording. camera: that films.
+        joint_offsets: (J, 3) m, of the motion and of the recording.
+        camera: that films; of several the one that sees the person for longest.
         settings: errors; their parameters are drawn for this recording. seed: of everything random.
         skeleton: names, landmarks and usual sensors; the 21-joint one by default.
         name, acknowledgement: labels of the recording.
@@ -136,9 +138,13 @@ def simulate(
         imus, calibration = simulate_imus(
             imu, clip_poses, skeleton, settings.sensors, imu_times, settings.imu
         )
+    cameras = [camera] if isinstance(camera, Camera) else camera
+    filmed = (
+        _simulate_keypoints(deepcopy(video), clip_poses, skeleton, one, settings, lag, cut) for one in cameras
+    )
     return Recording(
         name=name,
-        keypoints=_simulate_keypoints(video, clip_poses, skeleton, camera, settings, lag, cut),
+        keypoints=max(filmed, key=lambda keypoints: float(keypoints.seen.mean())),
         imus=imus,
         calibration=calibration,
         skeleton_table=skeleton.name,
@@ -174,17 +180,18 @@ def simulate_file(
     """
     clip = read_mocap(path, rate_hz=rate_hz, unit_m=unit_m, output_rate_hz=None, asf=asf)
     clip = resample_clip(clip if smooth_hz is None else low_passed(clip, smooth_hz), video_rate_hz)
-    made = partial(
-        simulate, clip.poses, clip.joint_offsets, settings=settings, seed=seed, name=clip.name,
+    films: Camera | Sequence[Camera]
+    if isinstance(camera, Camera):
+        films = camera
+    else:
+        films = standard_cameras(clip.poses, seed)
+        if camera is not None:
+            indices_of("standard camera", [str(camera)], [str(i) for i in range(len(films))])
+            films = films[camera]
+    return simulate(
+        clip.poses, clip.joint_offsets, camera=films, settings=settings, seed=seed, name=clip.name,
         acknowledgement=acknowledgement,
     )  # fmt: skip
-    if isinstance(camera, Camera):
-        return made(camera=camera)
-    cameras = standard_cameras(clip.poses, seed)
-    if camera is None:
-        return max((made(camera=one) for one in cameras), key=lambda r: float(r.video.seen.mean()))
-    indices_of("standard camera", [str(camera)], [str(i) for i in range(len(cameras))])
-    return made(camera=cameras[camera])
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
@@ -202,7 +209,9 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
             f"low-pass: {cutoff_hz:g} Hz does not lie between 0 and half of {poses.rate_hz:g} Hz"
         )
     p_root = signals.low_pass(poses.p_world_joint[:, 0], poses.rate_hz, cutoff_hz)
-    R = so3.nearest_rotation(signals.low_pass(poses.R_world_bone, poses.rate_hz, cutoff_hz))
+    R = np.empty_like(poses.R_world_bone)
+    for j in range(len(poses.names)):  # one by one, in less memory
+        R[:, j] = so3.nearest_rotation(signals.low_pass(poses.R_world_bone[:, j], poses.rate_hz, cutoff_hz))
     p = kinematics.positions(PARENTS, clip.joint_offsets, p_root, R)
     return replace(clip, poses=replace(poses, p_world_joint=p, R_world_bone=R))
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
@@ -16,12 +18,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion
+from rtof_kin.data.imu import ImuSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion_npz import write_camera_motion
 from rtof_kin.recording.reader import RecordingReader
 from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.writer import RecordingWriter
 
 FIRST, LAST = 0.0, 10.0
 
@@ -212,3 +217,180 @@ def test_the_time_axis_is_that_of_the_whole(both: tuple[Recording, RecordingRead
     assert (reader.name, reader.start_s, reader.stop_s) == (whole.name, whole.start_s, whole.stop_s)
     assert reader.rate_hz == whole.rate_hz == pytest.approx(60)
     assert (reader.frame_times is None) == (whole.keypoints is None)
+
+
+def test_random_access_goes_back_and_forth(both: tuple[Recording, RecordingReader]) -> None:
+    whole, reader = both
+    for start in (8.0, 0.5, 7.5, 3.0, 3.5):
+        assert_same(reader.between(start, start + 1), whole.between(start, start + 1))
+
+
+# --- borders and streams that are missing --------------------------------------------------------
+
+
+def test_samples_at_the_ends_belong_to_the_span() -> None:
+    whole = demo()
+    keypoints = whole.video
+    part = whole.between(keypoints.times[10], keypoints.times[20])
+    assert len(part.video) == 11
+    assert part.first_frame == whole.first_frame + 10
+    assert len(whole.between(keypoints.times[10] + 1e-9, keypoints.times[20] - 1e-9).video) == 9
+
+
+def test_streams_without_samples_in_the_span_are_none() -> None:
+    whole = demo()
+    part = whole.between(0.1, 0.3)
+    assert part.imus is None
+    assert part.views == ()
+    assert part.calibration is whole.calibration
+
+
+def test_a_part_with_a_short_free_fall_keeps_the_unit_of_the_whole() -> None:
+    whole = demo()
+    assert whole.imus is not None
+    f = np.array(whole.imus.f_sensor)
+    f[100:140] *= 1e-3
+    falling = replace(whole, imus=replace(whole.imus, f_sensor=f))
+    assert falling.imus is not None
+    times = falling.imus.times
+    part = falling.between(times[100], times[139])
+    assert part.imus is not None
+    assert len(part.imus.select(part.imus.names[:2])) == 40
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+def break_clock(folder: Path) -> None:
+    with changed(folder) as index:
+        index["imus"]["start_s"] = 1000.0
+
+
+def break_times(arrays: dict[str, np.ndarray]) -> None:
+    arrays["times"][256] = arrays["times"][255]  # at the border of two blocks
+
+
+def break_unit(arrays: dict[str, np.ndarray]) -> None:
+    arrays["f_sensor"] /= 9.81
+
+
+def break_rotation(arrays: dict[str, np.ndarray]) -> None:
+    arrays["R_inertial_sensor"][300, 2] *= 1.1
+
+
+def break_confidence(arrays: dict[str, np.ndarray]) -> None:
+    arrays["confidence"][400, 3] = 2.0
+
+
+def break_length(arrays: dict[str, np.ndarray]) -> None:
+    arrays["confidence"] = arrays["confidence"][:-1]
+
+
+def break_name(arrays: dict[str, np.ndarray]) -> None:
+    arrays["uvpx"] = arrays.pop("uv_px")
+
+
+@pytest.mark.parametrize(("file", "fault"), [
+    ("keypoints.npz", break_times), ("imus.npz", break_times), ("truth.npz", break_times),
+    ("imus.npz", break_unit), ("imus.npz", break_rotation), ("keypoints.npz", break_confidence),
+    ("keypoints.npz", break_length), ("keypoints.npz", break_name),
+])  # fmt: skip
+def test_errors_are_those_of_loading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, fault: Callable[[dict[str, Any]], None]
+) -> None:
+    monkeypatch.setattr("rtof_kin.recording.streams.BLOCK", 128)
+    folder = tmp_path / "recording"
+    demo().save(folder)
+    with np.load(folder / file) as saved:
+        arrays = {name: np.array(saved[name]) for name in saved}
+    fault(arrays)
+    np.savez(folder / file, **arrays)  # type: ignore[arg-type]
+    same_error(folder)
+
+
+def test_clocks_and_damaged_files_raise_as_in_loading(tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    demo().save(folder)
+    break_clock(folder)
+    same_error(folder)
+    (folder / "imus.npz").write_bytes((folder / "imus.npz").read_bytes()[:-500])
+    same_error(folder)
+    (folder / "imus.npz").unlink()
+    same_error(folder)
+
+
+def same_error(folder: Path) -> None:
+    with pytest.raises(RtofError) as loading:
+        Recording.load(folder)
+    with pytest.raises(type(loading.value), match=f"^{re.escape(str(loading.value))}$"):
+        RecordingReader.open(folder)
+
+
+# --- parts written -------------------------------------------------------------------------------
+
+
+def test_parts_written_one_by_one_are_the_whole(tmp_path: Path) -> None:
+    that_was_stabilised(tmp_path / "stabilised")
+    whole = Recording.load(tmp_path / "stabilised")
+    ends = [3.0, 5.5, 6.0, 11.0]
+    with RecordingWriter(tmp_path / "parts") as writer:
+        for start, stop in zip([0.0, *ends], ends, strict=False):
+            writer.append(whole.between(start + 1e-6, stop))
+    assert_same(Recording.load(tmp_path / "parts"), whole)
+
+
+def test_a_part_that_does_not_follow_leaves_no_folder(tmp_path: Path) -> None:
+    whole = demo()
+    with pytest.raises(InvalidInputError, match="begins at 4"), RecordingWriter(tmp_path / "out") as writer:
+        writer.append(whole.between(3, 5))
+        writer.append(whole.between(4, 6))
+    with (
+        pytest.raises(InvalidInputError, match="a part has keypoints.npz, truth.npz, not"),
+        RecordingWriter(tmp_path / "out") as writer,
+    ):
+        writer.append(whole.between(3, 5))
+        writer.append(replace(whole.between(5.1, 6), imus=None, views=()))
+    assert not (tmp_path / "out").exists()
+
+
+# --- memory --------------------------------------------------------------------------------------
+
+
+def test_reading_by_minutes_takes_the_memory_of_some_minutes(tmp_path: Path) -> None:
+    """All arrays of these minutes are 125 MB, and loading them takes several times that."""
+    minutes = 8
+    long = demo().between(1.0, 3.0)
+    assert long.truth is not None
+    with RecordingWriter(tmp_path / "hour") as writer:
+        step = 600
+        for i in range(minutes * 60 * 60 // step):
+            writer.append(tiled(long, step, i * step))
+    script = f"""
+import resource
+from rtof_kin.recording.reader import RecordingReader
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+with RecordingReader.open({str(tmp_path / "hour")!r}) as reader:
+    assert len(reader.times) == {minutes * 3600}
+    for minute in range({minutes}):
+        part = reader.between(60 * minute - 3, 60 * minute + 63)
+        assert len(part.truth) >= 3600
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 90
+
+
+def tiled(recording: Recording, count: int, first: int) -> Recording:
+    """A recording's first frames over and over, at 60 Hz from some frame on."""
+    times = (first + np.arange(count)) / 60
+    index = np.arange(count) % 100
+    seen, imus, truth = recording.video, recording.imus, recording.truth
+    assert imus is not None
+    assert truth is not None
+    return replace(
+        recording,
+        keypoints=replace(seen, times=times, uv_px=seen.uv_px[index], confidence=seen.confidence[index]),
+        imus=ImuSequence(times, imus.R_inertial_sensor[index], imus.f_sensor[index], imus.names),
+        truth=PoseSequence(times, truth.p_world_joint[index], truth.R_world_bone[index], truth.names),
+        views=(),
+    )

@@ -332,3 +332,30 @@ def test_short_pieces_between_spikes_are_left_out(corpus):
     pieces = list(mocap.read_corpus(corpus, {"CMU002"}, min_seconds=0.4))
     assert [piece.name for piece in pieces] == ["walk[0:33]", "walk[43:50]"]
     assert all(isinstance(piece.poses, PoseSequence) for piece in pieces)
+
+
+@pytest.mark.parametrize("path", [WALK, DATA / "16_15.amc"])
+def test_a_motion_mapped_in_blocks_is_that_of_the_whole(path, monkeypatch):
+    whole = mocap.read_mocap(path)
+    monkeypatch.setattr(mocap, "_BLOCK", 7)
+    blocks = mocap.read_mocap(path)
+    np.testing.assert_array_equal(blocks.poses.p_world_joint, whole.poses.p_world_joint)
+    np.testing.assert_array_equal(blocks.poses.R_world_bone, whole.poses.R_world_bone)
+    np.testing.assert_array_equal(blocks.poses.times, whole.poses.times)
+    np.testing.assert_array_equal(blocks.joint_offsets, whole.joint_offsets)
+
+
+def test_rest_poses_longer_than_a_block_are_left_out(tmp_path, monkeypatch):
+    """After the one artificial frame of the family, rest poses follow."""
+    lines = WALK.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("Frame Time")) + 1
+    count = len(lines) - first
+    lines[first - 2] = f"Frames: {count + 9}"
+    rest = " ".join("0" for _ in lines[first].split())
+    longer = [*lines[: first + 1], *([rest] * 9), *lines[first + 1 :]]
+    (tmp_path / WALK.name).write_text("\n".join(longer))
+    whole = mocap.read_mocap(tmp_path / WALK.name)
+    monkeypatch.setattr(mocap, "_BLOCK", 4)
+    blocks = mocap.read_mocap(tmp_path / WALK.name)
+    np.testing.assert_array_equal(blocks.poses.R_world_bone, whole.poses.R_world_bone)
+    np.testing.assert_array_equal(whole.poses.R_world_bone, mocap.read_mocap(WALK).poses.R_world_bone)

@@ -18,7 +18,7 @@ from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
-from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.mocap import MocapClip, read_mocap
 from rtof_kin.simulation.noise import ORIENTATION_MEDIAN_DEG, ImuNoise, KeypointNoise
 from rtof_kin.simulation.simulate import (
     LIMB_SENSORS,
@@ -416,3 +416,20 @@ def test_wrong_input(
 ) -> None:
     with pytest.raises(error, match=message):
         simulated(replace(NOISELESS, **settings), poses)  # type: ignore[arg-type]
+
+
+def test_of_several_cameras_the_one_that_sees_most_films() -> None:
+    settings = SimulationSettings()
+    clip = read_mocap(MOCAP / "02_01_excerpt.bvh", output_rate_hz=60.0)
+    cameras = standard_cameras(clip.poses, 2)
+
+    def seen_by(camera: Camera | list[Camera]) -> Recording:
+        return simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=2)
+
+    alone = [seen_by(camera) for camera in cameras]
+    best = max(alone, key=lambda recording: float(recording.video.seen.mean()))
+    chosen = seen_by(cameras)
+    np.testing.assert_array_equal(chosen.video.uv_px, best.video.uv_px)
+    assert chosen.imus is not None
+    assert best.imus is not None
+    np.testing.assert_array_equal(chosen.imus.f_sensor, best.imus.f_sensor)

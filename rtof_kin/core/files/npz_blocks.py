@@ -116,6 +116,8 @@ class _Member:
     """Of what the pass has read."""
     copies: list[tuple[int, _Reader]] = field(default_factory=list)
     """Rows and the readers that begin at them, in order."""
+    last: tuple[int, _Reader] | None = None
+    """Row after those that were read last, and the reader that goes on there."""
     whole: NDArray[Any] | None = None
     """All rows, of an array whose rows are not together in the file (Fortran order)."""
 
@@ -218,8 +220,10 @@ class NpzBlocks:
     def _slice(self, member: _Member, start: int, stop: int) -> NDArray[Any]:
         with self._lock:
             first, reader = member.copies[bisect_right(member.copies, start, key=itemgetter(0)) - 1]
-            reader = reader.copy()
+            last, member.last = member.last, None
+            first, reader = last if last and first <= last[0] <= start else (first, reader.copy())
         data = self._read(member, reader, stop - start, skip=start - first)
+        member.last = (stop, reader)
         return np.frombuffer(data, member.dtype).reshape(stop - start, *member.shape[1:])
 
     def _far(self, member: _Member) -> bool:
