@@ -75,15 +75,14 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
+    from rtof_kin.formats.motion_npz import motion_path, motion_source
 
     check_replaceable(options.output, MARKER, options.overwrite)
     path = motion_path(options.motion)
-    motion = read_motion_npz(path).motion()
     weight_kg, sex = _weight_and_sex(options, path.parent)
     analysis = analyse_motion(
-        motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions,
-        from_standing=options.from_standing,
+        motion_source(path), weight_kg=weight_kg, height=options.height, sex=sex,
+        repetitions=options.repetitions, from_standing=options.from_standing,
     )  # fmt: skip
     with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import observed_dofs
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
@@ -184,3 +185,12 @@ def _names(field: str, value: NDArray[Any]) -> tuple[str, ...]:
     if value.ndim != 1:
         raise ShapeError(f"{field}: expected a list of names, got shape {value.shape}")
     return tuple(map(str, value))
+
+
+def motion_source(path: str | Path) -> MotionSource:
+    """Return a motion that is read in blocks.
+
+    Args:
+        path: the file.
+    """
+    return MotionSource.of(read_motion_npz(path).motion())
