@@ -18,7 +18,8 @@ from benchmarks.calibration.sessions import joined
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
+from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
@@ -114,6 +114,17 @@ def joined(parts: Sequence[Confidence]) -> Confidence:
     return replace(parts[0], **whole)
 
 
+def valid_covariances(matrices: Array) -> Mask:
+    """Return a mask (...) of matrices without a negative variance, to rounding; also of those that are NaN.
+
+    Args:
+        matrices: (..., 3, 3), symmetric.
+    """
+    size = np.abs(matrices).max(axis=(-2, -1), initial=0.0)
+    least = _least_minors((matrices / np.maximum(size, 1e-300)[..., None, None]).reshape(-1, 3, 3))
+    return ~(least < -_ROUNDING).reshape(size.shape)
+
+
 def _check_covariance(field: str, covariance: Array) -> None:
     """Raise if a matrix is partly NaN, infinite, not symmetric, or has a negative variance."""
     missing = np.isnan(covariance).all(axis=(-2, -1))
@@ -124,7 +135,7 @@ def _check_covariance(field: str, covariance: Array) -> None:
     off = np.abs(known - np.swapaxes(known, -1, -2)).max(axis=(-2, -1), initial=0.0)
     if np.any(off > _ROUNDING * size):
         raise InvalidInputError(f"{field}: a matrix is not symmetric")
-    if np.any(_least_minors(known / np.maximum(size, 1e-300)[:, None, None]) < -_ROUNDING):
+    if not valid_covariances(known).all():
         raise InvalidInputError(f"{field}: a variance is negative")
 
 

@@ -1,39 +1,76 @@
-"""``motion.npz``: a reconstructed motion with everything needed to use it, arrays of a known schema."""
+"""``motion.npz``: a reconstructed motion with everything needed to use it, arrays of a known schema.
+
+Positions and orientations are the forward kinematics of `q` and are computed when read, except in frames
+where the motion has others. Arrays of a file of version 2, with T frames, J joints and P pairs of segments:
+
+======================  ===============  ================================================================
+times                   (T,)             s
+q                       (T, nq)          configurations, multiples of 2^-24 m and rad
+valid                   (T, J)           these four as in `PoseSequence`
+provenance              (T, J)
+orientation_observed    (T, J)
+direction_observed      (T, J)
+poses_stored            (T,)             True where the next two are not those of `q`; absent if nowhere
+p_world_joint           (T, J, 3)        m, in these frames; NaN in others
+rotvec_world_bone       (T, J, 3)        rad, rotation vectors of the segments, the same
+covariance_frames       (K,)             frames of the covariances, see `covariance_nodes`
+position_covariance     (K, J, 6)        these three as in `Confidence`, entries xx, yy, zz, xy, xz, yz
+relative_covariance     (K, J, 6)
+turn_covariance         (K, P, 6)
+confidence_pairs        (P, 2)           names
+schema_version, names, dof_names, joint_offsets, first_frame, mode, skeleton: as in `MotionFile`
+======================  ===============  ================================================================
+
+Version 1 has `p_world_joint`, `R_world_bone` and whole covariances of every frame.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from threading import Event
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.observability import observed_dofs
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
-from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
-from rtof_kin.core.files.text import LARGEST_NUMBER, measurable
+from rtof_kin.core.checks import checked_times, readonly
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
+from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.files.compact import rotations
+from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.formats import covariance_nodes
 
 MOTION: Final = "motion.npz"
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 _OF_RUN: Final = "motion"
 """Folder of the motion in the output of `run`."""
-_LARGEST_BYTES: Final = 8 * 2**30
-_POSES: Final = ("times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed")
-"""Required fields of `PoseSequence` in the file."""
-_COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
-"""Fields of `Confidence` in the file."""
+MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observed")
+"""Fields of `PoseSequence` in the file."""
+STORED: Final = ("p_world_joint", "rotvec_world_bone")
+_WHOLE: Final = ("p_world_joint", "R_world_bone")
+"""Poses in a file of version 1."""
+COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
+_HEADER: Final = (
+    "schema_version", "names", "dof_names", "joint_offsets", "first_frame", "mode", "skeleton",
+    "confidence_pairs", "covariance_frames",
+)  # fmt: skip
+_HEADER_BYTES: Final = 64 * 2**20
+_AHEAD: Final = 1024
+"""[frames] of all arrays that become readable together."""
 
 
 @dataclass(frozen=True)
 class MotionFile:
-    """Content of a ``motion.npz``."""
+    """Content of a ``motion.npz``, or of some of its frames."""
 
     q: Array
     """(T, nq) configurations of the personalised URDF, Pinocchio's order."""
@@ -43,10 +80,8 @@ class MotionFile:
     """Names of q[:, 7:]; q[:, :7] are the root's position and quaternion x y z w."""
     joint_offsets: Array
     """(J, 3) m, of the skeleton."""
-    singular: Mask
-    """(T, J) within 5 degrees of a singular posture of the joint's three angles."""
     first_frame: int
-    """Number of the first frame in the video the recording was cut from."""
+    """Number of the file's first frame in the video the recording was cut from."""
     mode: str
     """Mode of the reconstruction: 'lift', 'sf2', 'rto' or 'rtof'."""
     skeleton: str
@@ -56,8 +91,14 @@ class MotionFile:
 
     def motion(self) -> MotionSequence:
         """Return the motion on the subject's skeleton."""
-        skeleton = SkeletonModel.named(self.skeleton).with_offsets(self.joint_offsets)
+        skeleton = _body(self.skeleton, self.joint_offsets.tobytes())
         return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
+
+
+@lru_cache(maxsize=4)
+def _body(name: str, offsets: bytes) -> SkeletonModel:
+    """Return a subject's skeleton; it takes longer to make than a block to read."""
+    return SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
 
 
 def motion_path(path: str | Path) -> Path:
@@ -95,36 +136,217 @@ def motion_folder(path: str | Path) -> Path:
     return found.parent
 
 
-def write_motion_npz(
-    path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
-) -> None:
-    """Write a motion over an existing file. Arrays have the names of their fields in `MotionFile` and
-    `PoseSequence`; ``dof_observed`` (T, D) is that of `observability.observed_dofs`.
+class MotionReader:
+    """Frames of a ``motion.npz``, however long it is; a context that closes the file.
 
-    Args:
-        path: the file. motion: what is written. first_frame: number of the first frame in the video.
-        mode: mode of the reconstruction.
-
-    Raises:
-        RtofError: it cannot be written.
+    Attributes:
+        path: the file. times: (T,) s. skeleton: of the person. names: J joints. dof_names, mode, first_frame:
+            as in `MotionFile`.
     """
-    poses, confidence = motion.poses, motion.confidence
-    arrays = {name: getattr(poses, name) for name in (*_POSES, "direction_observed")} | {
-        "schema_version": np.array(SCHEMA_VERSION),
-        "q": motion.q,
-        "dof_observed": observed_dofs(motion),
-        "singular": motion.report.singular,
-        "names": np.array(poses.names),
-        "dof_names": np.array(motion.skeleton.dof_names),
-        "joint_offsets": motion.skeleton.joint_offsets,
-        "first_frame": np.array(first_frame),
-        "mode": np.array(mode),
-        "skeleton": np.array(motion.skeleton.name),
-    }
-    if confidence is not None:
-        arrays["confidence_pairs"] = np.array(confidence.pairs)
-        arrays |= {name: getattr(confidence, name).astype(np.float32) for name in _COVARIANCES}
-    write_npz(Path(path), arrays, overwrite=True)
+
+    def __init__(self, path: str | Path):
+        """Read the header and the times.
+
+        Args:
+            path: the file.
+
+        Raises:
+            FileFormatError: missing, damaged, of a newer schema, or not a motion.
+        """
+        self.path = Path(path)
+        header = read_npz_as_saved(self.path, _HEADER_BYTES, kinds="iubfU", names=_HEADER)
+        with ExitStack() as failed:
+            try:
+                self._read_header(header)
+                self._open(header, failed)
+            except FileFormatError:
+                raise
+            except KeyError as error:
+                raise FileFormatError(
+                    self.path, f"the array {error} is missing; reconstruct again"
+                ) from error
+            except (RtofError, ValueError, TypeError) as error:
+                raise FileFormatError(self.path, str(error)) from error
+            failed.pop_all()
+
+    def _read_header(self, header: Mapping[str, NDArray[Any]]) -> None:
+        self._version = int(header["schema_version"])
+        if self._version > SCHEMA_VERSION:
+            raise FileFormatError(
+                self.path, f"schema version {self._version} is newer than {SCHEMA_VERSION}; update rtof_kin"
+            )
+        self.names = _names("names", header["names"])
+        self.dof_names = _names("dof_names", header["dof_names"])
+        offsets = readonly("joint_offsets", header["joint_offsets"], (len(self.names), 3))
+        self._offsets: Array = offsets
+        self._skeleton_name = str(header["skeleton"])
+        self.skeleton = _body(self._skeleton_name, offsets.tobytes())
+        self.skeleton.check_joints(self.names)
+        self.first_frame, self.mode = int(header["first_frame"]), str(header["mode"])
+        pairs = header.get("confidence_pairs", np.empty((0, 2), dtype="U1"))
+        if pairs.ndim != 2 or pairs.shape[1] != 2:
+            raise ShapeError(f"confidence_pairs: expected pairs of names, got shape {pairs.shape}")
+        self._pairs = tuple((str(parent), str(child)) for parent, child in pairs)
+
+    def _open(self, header: Mapping[str, NDArray[Any]], failed: ExitStack) -> None:
+        """Open the arrays with rows and check that none is missing."""
+        first = self._version == 1
+        covariances = COVARIANCES if self._pairs else ()
+        own = (*_WHOLE, *covariances) if first else (*STORED, "poses_stored")
+        self._rows = NpzBlocks(self.path, ("times", "q", *MASKS, *own))
+        failed.callback(self._rows.close)
+        self.times: Array = checked_times("motion times", self._rows.whole("times"))
+        optional = ("direction_observed",) if first else (*STORED, "poses_stored")
+        _require(self._rows, {"q", *MASKS, *own} - set(optional))
+        if "poses_stored" in self._rows:
+            _require(self._rows, set(own))
+        self._nodes: NpzBlocks | None = None
+        if covariances and not first:
+            self._node_frames = covariance_nodes.checked_nodes(
+                "covariance_frames", header["covariance_frames"], len(self)
+            )
+            self._nodes = NpzBlocks(self.path, covariances)
+            failed.callback(self._nodes.close)
+            _require(self._nodes, set(covariances))
+            if self._nodes.length != len(self._node_frames):
+                raise ShapeError(f"covariance_frames: {len(self._node_frames)} for {self._nodes.length} rows")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._rows.close()
+        if self._nodes is not None:
+            self._nodes.close()
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frame rate, Hz, from the median step; 60 for a single frame."""
+        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
+
+    @property
+    def available(self) -> int:
+        """Number of frames, from the first, that `scan` has passed."""
+        if self._nodes is None or self._nodes.available == self._nodes.length:
+            return self._rows.available
+        passed = self._nodes.available
+        return min(self._rows.available, int(self._node_frames[passed - 1]) + 1 if passed else 0)
+
+    def scan(self, stop: Event | None = None, until: int | None = None) -> None:
+        """Pass over the file, on from where the last pass ended; see `NpzBlocks.scan`.
+
+        Args:
+            stop: ends the pass early when set. until: number of frames that are wanted; default: all.
+
+        Raises:
+            FileFormatError: the file is damaged.
+        """
+        wanted = len(self) if until is None else until
+        while (done := self.available) < wanted and not (stop is not None and stop.is_set()):
+            ahead = min(done + _AHEAD, wanted)
+            self._rows.scan(stop, ahead)
+            if self._nodes is not None:
+                self._nodes.scan(stop, int(np.searchsorted(self._node_frames, ahead - 1)) + 1)
+
+    def block(self, start: int, stop: int) -> MotionFile:
+        """Return frames.
+
+        Args:
+            start, stop: frames; those before `available`, or a little after, are found fast.
+
+        Raises:
+            FileFormatError: the file is damaged, or a value in these frames is invalid.
+            InvalidInputError: there are no such frames.
+        """
+        if not 0 <= start < stop <= len(self):
+            raise InvalidInputError(f"{self.path}: no frames {start} to {stop}; it has {len(self)}")
+        self.scan(until=stop)
+        try:
+            q = readonly("q", self._rows.rows("q", start, stop), (stop - start, 7 + len(self.dof_names)))
+            masks: dict[str, Any] = {
+                name: self._rows.rows(name, start, stop) for name in MASKS if name in self._rows
+            }
+            p, R = self._poses(q, start, stop)
+            poses = PoseSequence(self.times[start:stop], p, R, self.names, **masks)
+            confidence = self._confidence(start, stop) if self._pairs else None
+        except (RtofError, ValueError, TypeError) as error:
+            if isinstance(error, FileFormatError):
+                raise
+            raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
+        about = (self.dof_names, self._offsets, self.first_frame, self.mode, self.skeleton.name)
+        return MotionFile(q, poses, *about, confidence)
+
+    def blocks(self, frames: int = 3600, overlap: int = 0) -> Iterator[MotionFile]:
+        """Yield all frames in order.
+
+        Args:
+            frames: of a block, without the overlap; the last one may be shorter.
+            overlap: number of frames before a block that are repeated at its beginning.
+
+        Raises:
+            FileFormatError: see `block`.
+        """
+        for start in range(0, len(self), frames):
+            yield self.block(max(start - overlap, 0), min(start + frames, len(self)))
+
+    def source(self) -> MotionSource:
+        """Return the motion, to be read while the file is open."""
+        return MotionSource(self.skeleton, self.times, lambda start, stop: self.block(start, stop).motion())
+
+    def root(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
+        """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,), fast.
+
+        Args:
+            start, stop: frames.
+
+        Raises:
+            FileFormatError: the file is damaged.
+        """
+        self.scan(until=stop)
+        if "p_world_joint" in self._rows:
+            p = self._rows.rows("p_world_joint", start, stop)[:, 0].astype(float)
+        else:
+            p = np.array(self._rows.rows("q", start, stop)[:, :3], dtype=float)
+        if "poses_stored" in self._rows:
+            stored = self._rows.rows("poses_stored", start, stop) > 0
+            p = np.where(stored[:, None], p, self._rows.rows("q", start, stop)[:, :3])
+        provenance = self._rows.rows("provenance", start, stop)[:, 0]
+        return p, np.clip(provenance, 0, max(Provenance)).astype(np.uint8)
+
+    def _poses(self, q: Array, start: int, stop: int) -> tuple[Array, Array]:
+        """Return positions (n, J, 3) and orientations (n, J, 3, 3)."""
+        if self._version == 1:
+            return self._rows.rows("p_world_joint", start, stop), self._rows.rows("R_world_bone", start, stop)
+        p, R = self.skeleton.forward_kinematics(q)
+        if "poses_stored" in self._rows:
+            stored: Mask = readonly(
+                "poses_stored", self._rows.rows("poses_stored", start, stop), (len(q),), np.bool_
+            )
+            given, turns = (self._rows.rows(name, start, stop)[stored].astype(float) for name in STORED)
+            p[stored], R[stored] = given, rotations(turns)
+        return p, R
+
+    def _confidence(self, start: int, stop: int) -> Confidence:
+        if self._nodes is None:
+            known = {name: self._rows.rows(name, start, stop).astype(float) for name in COVARIANCES}
+        else:
+            first = int(np.searchsorted(self._node_frames, start, side="right")) - 1
+            last = int(np.searchsorted(self._node_frames, stop - 1)) + 1
+            at, frames = self._node_frames[first:last], np.arange(start, stop)
+            known = {
+                name: covariance_nodes.matrices(
+                    covariance_nodes.interpolated(at, self._nodes.rows(name, first, last), frames)
+                )
+                for name in COVARIANCES
+            }
+        return Confidence(self.times[start:stop], self.names, pairs=self._pairs, **known)
 
 
 def read_motion_npz(path: str | Path) -> MotionFile:
@@ -136,61 +358,18 @@ def read_motion_npz(path: str | Path) -> MotionFile:
     Raises:
         FileFormatError: missing, damaged, of a newer schema, or an array is missing or has a wrong shape.
     """
-    data = read_npz_as_saved(Path(path), _LARGEST_BYTES, kinds="fiubU")
-    for name, array in data.items():
-        if array.dtype.kind == "f" and not measurable(array):
-            raise FileFormatError(path, f"{name}: holds a number beyond {LARGEST_NUMBER:g}")
-    try:
-        version = int(data["schema_version"])
-        if version > SCHEMA_VERSION:
-            raise FileFormatError(
-                path, f"schema version {version} is newer than {SCHEMA_VERSION}; update rtof_kin"
-            )
-        fields: dict[str, Any] = {name: data[name] for name in _POSES}
-        if "direction_observed" in data:
-            fields["direction_observed"] = data["direction_observed"]
-        poses = PoseSequence(names=_names("names", data["names"]), **fields)
-        dof_names = _names("dof_names", data["dof_names"])
-        T, J = len(poses), len(poses.names)
-        return MotionFile(
-            q=readonly("q", data["q"], (T, 7 + len(dof_names))),
-            poses=poses,
-            dof_names=dof_names,
-            joint_offsets=readonly("joint_offsets", data["joint_offsets"], (J, 3)),
-            singular=readonly("singular", data["singular"], (T, J), np.bool_),
-            first_frame=int(data["first_frame"]),
-            mode=str(data["mode"]),
-            skeleton=str(data["skeleton"]),
-            confidence=_confidence(data, poses),
-        )
-    except KeyError as error:
-        raise FileFormatError(path, f"the array {error} is missing") from error
-    except (RtofError, ValueError, TypeError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(path, str(error)) from error
+    with MotionReader(path) as reader:
+        return reader.block(0, len(reader))
 
 
-def _confidence(data: dict[str, NDArray[Any]], poses: PoseSequence) -> Confidence | None:
-    if "confidence_pairs" not in data:
-        return None
-    pairs = data["confidence_pairs"]
-    if pairs.ndim != 2 or pairs.shape[1] != 2:
-        raise ShapeError(f"confidence_pairs: expected pairs of names, got shape {pairs.shape}")
-    covariances = {name: data[name] for name in _COVARIANCES}
-    return Confidence(times=poses.times, names=poses.names, pairs=tuple(map(tuple, pairs)), **covariances)
+def _require(rows: NpzBlocks, names: set[str]) -> None:
+    """Raise `KeyError` for the first array that is missing."""
+    for name in sorted(names):
+        if name not in rows:
+            raise KeyError(name)
 
 
 def _names(field: str, value: NDArray[Any]) -> tuple[str, ...]:
     if value.ndim != 1:
         raise ShapeError(f"{field}: expected a list of names, got shape {value.shape}")
     return tuple(map(str, value))
-
-
-def motion_source(path: str | Path) -> MotionSource:
-    """Return a motion that is read in blocks.
-
-    Args:
-        path: the file.
-    """
-    return MotionSource.of(read_motion_npz(path).motion())

@@ -14,7 +14,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings

@@ -28,10 +28,12 @@ import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, write_measurements_npz
+from rtof_kin.formats.measurements_npz import MEASUREMENTS
+from rtof_kin.formats.measurements_writer import write_measurements_npz
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.motion_npz import MOTION, write_motion_npz
+from rtof_kin.formats.motion_npz import MOTION
 from rtof_kin.formats.motion_views import dofs_from_prior
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.audit import audit

@@ -24,7 +24,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.report.clinical_figures import SHOWN, angles_over_time, gait_cycles
 
 BODY = SkeletonModel.default()

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import resource
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import planted
 import pytest
 import torch
+from full_disk import ROOM, full_disk
 from matplotlib.figure import Figure
 
 from lifting.checkpoint import save_tensors
@@ -21,15 +20,13 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
-from rtof_kin.formats.motion_npz import write_motion_npz
 from rtof_kin.formats.motion_table import write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.report.figures import save_figures
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import write_detections
 
-ROOM = 2000
-"""Largest file on the full disk, bytes."""
 NOISE = np.random.default_rng(0).uniform(size=(4, 2, 17, 2))
 DETECTIONS = Detections(NOISE, NOISE[..., 0])
 
@@ -37,17 +34,6 @@ DETECTIONS = Detections(NOISE, NOISE[..., 0])
 @pytest.fixture(scope="module")
 def motion() -> MotionSequence:
     return planted.moving(SkeletonModel.default(), 12)
-
-
-@contextmanager
-def full_disk(room: int = ROOM) -> Iterator[None]:
-    """Limit the size of files, which has the effect of a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {

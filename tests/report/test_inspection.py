@@ -20,7 +20,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.formats.trc import write_trc
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.inspection import inspect

@@ -42,7 +42,8 @@ from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_npz import read_motion_npz, write_motion_npz
+from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.opensim_mot import write_mot

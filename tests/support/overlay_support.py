@@ -21,8 +21,8 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.data.poses import Provenance
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.formats.measurements_npz import write_measurements_npz
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.measurements_writer import write_measurements_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 
 Image = NDArray[np.uint8]
 CELL = 24

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.formats.motion_npz import write_motion_npz
+from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.report.plot_data import MISSING
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)

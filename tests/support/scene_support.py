@@ -14,8 +14,10 @@ from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, write_measurements_npz
-from rtof_kin.formats.motion_npz import MOTION, write_motion_npz
+from rtof_kin.formats.measurements_npz import MEASUREMENTS
+from rtof_kin.formats.measurements_writer import write_measurements_npz
+from rtof_kin.formats.motion_npz import MOTION
+from rtof_kin.formats.motion_writer import write_motion_npz
 
 RATE = 50.0
 SPEED = 1.0  # m/s along x

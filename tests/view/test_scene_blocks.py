@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
 from rtof_kin.formats.motion_npz import MOTION, read_motion_npz
 from rtof_kin.view.scene.measurement_blocks import MeasurementBlocks
 from rtof_kin.view.scene.motion_blocks import MotionBlocks
-from rtof_kin.view.scene.npz_blocks import NpzBlocks
 
 
 @pytest.fixture(scope="module")

@@ -63,6 +63,7 @@ def read_npz_as_saved(
     with _open_npz(path) as archive:
         entries = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         members = {name: info for name, info in entries.items() if names is None or name in names}
+        check_sizes(path, list(entries.values()), math.inf)
         check_sizes(path, list(members.values()), limit)
         for name, member in members.items():
             with archive.open(member) as stream:
@@ -143,7 +144,7 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
     return shape, fortran, dtype
 
 
-def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: int) -> None:
+def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
     """Check that an archive does not exhaust the memory.
 
     Args:

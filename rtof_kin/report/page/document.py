@@ -11,7 +11,7 @@ from typing import Final
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
-from rtof_kin.formats.motion_npz import MOTION, motion_source
+from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import SECTIONS, Grade, section_verdict
 from rtof_kin.report.clinical_findings import NO_BANDS, clinical_findings
@@ -55,15 +55,16 @@ def report(
     """
     folder = Path(folder)
     summary = read_summary(folder / SUMMARY)
-    motion = motion_source(folder / MOTION)
     weight_kg = weight_kg or summary.subject.get("mass_kg")
     sex = sex or summary.subject.get("sex")
-    analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
     labels = summary.session.updated(session or Session())
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
+    with MotionReader(folder / MOTION) as reader:
+        motion = reader.source()
+        analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+        return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 
 def _page(

@@ -5,10 +5,23 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.view.scene.npz_blocks import NpzBlocks
+
+
+class Scannable(Protocol):
+    """A file that is passed over once, as `NpzBlocks`."""
+
+    @property
+    def available(self) -> int:
+        """Number of frames, from the first, that can be read."""
+
+    def scan(self, stop: threading.Event | None = None) -> None:
+        """Pass over the file until its end or until `stop` is set."""
+
+    def close(self) -> None:
+        """Close the file."""
 
 
 class ScannedFile:
@@ -18,7 +31,7 @@ class ScannedFile:
         path: the file.
     """
 
-    def __init__(self, path: Path, rows: NpzBlocks):
+    def __init__(self, path: Path, rows: Scannable):
         """Start the thread; end it with `close`.
 
         Args:

@@ -143,7 +143,7 @@ class NpzBlocks:
             FileFormatError: no such file, not an archive, or arrays of another kind or of different lengths.
         """
         self.path, self._spacing = path, spacing
-        self._lock = threading.Lock()
+        self._lock, self._pass = threading.Lock(), threading.Lock()
         self._done = 0
         check_file(path, "an NPZ archive")
         self._file = _File(path)
@@ -166,29 +166,37 @@ class NpzBlocks:
         """Number of rows, from the first, that can be read."""
         return self._done
 
-    def scan(self, stop: threading.Event | None = None) -> None:
-        """Pass over the file once, so that rows become readable; may be called in a thread.
+    def scan(self, stop: threading.Event | None = None, until: int | None = None) -> None:
+        """Pass over the file, on from where the last pass ended, so that rows become readable; may be called
+        in a thread.
 
         Args:
-            stop: ends the pass early when set.
+            stop: ends the pass early when set. until: number of rows that are wanted; default: all.
 
         Raises:
             FileFormatError: the file is damaged.
         """
-        while self._done < self.length and not (stop is not None and stop.is_set()):
-            count = min(_ROWS, self.length - self._done)
-            for member in self._streamed():
-                if self._far(member):
-                    copy = member.reader.copy()
-                    with self._lock:
-                        member.copies.append((self._done, copy))
-                data = self._read(member, member.reader, count)
-                member.checksum = zlib.crc32(data, member.checksum)
-            self._done += count
-        if self._done == self.length:
-            for member in self._streamed():
+        wanted = self.length if until is None else min(until, self.length)
+        while self._done < wanted and not (stop is not None and stop.is_set()):
+            with self._pass:
+                self._step()
+
+    def _step(self) -> None:
+        """Pass over the next rows; at the end compare the checksums."""
+        count = min(_ROWS, self.length - self._done)
+        streamed = [member for member in self._members.values() if member.whole is None]
+        for member in streamed:
+            if self._far(member):
+                copy = member.reader.copy()
+                with self._lock:
+                    member.copies.append((self._done, copy))
+            data = self._read(member, member.reader, count)
+            member.checksum = zlib.crc32(data, member.checksum)
+        if self._done + count == self.length:
+            for member in streamed:
                 if member.checksum != member.crc:
                     raise FileFormatError(self.path, f"{member.name}: damaged (checksum); reconstruct again")
+        self._done += count
 
     def rows(self, name: str, start: int, stop: int) -> NDArray[Any]:
         """Return rows of an array.
@@ -219,9 +227,6 @@ class NpzBlocks:
         if not member.copies:
             return True
         return (self._done - member.copies[-1][0]) * member.row_bytes >= self._spacing
-
-    def _streamed(self) -> list[_Member]:
-        return [member for member in self._members.values() if member.whole is None]
 
     def whole(self, name: str) -> NDArray[Any]:
         """Return a whole array at once, also before `scan`.

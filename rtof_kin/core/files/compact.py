@@ -1,0 +1,61 @@
+"""Numbers with no more digits than needed, whose zero bytes vanish in a compressed file."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+
+_MANTISSA: Final = 23
+"""[bits] of a 32-bit float."""
+
+
+def multiples(values: ArrayLike, bits: int) -> Array:
+    """Return the nearest multiples of ``2^-bits``.
+
+    Args:
+        values: of any shape. bits: after the point.
+    """
+    return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits))
+
+
+def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:
+    """Return 32-bit floats with a shorter mantissa: a relative error of at most ``2^-(bits + 1)``.
+
+    Args:
+        values: of any shape. bits: of the mantissa, 22 or fewer.
+    """
+    exact = np.array(values, dtype=np.float32)
+    cut = _MANTISSA - bits
+    whole = exact.view(np.uint32)
+    rounded = (whole + np.uint32(1 << (cut - 1))) >> np.uint32(cut) << np.uint32(cut)
+    return np.where(np.isfinite(exact), rounded.view(np.float32), exact)
+
+
+def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
+    """Return rotation vectors (..., 3), rad, shorter than quaternions; NaN where a matrix is not finite.
+
+    Args:
+        R: rotation matrices (..., 3, 3). bits: after the point.
+    """
+    known = np.isfinite(R).all(axis=(-2, -1))
+    out = np.full((*known.shape, 3), np.nan, dtype=np.float32)
+    out[known] = multiples(so3.log(R[known]), bits)
+    return out
+
+
+def rotations(vectors: ArrayLike) -> Array:
+    """Return rotation matrices (..., 3, 3); NaN as a whole where a number is not finite.
+
+    Args:
+        vectors: rotation vectors (..., 3), rad.
+    """
+    given = np.asarray(vectors, dtype=float)
+    known = np.isfinite(given).all(axis=-1)
+    out = np.full((*known.shape, 3, 3), np.nan)
+    out[known] = so3.exp(given[known])
+    return out
