@@ -50,13 +50,14 @@ class MotionSource:
         self,
         skeleton: SkeletonModel,
         times: Array,
-        read: Callable[[int, int], MotionSequence],
+        read: Callable[[int, int, bool], MotionSequence],
         masks: ObservationMasks | None = None,
     ):
         """Read nothing yet.
 
         Args:
-            skeleton: of the subject. times: (T,) s. read: returns frames [start, stop).
+            skeleton: of the subject. times: (T,) s.
+            read: returns frames [start, stop), which have to have their confidence if the third is True.
             masks: of all frames; by default the first pass over the motion collects them.
         """
         self.skeleton, self.times = skeleton, times
@@ -68,7 +69,7 @@ class MotionSource:
         if isinstance(motion, MotionSource):
             return motion
 
-        def read(start: int, stop: int) -> MotionSequence:
+        def read(start: int, stop: int, _: bool) -> MotionSequence:
             return motion if stop - start == len(motion.q) else motion[start:stop]
 
         return MotionSource(motion.skeleton, motion.times, read)
@@ -80,8 +81,8 @@ class MotionSource:
         """Return consecutive frames."""
         first, last, _ = frames.indices(len(self))
 
-        def read(start: int, stop: int) -> MotionSequence:
-            return self._read(first + start, first + stop)
+        def read(start: int, stop: int, confidence: bool) -> MotionSequence:
+            return self._read(first + start, first + stop, confidence)
 
         return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last])
 
@@ -92,8 +93,8 @@ class MotionSource:
             times: (T,) s.
         """
 
-        def read(start: int, stop: int) -> MotionSequence:
-            motion = self._read(start, stop)
+        def read(start: int, stop: int, _: bool) -> MotionSequence:
+            motion = self._read(start, stop, False)
             return replace(motion, poses=replace(motion.poses, times=times[start:stop]), confidence=None)
 
         return MotionSource(self.skeleton, times, read, self.masks)
@@ -118,17 +119,19 @@ class MotionSource:
         for block in self.blocks():
             yield block.motion, masks[block.frames]
 
-    def blocks(self, margin: int = 0) -> Iterator[Block]:
+    def blocks(self, margin: int = 0, confidence: bool = False) -> Iterator[Block]:
         """Return the motion in blocks of at most `BLOCK` frames.
 
         Args:
             margin: number of frames before and after each block that its motion has too.
+            confidence: whether their confidence is needed, which takes longest to read.
         """
         parts = []
         for start in range(0, len(self), BLOCK):
             stop = min(start + BLOCK, len(self))
             before = min(margin, start)
-            block = Block(self._read(start - before, min(stop + margin, len(self))), start, stop, before)
+            motion = self._read(start - before, min(stop + margin, len(self)), confidence)
+            block = Block(motion, start, stop, before)
             if self._masks is None:
                 parts.append(ObservationMasks.of(block.motion)[block.own])
             yield block

@@ -91,7 +91,7 @@ def _angles_and_paths(source: MotionSource, standing: bool) -> tuple[ClinicalAng
     """Everything that the analyses need of the frames, in one pass over them."""
     found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
     paths = PathCollector(source.skeleton, source.times, standing)
-    for block in source.blocks(margin=1):
+    for block in source.blocks(margin=1, confidence=True):
         found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
         paths.add(block.frames, block.motion.poses, block.own)
     return angles_of(found, source.masks), paths.paths(source.masks)

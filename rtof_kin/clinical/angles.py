@@ -163,7 +163,7 @@ def clinical_angles(
         return angles_of(found, ObservationMasks.of_poses(motion, skeleton))
     source = MotionSource.of(motion)
     found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
-    for block in source.blocks(margin=1):
+    for block in source.blocks(margin=1, confidence=True):
         found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
     return angles_of(found, source.masks)
 
