@@ -157,6 +157,8 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert set(summary["metrics"]) == {"lift", "sf2", "rtof"}
     assert summary["metrics"]["rtof"]["mpjpe_rr_mm"] < 90
     assert len(read_motion_npz(reconstructed / "motion.npz").q) == 120
+    sizes = [(reconstructed / name).stat().st_size for name in ("motion.npz", "measurements.npz")]
+    assert sum(sizes) / 120 * 3600 <= 4e6  # bytes a minute at 60 Hz; docs/output.md has those of a longer one
 
 
 def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import zipfile
 from contextlib import closing
 from pathlib import Path
@@ -42,12 +41,11 @@ def test_numpy_reads_what_was_appended(tmp_path: Path) -> None:
             np.testing.assert_array_equal(read[name], array)
 
 
-def test_archive_is_whole_for_other_programs(tmp_path: Path) -> None:
+def test_archive_is_whole(tmp_path: Path) -> None:
     path = write(tmp_path / "a.npz", 77)
     with zipfile.ZipFile(path) as archive:
         assert archive.testzip() is None
-    done = subprocess.run(["python3", "-m", "zipfile", "-t", str(path)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+        assert len(archive.namelist()) == len(ARRAYS) + 2
 
 
 def test_bytes_do_not_depend_on_the_blocks(tmp_path: Path) -> None:

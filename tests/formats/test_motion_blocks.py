@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +20,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
 from rtof_kin.data.measurements import Measurements
-from rtof_kin.formats.covariance_nodes import SPACING, TOLERANCE, NodeFinder, nodes, packed
+from rtof_kin.formats.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
 from rtof_kin.formats.measurements_npz import MeasurementsReader, read_measurements_npz
 from rtof_kin.formats.measurements_writer import MeasurementsWriter, write_measurements_npz
 from rtof_kin.formats.motion_npz import MotionFile, MotionReader, read_motion_npz
@@ -73,11 +77,7 @@ def test_blocks_of_a_motion_are_parts_of_the_whole(
     (npz_v1.write_motion if version == 1 else write_motion_npz)(path, motion)
     whole = read_motion_npz(path)
     with MotionReader(path) as reader:
-        assert (len(reader), reader.names, reader.skeleton.name) == (
-            FRAMES,
-            whole.poses.names,
-            whole.skeleton,
-        )
+        assert (len(reader), reader.names) == (FRAMES, whole.poses.names)
         assert reader.rate_hz == pytest.approx(motion.poses.rate_hz)
         assert reader.available == 0
         places = [(290, 300), (0, 1), (40, 100), (140, 141), (0, 300)]
@@ -118,7 +118,7 @@ def test_rounded_covariances_stay_valid_and_are_rounded_once() -> None:
     rng = np.random.default_rng(0)
     thin = rng.normal(size=(5000, 3, 2))
     matrices = thin @ np.swapaxes(thin, -1, -2)  # of rank two
-    entries = matrices[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)][:, None]
+    entries = matrices[..., ROWS, COLUMNS][:, None]
     once = packed(entries)
     back = np.empty((5000, 1, 3, 3))
     back[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)] = back[..., (0, 1, 2, 1, 2, 2), (0, 1, 2, 0, 0, 1)] = (
@@ -181,8 +181,8 @@ def test_joints_far_from_the_origin_are_as_precise(tmp_path: Path) -> None:
     found = read_motion_npz(tmp_path / "m.npz")
     np.testing.assert_allclose(found.poses.p_world_joint, p, rtol=0, atol=1e-6)
     exact, read = (np.diff(points, 2, axis=0) * 200.0**2 for points in (p, found.poses.p_world_joint))
-    np.testing.assert_allclose(read, exact, rtol=0, atol=0.06)  # m/s^2, of 80
-    assert np.sqrt(np.mean((read - exact) ** 2)) < 0.01
+    np.testing.assert_allclose(read, exact, rtol=0, atol=0.02)  # m/s^2, of 80
+    assert np.sqrt(np.mean((read - exact) ** 2)) < 0.005
 
 
 @pytest.mark.parametrize("what", ["body", "times", "confidence", "nothing"])
@@ -254,3 +254,58 @@ def test_other_cameras_are_refused(motion: MotionSequence, tmp_path: Path) -> No
                 writer.append(part_of(given, first))
                 writer.append(second_part)
     assert not list(tmp_path.iterdir())
+
+
+LONG = """
+    import resource, sys
+    from dataclasses import replace
+    from pathlib import Path
+
+    import numpy as np
+    from scene_support import measured, walking
+
+    from rtof_kin.formats.measurements_npz import MeasurementsReader
+    from rtof_kin.formats.measurements_writer import MeasurementsWriter
+    from rtof_kin.formats.motion_npz import MotionReader
+    from rtof_kin.formats.motion_writer import MotionWriter
+
+    BLOCK, folder = 600, Path(sys.argv[1])
+
+    def later(motion, seconds):
+        times = motion.times + seconds
+        known, poses = replace(motion.confidence, times=times), replace(motion.poses, times=times)
+        return replace(motion, poses=poses, confidence=known)
+
+    def pass_over(name, count):
+        motion = walking(BLOCK, shaking=0.2)
+        with MotionWriter(folder / f"{name}.npz", motion.skeleton) as writer, MeasurementsWriter(
+            folder / f"{name}_measurements.npz"
+        ) as beside:
+            for number in range(count):
+                part = later(motion, 12.0 * number)
+                writer.append(part)
+                beside.append(measured(part))
+        with MotionReader(folder / f"{name}.npz") as reader, MeasurementsReader(
+            folder / f"{name}_measurements.npz"
+        ) as beside:
+            assert len(reader) == len(beside) == count * BLOCK
+            for block, other in zip(reader.blocks(BLOCK), beside.blocks(BLOCK), strict=True):
+                np.testing.assert_allclose(block.q, motion.q, rtol=0, atol=3e-8)
+                np.testing.assert_array_equal(other.times, block.poses.times)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    short = pass_over("short", 3)
+    print(pass_over("long", 30) - short)
+"""
+
+
+def test_long_motions_pass_in_the_memory_of_a_block(tmp_path: Path) -> None:
+    script = tmp_path / "long.py"
+    script.write_text(textwrap.dedent(LONG))
+    support = Path(__file__).parents[1] / "support"
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(support), *sys.path])},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) < 30.0  # MiB; the frames of the long one take 150

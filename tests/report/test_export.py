@@ -78,7 +78,7 @@ def test_all_files_are_written_and_figures_on_request(
 
 def test_motion_file_contains_the_motion(result: Reconstruction, folder: Path) -> None:
     read = read_motion_npz(folder / "motion.npz")
-    np.testing.assert_array_equal(read.q, result.motion.q)
+    np.testing.assert_allclose(read.q, result.motion.q, rtol=0, atol=3e-8)
     assert (read.mode, read.first_frame) == ("rtof", 300)
     assert not read.poses.valid[4:8].any()
     np.testing.assert_array_equal(read.poses.provenance, result.motion.poses.provenance)
@@ -91,11 +91,11 @@ def test_measurements_are_those_that_were_used(result: Reconstruction, folder: P
     (view,) = found.views
     assert result.keypoints is not None
     assert result.bone_imus is not None
-    np.testing.assert_allclose(view.uv_px, result.keypoints.landmarks.uv_px, atol=1e-3)
+    np.testing.assert_allclose(view.uv_px, result.keypoints.landmarks.uv_px, rtol=0, atol=1 / 128)
     np.testing.assert_array_equal(view.video_times, result.recording.video.video_times)
     assert found.segments == result.bone_imus.joints
     R_world_bone = found.R_world_sensor @ np.swapaxes(found.R_bone_sensor, -1, -2)
-    np.testing.assert_allclose(R_world_bone, result.bone_imus.R_world_bone, atol=1e-6)
+    np.testing.assert_allclose(R_world_bone, result.bone_imus.R_world_bone, atol=5e-5)
     assert found.truth is not None
     assert result.recording.truth is not None
     np.testing.assert_allclose(found.truth.p_world_joint, result.recording.truth.p_world_joint, atol=1e-5)
