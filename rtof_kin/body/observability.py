@@ -38,7 +38,7 @@ _FIXED, _MOVES = 1e-9, 1e-3
 
 @dataclass(frozen=True)
 class ObservationMasks:
-    """What of a motion was observed, without its poses: 150 bytes a frame, so that it is whole at any length.
+    """What of a motion was observed, without its poses: 5 bytes a joint and frame, whole at any length.
 
     Frames of it keep what is known of the whole: whether there is any provenance, and which angles move.
     """
