@@ -224,6 +224,30 @@ def known_to_quat_wxyz(R: Array) -> Array:
     return quat
 
 
+def known_exp(rotvec: Array) -> Array:
+    """Return rotation matrices (..., 3, 3) of rotation vectors; NaN as a whole where a number is not finite.
+
+    Args:
+        rotvec: (..., 3) rad.
+    """
+    known = np.isfinite(rotvec).all(axis=-1)
+    R = np.full((*known.shape, 3, 3), np.nan)
+    R[known] = exp(rotvec[known])
+    return R
+
+
+def known_log(R: Array) -> Array:
+    """Return rotation vectors (..., 3), rad; NaN as a whole where a matrix is not finite.
+
+    Args:
+        R: (..., 3, 3).
+    """
+    known = np.isfinite(R).all(axis=(-2, -1))
+    rotvec = np.full((*known.shape, 3), np.nan)
+    rotvec[known] = log(R[known])
+    return rotvec
+
+
 def is_rotation(R: ArrayLike, tolerance: float = 1e-6) -> bool:
     """Return whether all matrices are orthonormal and right-handed; NaN is not.
 

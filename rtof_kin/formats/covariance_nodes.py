@@ -66,24 +66,24 @@ def nodes(entries: Array) -> Index:
     Args:
         entries: (T, M, 6).
     """
-    T = len(entries)
-    found = np.unique([*range(0, T, SPACING), T - 1])
-    sigma = _sigma(entries)
-    while True:
-        between = interpolated(found, entries[found], np.arange(T))
-        near = _sigma(between)
-        off = ~((np.abs(near - sigma) <= TOLERANCE * sigma) | (np.isnan(near) & np.isnan(sigma)))
-        wrong = np.unique(np.searchsorted(found, np.flatnonzero(off.any(axis=1)), side="right")) - 1
-        if not len(wrong):
-            return found
+    frames = np.arange(len(entries))
+    found = np.union1d(frames[::SPACING], frames[-1:])
+    variance: Array = np.maximum(entries[..., :3].sum(axis=-1, keepdims=True), 0.0)
+    while len(frames):
+        exact, near = np.sqrt(variance[frames]), np.sqrt(interpolated(found, variance[found], frames))
+        off = ~((np.abs(near - exact) <= TOLERANCE * exact) | (np.isnan(near) & np.isnan(exact)))
+        between = np.searchsorted(found, frames, side="right") - 1
+        wrong = np.unique(between[off.any(axis=(1, 2))])
+        frames = frames[np.isin(between, wrong)]
         found = np.union1d(found, (found[wrong] + found[wrong + 1]) // 2)
+    return found
 
 
 def interpolated(found: Index, entries: Array, frames: Index) -> Array:
-    """Return entries (n, M, 6) in some frames.
+    """Return entries (n, M, k) in some frames.
 
     Args:
-        found: (K,) frames of nodes. entries: (K, M, 6) at them.
+        found: (K,) frames of nodes. entries: (K, M, k) at them.
         frames: (n,), from the first to the last node.
     """
     before = np.searchsorted(found, frames, side="right") - 1
@@ -134,8 +134,3 @@ def checked_nodes(field: str, value: NDArray[np.generic], frames: int) -> Index:
     if not len(found) or found[0] != 0 or found[-1] != frames - 1 or np.any(np.diff(found) <= 0):
         raise InvalidInputError(f"{field}: do not increase from 0 to {frames - 1}, the last frame")
     return found
-
-
-def _sigma(entries: Array) -> Array:
-    """Return a multiple (T, M) of the standard deviation per axis."""
-    return np.asarray(np.sqrt(np.maximum(entries[..., :3].sum(axis=-1), 0.0)))

@@ -38,7 +38,6 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
-from rtof_kin.core.files.compact import rotations
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
@@ -215,7 +214,7 @@ def _view(
     keypoints = KeypointSequence(camera, times, uv, np.clip(confidence, 0, 1), tuple(header["names"]))
     video = {name: arrays[f"view_{i}_{name}"] for name in VIDEO_ARRAYS if f"view_{i}_{name}" in arrays}
     if (still := f"view_{i}_rotvec_still_camera") in arrays:
-        video["R_still_camera"] = rotations(readonly(still, arrays[still], ("T", 3)))
+        video["R_still_camera"] = so3.known_exp(readonly(still, arrays[still], ("T", 3)))
     return with_video(keypoints, video)
 
 
@@ -228,4 +227,4 @@ def _rotations(arrays: Mapping[str, Array], vectors: str, quaternions: str) -> A
     """Return rotation matrices of the array of version 2 or else of version 1."""
     if quaternions in arrays:
         return so3.known_from_quat_wxyz(arrays[quaternions])
-    return rotations(readonly(vectors, arrays[vectors], ("T", "S", 3)))
+    return so3.known_exp(readonly(vectors, arrays[vectors], ("T", "S", 3)))

@@ -39,11 +39,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved
-from rtof_kin.core.files.compact import rotations
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -331,7 +331,7 @@ class MotionReader:
                 "poses_stored", self._rows.rows("poses_stored", start, stop), (len(q),), np.bool_
             )
             given, turns = (self._rows.rows(name, start, stop)[stored].astype(float) for name in STORED)
-            p[stored], R[stored] = given, rotations(turns)
+            p[stored], R[stored] = given, so3.known_exp(turns)
         return p, R
 
     def _confidence(self, start: int, stop: int) -> Confidence:

@@ -196,3 +196,12 @@ def test_angle_about_a_given_axis() -> None:
     for angle in [*rng.uniform(-np.pi, np.pi, 20), 0.0, 1e-9, np.pi / 2]:
         axis = so3.unit(rng.normal(size=3))
         assert so3.angle_about(axis, so3.exp(angle * axis)) == pytest.approx(angle, abs=1e-12)
+
+
+def test_missing_rotations_stay_missing_as_quaternions_and_vectors() -> None:
+    R = so3.exp(np.random.default_rng(0).normal(size=(5, 2, 3)))
+    R[1, 0] = R[4] = np.nan
+    for there, back in ((so3.known_to_quat_wxyz, so3.known_from_quat_wxyz), (so3.known_log, so3.known_exp)):
+        values = there(R)
+        np.testing.assert_array_equal(np.isnan(values).all(axis=-1), np.isnan(R[..., 0, 0]))
+        np.testing.assert_allclose(back(values), R, rtol=0, atol=1e-12)

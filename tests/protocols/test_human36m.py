@@ -108,7 +108,8 @@ def test_the_figures_are_those_of_the_saved_motions(measured: Path) -> None:
         for method, p in {"rto": motion.poses.p_world_joint, STILL: still}.items():
             expected = per_frame(p, p_true)
             (found,) = [r for r in rows if (r["subject"], r["method"]) == (subject, method)]
-            assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-5)
+            rounded = pytest.approx(expected, rel=1e-3)  # positions in the file are of 0.1 um
+            assert {name: found[name] for name in expected} == rounded
         assert found["angle_deg"] > 0  # no motion stands in the mean orientation
 
 

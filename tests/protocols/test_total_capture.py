@@ -165,7 +165,7 @@ def test_the_figures_are_those_of_the_saved_motions(mode: str, root: Path, measu
         if mode == "lift":  # what is scored are the lifter's points, what is saved a skeleton's
             expected = {name: expected[name] for name in ("frames", "sixteen_frames")}
         found = rows[take.subject, 1, mode]
-        assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-6)
+        assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_calibration_rows_are_those_by_hand(root: Path, measured: Measured) -> None:

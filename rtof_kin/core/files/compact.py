@@ -42,20 +42,4 @@ def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
     Args:
         R: rotation matrices (..., 3, 3). bits: after the point.
     """
-    known = np.isfinite(R).all(axis=(-2, -1))
-    out = np.full((*known.shape, 3), np.nan, dtype=np.float32)
-    out[known] = multiples(so3.log(R[known]), bits)
-    return out
-
-
-def rotations(vectors: ArrayLike) -> Array:
-    """Return rotation matrices (..., 3, 3); NaN as a whole where a number is not finite.
-
-    Args:
-        vectors: rotation vectors (..., 3), rad.
-    """
-    given = np.asarray(vectors, dtype=float)
-    known = np.isfinite(given).all(axis=-1)
-    out = np.full((*known.shape, 3, 3), np.nan)
-    out[known] = so3.exp(given[known])
-    return out
+    return multiples(so3.known_log(R), bits).astype(np.float32)
