@@ -25,6 +25,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
 
@@ -93,7 +94,7 @@ def judged(corpus: Path) -> Iterator[dict[str, Any]]:
 
 def verdict_on(poses: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:
     """Strides and verdict of one motion."""
-    gait = analyse_gait(gait_events(poses, skeleton))
+    gait = analyse_gait(gait_events(body_paths(poses, skeleton)))
     return {
         "strides": len(gait.strides), "walking": len(gait.verdict.walking), "gait": gait.is_gait,
         "on_the_spot": gait.verdict.on_the_spot, "why_not": gait.why_not,

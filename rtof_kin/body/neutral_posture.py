@@ -67,14 +67,14 @@ class NeutralPosture:
         return cls(tuple(joints), so3.to_quat_wxyz(so3.nearest_rotation(local[index])))
 
 
-def standing_frames(poses: PoseSequence) -> Mask:
+def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
     """Return in which frames (T,) the person stands still: thighs and upper trunk upright, nothing turns.
 
     Args:
-        poses: of the 21-joint skeleton, evenly spaced.
+        poses: of the 21-joint skeleton, evenly spaced. rate_hz: of the frames; default: that of the poses.
     """
     R = poses.R_world_bone
-    turns = so3.angle_between(R[:-1], R[1:]) * poses.rate_hz
+    turns = so3.angle_between(R[:-1], R[1:]) * (rate_hz or poses.rate_hz)
     fast = np.nan_to_num(turns, nan=np.inf).max(axis=1) > _STILL
     still = ~np.append(fast, fast[-1:]) & ~np.append(fast[:1], fast)
     upright = R[:, [poses.names.index(n) for n in ("LeftUpLeg", "RightUpLeg", "Spine3")], 2, 2] > np.cos(

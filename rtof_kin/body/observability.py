@@ -11,6 +11,11 @@ Accuracy is described by `MotionSequence.confidence`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, Self
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +24,7 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.poses import PoseSequence, Provenance
 
 NOTHING, DIRECTION, WHOLE = 0, 1, 2
 """Observed part of a segment's orientation."""
@@ -31,22 +36,116 @@ _FIXED, _MOVES = 1e-9, 1e-3
 """An angle within the first was fixed by the model if another one of the joint exceeds the second, rad."""
 
 
-def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int_]:
+@dataclass(frozen=True)
+class ObservationMasks:
+    """What of a motion was observed, without its poses: 5 bytes a joint and frame, whole at any length.
+
+    Frames of it keep what is known of the whole: whether there is any provenance, and which angles move.
+    """
+
+    skeleton: SkeletonModel
+    valid: Mask
+    """(T, J) as in `PoseSequence`, like the next three."""
+    provenance: NDArray[np.uint8]
+    orientation_observed: Mask
+    direction_observed: Mask
+    posed: Mask
+    """(T, J) whether the orientation of the segment is known."""
+    known: Mask
+    """(T,) whether the configuration is known."""
+    largest: Array
+    """(D,) largest absolute value of each degree of freedom in the whole motion, rad."""
+    has_provenance: bool
+    """Whether any joint of the whole motion has a provenance."""
+    has_orientations: bool
+    """Whether any orientation of the whole motion was observed."""
+
+    @classmethod
+    def of(cls, motion: MotionSequence | Self) -> ObservationMasks:
+        """Return the masks of a motion; masks are returned as they are."""
+        if isinstance(motion, ObservationMasks):
+            return motion
+        masks = cls.of_poses(motion.poses, motion.skeleton)
+        known: Mask = np.asarray(np.isfinite(motion.q).all(axis=1))
+        largest = np.abs(motion.q[known, 7:]).max(axis=0, initial=0.0)
+        return replace(masks, known=known, largest=largest)
+
+    @classmethod
+    def of_poses(cls, poses: PoseSequence, skeleton: SkeletonModel) -> ObservationMasks:
+        """Return the masks of poses; their configuration counts as unknown.
+
+        Args:
+            poses: of all joints. skeleton: of the poses.
+        """
+        return ObservationMasks(
+            skeleton, **{name: getattr(poses, name) for name in _MASKS},
+            posed=np.asarray(np.isfinite(poses.R_world_bone).all(axis=(-2, -1))),
+            known=np.zeros(len(poses), dtype=np.bool_), largest=np.zeros(len(skeleton.dof_names)),
+            has_provenance=bool(poses.provenance.any()),
+            has_orientations=bool(poses.orientation_observed.any()),
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, parts: Sequence[ObservationMasks]) -> ObservationMasks:
+        """Return the masks of consecutive parts of one motion as those of the whole.
+
+        Args:
+            parts: at least one.
+        """
+        whole: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS
+        }
+        return replace(
+            parts[0], **whole,
+            largest=np.max([part.largest for part in parts], axis=0),
+            has_provenance=any(part.has_provenance for part in parts),
+            has_orientations=any(part.has_orientations for part in parts),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.known)
+
+    def __getitem__(self, frames: slice) -> Self:
+        own: dict[str, Any] = {name: getattr(self, name)[frames] for name in _ROWS}
+        return replace(self, **own)
+
+    @property
+    def position_observed(self) -> Mask:
+        """(T, J) observed positions, as in `PoseSequence`."""
+        return np.asarray(self.valid & ((self.provenance >= Provenance.IMU) | (not self.has_provenance)))
+
+    @property
+    def has_sources(self) -> bool:
+        """Whether the motion says what was observed; one of motion capture does not, and is observed."""
+        return self.has_provenance or self.has_orientations
+
+    @cached_property
+    def levels(self) -> NDArray[np.int8]:
+        """(T, J) `NOTHING`, `DIRECTION` (of the bone) or `WHOLE` of each segment."""
+        at = self.position_observed
+        levels = np.where(self.direction_observed, DIRECTION, NOTHING).astype(np.int8)
+        for j in range(len(self.skeleton.names)):
+            children = kinematics.children_of(self.skeleton.parents, j)
+            if len(children) == 1:
+                levels[at[:, j] & at[:, children[0]], j] = DIRECTION
+        # A sensor observes the orientation of its segment even while the position is unobserved.
+        levels[self.orientation_observed & (self.valid | self.has_provenance)] = WHOLE
+        levels[~self.posed] = NOTHING
+        return levels
+
+
+_MASKS: Final = ("valid", "provenance", "orientation_observed", "direction_observed")
+_ROWS: Final = (*_MASKS, "posed", "known")
+"""Fields with a row per frame."""
+
+
+def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int8]:
     """Return `NOTHING`, `DIRECTION` (of the bone) or `WHOLE` for each segment (T, J).
 
     Args:
         poses: of all joints. skeleton: of the poses.
     """
-    at = poses.position_observed
-    levels: NDArray[np.int_] = np.where(poses.direction_observed, DIRECTION, NOTHING)
-    for j in range(len(skeleton.names)):
-        children = kinematics.children_of(skeleton.parents, j)
-        if len(children) == 1:
-            levels[at[:, j] & at[:, children[0]], j] = DIRECTION
-    # A sensor observes the orientation of its segment even while the position is unobserved.
-    levels[poses.orientation_observed & (poses.valid | bool(poses.provenance.any()))] = WHOLE
-    levels[~np.isfinite(poses.R_world_bone).all(axis=(-2, -1))] = NOTHING
-    return levels
+    return ObservationMasks.of_poses(poses, skeleton).levels
 
 
 def levels_by_points(skeleton: SkeletonModel, keypoints: KeypointSequence) -> NDArray[np.int_]:
@@ -83,20 +182,19 @@ def _rank(points: Array) -> int:
     return min(int(np.sum(spread > _APART)), WHOLE)
 
 
-def observed_dofs(motion: MotionSequence) -> Mask:
+def observed_dofs(motion: MotionSequence | ObservationMasks) -> Mask:
     """Return a mask (T, D) of observed degrees of freedom, in the order of `SkeletonModel.dof_names`.
 
     A motion without provenance (mocap) is observed wherever it is finite.
 
     Args:
-        motion: with poses and provenance.
+        motion: with poses and provenance, or its masks.
     """
-    skeleton, poses = motion.skeleton, motion.poses
-    known: Mask = np.asarray(np.isfinite(motion.q).all(axis=1))
-    out: Mask = np.repeat(known[:, None], len(skeleton.dof_names), axis=1)
-    if not _has_provenance(poses):
+    masks = ObservationMasks.of(motion)
+    skeleton, levels = masks.skeleton, masks.levels
+    out: Mask = np.repeat(masks.known[:, None], len(skeleton.dof_names), axis=1)
+    if not masks.has_sources:
         return out
-    levels = segment_levels(poses, skeleton)
     for j, parent in enumerate(skeleton.parents):
         if parent < 0:
             continue
@@ -106,27 +204,24 @@ def observed_dofs(motion: MotionSequence) -> Mask:
         beyond = levels[:, kinematics.children_of(skeleton.parents, j)] > NOTHING
         turned = (levels[:, j] == WHOLE) | beyond.any(axis=1)
         along = np.abs(_bone(skeleton, j)) > _ALONG
-        angles = np.abs(motion.q[known][:, 7:][:, columns])
-        fixed = np.all(angles <= _FIXED, axis=0) & np.any(angles > _MOVES)
+        largest = masks.largest[columns]
+        fixed = (largest <= _FIXED) & np.any(largest > _MOVES)
         for column, axis, still in zip(columns, joint.axes, fixed, strict=True):
             out[:, column] &= seen & ~still & (turned | ~along["xyz".index(axis)])
     return out
 
 
-def root_turn_observed(motion: MotionSequence) -> Mask:
+def root_turn_observed(motion: MotionSequence | ObservationMasks) -> Mask:
     """Return a mask (T,) of frames with observed root orientation.
 
     Args:
         motion: see `observed_dofs`.
     """
-    known: Mask = np.asarray(np.isfinite(motion.q).all(axis=1))
-    if not _has_provenance(motion.poses):
-        return known
-    turned = segment_levels(motion.poses, motion.skeleton)[:, 0] == WHOLE
-    return np.asarray(known & turned)
+    masks = ObservationMasks.of(motion)
+    return np.asarray(masks.known & (masks.levels[:, 0] == WHOLE)) if masks.has_sources else masks.known
 
 
-def never_observed(motion: MotionSequence) -> tuple[str, ...]:
+def never_observed(motion: MotionSequence | ObservationMasks) -> tuple[str, ...]:
     """Return the URDF names of degrees of freedom that were never observed and do not move anything observed.
 
     They are zero, or belong to a segment without children.
@@ -134,9 +229,10 @@ def never_observed(motion: MotionSequence) -> tuple[str, ...]:
     Args:
         motion: see `observed_dofs`.
     """
-    skeleton = motion.skeleton
-    observed = np.any(observed_dofs(motion), axis=0)
-    zero = ~np.any(np.abs(motion.q[:, 7:]) > _FIXED, axis=0)
+    masks = ObservationMasks.of(motion)
+    skeleton = masks.skeleton
+    observed = np.any(observed_dofs(masks), axis=0)
+    zero = masks.largest <= _FIXED
     ends = {
         dof.urdf for j, joint in enumerate(skeleton.table.joints) for dof in joint.dofs
         if j not in skeleton.parents
@@ -147,7 +243,7 @@ def never_observed(motion: MotionSequence) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def observed_landmarks(motion: MotionSequence) -> Mask:
+def observed_landmarks(motion: MotionSequence | ObservationMasks) -> Mask:
     """Return a mask (T, L) of observed landmarks.
 
     The position of the joint must be observed, and for other points than the joint the orientation of the
@@ -156,11 +252,9 @@ def observed_landmarks(motion: MotionSequence) -> Mask:
     Args:
         motion: see `observed_dofs`.
     """
-    skeleton, poses = motion.skeleton, motion.poses
-    levels = segment_levels(poses, skeleton)
-    if not _has_provenance(poses):
-        levels[:] = WHOLE
-    located = poses.position_observed
+    masks = ObservationMasks.of(motion)
+    skeleton, located = masks.skeleton, masks.position_observed
+    levels = masks.levels if masks.has_sources else np.full_like(masks.levels, WHOLE)
     columns = []
     for joint, offset in skeleton.landmarks.values():
         j = skeleton.names.index(joint)
@@ -171,7 +265,7 @@ def observed_landmarks(motion: MotionSequence) -> Mask:
     return np.stack(columns, axis=1)
 
 
-def observed_bones(motion: MotionSequence) -> Mask:
+def observed_bones(motion: MotionSequence | ObservationMasks) -> Mask:
     """Return a mask (T, J) of observed lines from parents to joints; of the root, whether it is observed.
 
     Both ends must be observed, or the orientation of the segment if the joint is valid.
@@ -179,18 +273,14 @@ def observed_bones(motion: MotionSequence) -> Mask:
     Args:
         motion: see `observed_dofs`.
     """
-    poses, skeleton = motion.poses, motion.skeleton
-    located, levels = poses.position_observed, segment_levels(poses, skeleton)
+    masks = ObservationMasks.of(motion)
+    located = masks.position_observed
     out: Mask = np.array(located)
-    for j, parent in enumerate(skeleton.parents):
+    for j, parent in enumerate(masks.skeleton.parents):
         if parent >= 0:
-            turned = levels[:, parent] == WHOLE
-            out[:, j] = located[:, [j, parent]].all(axis=1) | (turned & poses.valid[:, j])
+            turned = masks.levels[:, parent] == WHOLE
+            out[:, j] = located[:, [j, parent]].all(axis=1) | (turned & masks.valid[:, j])
     return out
-
-
-def _has_provenance(poses: PoseSequence) -> bool:
-    return bool(poses.provenance.any() or poses.orientation_observed.any())
 
 
 def _bone(skeleton: SkeletonModel, joint: int) -> Array:

@@ -75,16 +75,16 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
+    from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     check_replaceable(options.output, MARKER, options.overwrite)
     path = motion_path(options.motion)
-    motion = read_motion_npz(path).motion()
     weight_kg, sex = _weight_and_sex(options, path.parent)
-    analysis = analyse_motion(
-        motion, weight_kg=weight_kg, height=options.height, sex=sex, repetitions=options.repetitions,
-        from_standing=options.from_standing,
-    )  # fmt: skip
+    with MotionReader(path) as reader:
+        analysis = analyse_motion(
+            reader.source(), weight_kg=weight_kg, height=options.height, sex=sex,
+            repetitions=options.repetitions, from_standing=options.from_standing,
+        )  # fmt: skip
     with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures:

@@ -243,16 +243,18 @@ def _export(options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
+    from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     if options.output and options.folder:
         raise InvalidInputError("export: name one folder to write, as OUT or with -o OUT")
     output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
-    motion = read_motion_npz(motion_path(options.motion)).motion()
-    with new_folder(output, URDF, options.overwrite) as folder:
-        write_motion_files(folder, motion, formats)
+    with (
+        MotionReader(motion_path(options.motion)) as reader,
+        new_folder(output, URDF, options.overwrite) as folder,
+    ):
+        write_motion_files(folder, reader.source(), formats)
     print_files(output)
 
 

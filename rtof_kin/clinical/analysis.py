@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.clinical.angles import ClinicalAngles, angles_of
+from rtof_kin.clinical.decomposition import DecomposedAngles
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.neutral import relative_to_standing
+from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques, single_support
@@ -33,6 +36,8 @@ class MotionAnalysis:
     """None if not requested."""
     torques: JointTorques | None
     """None without a body mass."""
+    paths: BodyPaths
+    """Of pelvis and feet, and what was observed of the motion."""
 
     @property
     def notes(self) -> dict[str, tuple[str, ...]]:
@@ -44,7 +49,7 @@ class MotionAnalysis:
 
 
 def analyse_motion(
-    motion: MotionSequence,
+    motion: MotionSequence | MotionSource,
     *,
     weight_kg: float | None = None,
     height: float | None = None,
@@ -55,8 +60,9 @@ def analyse_motion(
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
 
     Args:
-        motion: a reconstructed motion. weight_kg: body mass, kg; no torques without it. height: m, to check
-            the size of the skeleton. sex: 'male', 'female' or None for the mean. repetitions: what to count.
+        motion: a reconstructed motion, which is read in blocks. weight_kg: body mass, kg; no torques without
+            it. height: m, to check the size of the skeleton. sex: 'male', 'female' or None for the mean.
+        repetitions: what to count.
         from_standing: whether angles are relative to the person's quiet standing (`relative_to_standing`).
 
     Raises:
@@ -65,17 +71,27 @@ def analyse_motion(
     """
     if weight_kg is None and (height is not None or sex is not None):
         raise InvalidInputError("height and sex are used for joint torques, which need a weight in kg")
-    skeleton, poses = motion.skeleton, motion.poses
-    angles = clinical_angles(motion)
+    source = MotionSource.of(motion)
+    angles, paths = _angles_and_paths(source, from_standing)
     if from_standing:
-        angles = relative_to_standing(angles, poses)
-    counted = find_repetitions(poses, skeleton, angles, repetitions) if repetitions is not None else None
-    gait = analyse_gait(gait_events(poses, skeleton), angles)
+        angles = relative_to_standing(angles, paths)
+    counted = find_repetitions(paths, angles, repetitions) if repetitions is not None else None
+    gait = analyse_gait(gait_events(paths), angles)
     torques = None
     if weight_kg is not None:
         support = single_support(gait) if gait.strides else None
-        torques = joint_torques(motion, weight_kg, height, sex, support)
+        torques = joint_torques(source, weight_kg, height, sex, support)
     return MotionAnalysis(
-        angle_table(skeleton.table), angles, ranges_of_motion(angles), gait,
-        travel(motion, gait.verdict), cycle_curves(angles, gait), counted, torques,
+        paths.table, angles, ranges_of_motion(angles), gait, travel(paths, gait.verdict),
+        cycle_curves(angles, gait), counted, torques, paths,
     )  # fmt: skip
+
+
+def _angles_and_paths(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, BodyPaths]:
+    """Everything that the analyses need of the frames, in one pass over them."""
+    found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
+    paths = PathCollector(source.skeleton, source.times, standing)
+    for block in source.blocks(margin=1, confidence=True):
+        found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
+        paths.add(block.frames, block.motion.poses, block.own)
+    return angles_of(found, source.masks), paths.paths(source.masks)

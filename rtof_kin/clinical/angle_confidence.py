@@ -72,18 +72,17 @@ def angle_rates(sequence: str, R: Array) -> Array:
 
 
 def reliable_samples(
-    table: AngleTable, times: Array, R: dict[str, Array], sigma: Array | None, known: Mask
+    table: AngleTable, times: Array, too_fast: Mask, sigma: Array | None, known: Mask
 ) -> tuple[Mask, str]:
     """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none.
 
     Args:
-        table: of A angles. times: (T,) s. R: rotations (T, 3, 3) of each joint, NaN where unknown.
+        table: of A angles. times: (T,) s. too_fast: (T, joints) from `turns_too_fast`.
         sigma: (T, A) rad; None if the motion has no confidence. known: (T, A) samples with a value.
     """
-    turns = [_plausible_turns(joint, times, R[joint.name]) for joint in table.joints]
-    reliable = np.repeat(np.stack(turns, axis=1), 3, axis=1)
+    reliable = np.repeat(np.stack([_around(times, own) for own in too_fast.T], axis=1), 3, axis=1)
     if sigma is not None:
-        reliable &= ~(BAND_95 * sigma > WIDEST_BAND)
+        reliable &= ~(sigma > WIDEST_BAND / BAND_95)
     excluded = known & ~reliable
     if not excluded.any():
         return reliable, ""
@@ -99,14 +98,28 @@ def reliable_samples(
     )
 
 
-def _plausible_turns(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
-    """(T,) False around rotations (T, 3, 3) that change too fast."""
+def turns_too_fast(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask:
+    """Return a mask (T,) of frames from which the rotation to the next one is implausibly fast.
+
+    Args:
+        joint: of the rotations. times: (T,) s. R: (T, 3, 3), NaN where unknown.
+    """
     fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
-    out = np.ones(len(R), dtype=np.bool_)
+    out = np.zeros(len(R), dtype=np.bool_)
     known: Mask = np.asarray(np.isfinite(R).all(axis=(1, 2)))
     both = known[1:] & known[:-1]
     steps = np.zeros(both.shape)
     steps[both] = so3.angle_between(R[1:][both], R[:-1][both])
-    for k in np.flatnonzero(np.degrees(steps) > fastest * np.diff(times)):
-        out[(times >= times[k] - _MARGIN) & (times <= times[k + 1] + _MARGIN)] = False
+    out[:-1] = np.degrees(steps) > fastest * np.diff(times)
+    return out
+
+
+def _around(times: Array, too_fast: Mask) -> Mask:
+    """(T,) False around the frames from which a rotation is too fast."""
+    out = np.ones(len(times), dtype=np.bool_)
+    at = np.flatnonzero(too_fast)
+    first = np.searchsorted(times, times[at] - _MARGIN, side="left")
+    last = np.searchsorted(times, times[np.minimum(at + 1, len(times) - 1)] + _MARGIN, side="right")
+    for start, stop in zip(first, last, strict=True):
+        out[start:stop] = False
     return out

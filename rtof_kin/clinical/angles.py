@@ -27,11 +27,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.observability import DIRECTION, WHOLE, segment_levels
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.observability import DIRECTION, WHOLE, ObservationMasks
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_confidence import angle_sigmas, reliable_samples
+from rtof_kin.clinical.angle_confidence import reliable_samples
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
+from rtof_kin.clinical.decomposition import DecomposedAngles
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
@@ -98,6 +100,24 @@ class ClinicalAngles:
         """(T, A) radians; NaN also where a value is unreliable."""
         return self.values if self.trusted is None else np.where(self.trusted, self.values, np.nan)
 
+    def trusted_angle(self, column: int) -> Array:
+        """Return one angle (T,), rad; NaN also where it is unreliable.
+
+        Args:
+            column: of the angle.
+        """
+        values = self.values[:, column]
+        return values if self.trusted is None else np.where(self.trusted[:, column], values, np.nan)
+
+    def is_trusted(self, frames: slice) -> Mask:
+        """Return a mask (T', A) of known and reliable values.
+
+        Args:
+            frames: wanted.
+        """
+        known = np.isfinite(self.values[frames])
+        return known if self.trusted is None else known & self.trusted[frames]
+
     @property
     def rate_hz(self) -> float:
         """Frames per second, from the median step; 60 for a single frame."""
@@ -118,7 +138,7 @@ class ClinicalAngles:
 
 
 def clinical_angles(
-    motion: MotionSequence | PoseSequence, skeleton: SkeletonModel | None = None
+    motion: MotionSequence | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None
 ) -> ClinicalAngles:
     """Compute clinical joint angles from segment orientations.
 
@@ -134,24 +154,40 @@ def clinical_angles(
         InvalidInputError: poses without a skeleton, or missing joints.
         UnknownNameError: the skeleton has no clinical table.
     """
-    poses = motion.poses if isinstance(motion, MotionSequence) else motion
-    if isinstance(motion, MotionSequence):
-        skeleton = motion.skeleton
-    if skeleton is None:
-        raise InvalidInputError("clinical_angles: poses do not contain a skeleton; pass theirs")
-    skeleton.check_joints(poses.names)
-    table = angle_table(skeleton.table)
-    R = jcs.relative_rotations(poses.R_world_bone, skeleton, table)
-    levels = segment_levels(poses, skeleton)
-    seen_by = _segment_sources(poses, skeleton, levels)
-    parts = [_joint_angles(joint, R[joint.name], poses.names, seen_by, levels) for joint in table.joints]
-    values, provenance, singular = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
-    sigma = None
-    if isinstance(motion, MotionSequence) and motion.confidence is not None:
-        sigma = np.where(np.isfinite(values), angle_sigmas(R, table, skeleton, motion.confidence), np.nan)
-    reliable, note = reliable_samples(table, poses.times, R, sigma, np.isfinite(values))
+    if isinstance(motion, PoseSequence):
+        if skeleton is None:
+            raise InvalidInputError("clinical_angles: poses do not contain a skeleton; pass theirs")
+        skeleton.check_joints(motion.names)
+        found = DecomposedAngles(skeleton, angle_table(skeleton.table), motion.times)
+        found.add(slice(None), motion, slice(None), None)
+        return angles_of(found, ObservationMasks.of_poses(motion, skeleton))
+    source = MotionSource.of(motion)
+    found = DecomposedAngles(source.skeleton, angle_table(source.skeleton.table), source.times)
+    for block in source.blocks(margin=1, confidence=True):
+        found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
+    return angles_of(found, source.masks)
+
+
+def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngles:
+    """Return clinical angles from those of all frames.
+
+    Args:
+        found: angles frame by frame, which are consumed. masks: what was observed.
+    """
+    table, shape = found.table, found.angles.shape
+    seen_by = _segment_sources(masks)
+    values, sigma = found.angles, found.sigma
+    provenance, singular = np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.bool_)
+    for j, joint in enumerate(table.joints):
+        own = slice(3 * j, 3 * j + 3)
+        values[:, own], provenance[:, own], singular[:, own] = _joint_angles(
+            joint, values[:, own], seen_by, masks
+        )
+    if sigma is not None:
+        sigma[np.isnan(values)] = np.nan
+    reliable, note = reliable_samples(table, found.times, found.too_fast, sigma, np.isfinite(values))
     notes = (*_notes(table, values, provenance), *([note] if note else []))
-    return ClinicalAngles(poses.times, values, provenance, singular, table.rows, notes, sigma, reliable)
+    return ClinicalAngles(found.times, values, provenance, singular, table.rows, notes, sigma, reliable)
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:
@@ -163,35 +199,40 @@ def all_observed(poses: PoseSequence) -> PoseSequence:
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
-def _segment_sources(poses: PoseSequence, skeleton: SkeletonModel, levels: NDArray[np.int_]) -> Sources:
+def _segment_sources(masks: ObservationMasks) -> Sources:
     """(T, J) `Provenance` of each segment: that of its joint; if only its orientation is observed, that of
     its children, at least IMU.
     """
-    out = np.array(poses.provenance)
-    for j in range(len(skeleton.names) if out.any() else 0):
-        ends = poses.provenance[:, kinematics.children_of(skeleton.parents, j)]
-        turned = (levels[:, j] == WHOLE) & (out[:, j] < Provenance.IMU)
+    out = np.array(masks.provenance)
+    for j in range(len(masks.skeleton.names) if masks.has_provenance else 0):
+        ends = masks.provenance[:, kinematics.children_of(masks.skeleton.parents, j)]
+        turned = (masks.levels[:, j] == WHOLE) & (out[:, j] < Provenance.IMU)
         out[turned, j] = ends[turned].max(axis=1, initial=Provenance.IMU)
     return out
 
 
 def _joint_angles(
-    joint: JointCoordinateSystem, R: Array, names: tuple[str, ...], seen_by: Sources,
-    levels: NDArray[np.int_],
-) -> tuple[Array, Sources, Mask]:  # fmt: skip
-    """Values, provenance and singular flags (T, 3) of one joint coordinate system."""
+    joint: JointCoordinateSystem, decomposed: Array, seen_by: Sources, masks: ObservationMasks
+) -> tuple[Array, Sources, Mask]:
+    """Values, provenance and singular flags (T, 3) of one joint coordinate system.
+
+    Args:
+        joint: of the angles. decomposed: (T, 3) rad, see `DecomposedAngles`.
+        seen_by: (T, J) of the segments. masks: of the motion.
+    """
+    names, levels = masks.skeleton.names, masks.levels
     child = names.index(joint.child)
     parent = names.index(joint.parent) if joint.urdf else child
     child_level = levels[:, child]
     parent_level = levels[:, parent] if joint.urdf else np.full(len(levels), WHOLE)
     observed = (parent_level[:, None] >= _NEEDS["parent"]) & (child_level[:, None] >= _NEEDS["child"])
-    posed: Mask = np.asarray(np.isfinite(R).all(axis=(-2, -1)))
+    posed: Mask = np.asarray(np.isfinite(decomposed).all(axis=1))
     signs = np.array([row.sign for row in joint.angles])
     center = signs * np.array([np.mean(row.range) for row in joint.angles])
-    raw = np.full((len(R), 3), np.nan)
-    singular = np.zeros((len(R), 3), dtype=np.bool_)
+    raw = np.full(decomposed.shape, np.nan)
+    singular = np.zeros(decomposed.shape, dtype=np.bool_)
     for start, stop in signals.runs(posed & observed.any(axis=1)):
-        angles = jcs.decompose(joint.sequence, R[start:stop])
+        angles = decomposed[start:stop]
         singular[start:stop, ::2] = jcs.near_singular(joint.sequence, angles)[:, None]
         raw[start:stop] = jcs.continuous(joint.sequence, angles, center)
     observed &= posed[:, None]

@@ -23,7 +23,8 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,6 +41,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import Provenance
 
 MARKER: Final = "angles.csv"
+_BLOCK: Final = 3600
+"""Rows of a table that are formatted at once."""
 WRENCH_COLUMNS: Final = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
 _ANGLES_JSON: Final = {
     "file": MARKER,
@@ -62,15 +65,17 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
     """
     folder = Path(folder)
     angles = analysis.angles
-    columns, values = [f"{name}_deg" for name in angles.names], np.degrees(angles.values)
-    if angles.sigma is not None:
-        columns += [f"{name}_sigma_deg" for name in angles.names]
-        values = np.hstack([values, np.degrees(angles.sigma)])
-    _write_series(folder / MARKER, columns, angles.times, values)
+    series = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
+    columns = [f"{name}{kind}_deg" for kind in ("", "_sigma")[: len(series)] for name in angles.names]
+    _write_series(
+        folder / MARKER, columns, angles.times,
+        lambda frames: np.degrees(np.hstack([one[frames] for one in series])),
+    )  # fmt: skip
     _write_json(folder / "angles.json", _ANGLES_JSON | {"angles": analysis.table.sidecar()})
-    _write_series(folder / "angles_provenance.csv", angles.names, angles.times, angles.provenance)
-    trusted = np.isfinite(angles.trusted_values).astype(int)
-    _write_series(folder / "angles_trusted.csv", angles.names, angles.times, trusted)
+    _write_series(
+        folder / "angles_provenance.csv", angles.names, angles.times, lambda frames: angles.provenance[frames]
+    )
+    _write_series(folder / "angles_trusted.csv", angles.names, angles.times, angles.is_trusted)
     _write_ranges(folder / "range_of_motion.csv", analysis.ranges)
     _write_json(folder / "gait.json", _gait_data(analysis.gait))
     _write_json(folder / "travel.json", _travel_data(analysis.travel))
@@ -175,8 +180,9 @@ def _write_cycles(path: Path, curves: Sequence[CycleCurves]) -> None:
 
 def _write_torques(path: Path, torques: JointTorques) -> None:
     wrenches = [f"{kind}_{c}" for kind in ("outer", "unexplained") for c in WRENCH_COLUMNS]
-    table = np.hstack([torques.torques, torques.root_wrench, torques.unexplained])
-    _write_series(path, [*(f"{name}_Nm" for name in torques.dof_names), *wrenches], torques.times, table)
+    series = (torques.torques, torques.root_wrench, torques.unexplained)
+    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches]
+    _write_series(path, columns, torques.times, lambda frames: np.hstack([one[frames] for one in series]))
     _write_json(
         path.with_suffix(".json"),
         {
@@ -190,9 +196,22 @@ def _write_torques(path: Path, torques: JointTorques) -> None:
     )
 
 
-def _write_series(path: Path, columns: Sequence[str], times: Array, values: NDArray[Any]) -> None:
-    rows = ([repr(float(t)), *map(_cell, row)] for t, row in zip(times, values, strict=True))
-    _write_csv(path, ("time", *columns), rows)
+def _write_series(
+    path: Path, columns: Sequence[str], times: Array, values: Callable[[slice], NDArray[Any]]
+) -> None:
+    """Write a row for each of the times (T,), a block at a time.
+
+    Args:
+        path: file. columns: their names. times: (T,) s. values: returns those of some frames.
+    """
+
+    def rows() -> Iterator[list[str]]:
+        for start in range(0, len(times), _BLOCK):
+            frames = slice(start, start + _BLOCK)
+            for time, row in zip(times[frames].tolist(), values(frames).tolist(), strict=True):
+                yield [repr(time), *map(_cell, row)]
+
+    _write_csv(path, ("time", *columns), rows())
 
 
 def _write_csv(path: Path, header: Sequence[str], rows: Iterable[Iterable[str]]) -> None:
@@ -206,8 +225,8 @@ def _write_json(path: Path, data: Any) -> None:
     path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
 
 
-def _cell(value: Any) -> str:
-    return repr(round(float(value), 9)) if np.isfinite(value) else ""
+def _cell(value: float) -> str:
+    return repr(round(float(value), 9)) if math.isfinite(value) else ""
 
 
 def _number(value: Any) -> float | None:

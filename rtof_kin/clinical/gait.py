@@ -116,10 +116,9 @@ def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
         return True
     knee, own = angles.names.index(f"{stride.side}_knee_flexion"), stride.frames(angles.times)
     inside = (angles.times[own] >= stride.start) & (angles.times[own] <= stride.stop)
-    reliable = np.isfinite(angles.values[own, knee])
-    if angles.trusted is not None:
-        reliable &= angles.trusted[own, knee]
-    return bool((reliable | ~angles.known[own, knee])[inside].all())
+    known = np.isfinite(angles.values[own, knee])
+    reliable = known if angles.trusted is None else known & angles.trusted[own, knee]
+    return bool((reliable | ~known)[inside].all())
 
 
 def _warnings(side: str, strides: list[Stride]) -> list[str]:
@@ -154,11 +153,14 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
     Args:
         angles, gait: of the same motion.
     """
-    values, times, max_gap = angles.trusted_values, angles.times, 1.5 / angles.rate_hz
+    times, max_gap = angles.times, 1.5 / angles.rate_hz
     sampled: dict[str, list[Array]] = {side: [] for side in SIDES}
     for s in gait.strides:
         own, at = s.frames(times), s.start + PHASES * s.stride_time
-        sampled[s.side].append(signals.interpolate(times[own], values[own], at, max_gap))
+        values = angles.values[own]
+        if angles.trusted is not None:
+            values = np.where(angles.trusted[own], values, np.nan)
+        sampled[s.side].append(signals.interpolate(times[own], values, at, max_gap))
     out = []
     for a, row in enumerate(angles.rows):
         for side in [side for side in SIDES if row.name.startswith(f"{side}_")] or SIDES:

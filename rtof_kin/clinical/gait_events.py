@@ -13,13 +13,11 @@ from typing import Final
 import numpy as np
 from scipy.signal import find_peaks
 
-from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import smoothed
-from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.data.poses import PoseSequence
 
 CUTOFF_HZ: Final = 7.0  # low-pass of the feet's path
 HEADING_CUTOFF_HZ: Final = 0.5  # low-pass of the pelvis heading, which removes its rotation within a step
@@ -58,82 +56,73 @@ class GaitEvents:
     """(T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown."""
 
 
-def gait_events(poses: PoseSequence, skeleton: SkeletonModel) -> GaitEvents:
+def gait_events(paths: BodyPaths) -> GaitEvents:
     """Detect heel strikes and toe offs of both feet.
 
     Args:
-        poses: of the skeleton's joints, in world. skeleton: with heel and toe landmarks.
+        paths: of a motion.
 
     Returns:
         The events. Those within a quarter of a stride of either end may be missing, because an extremum at
         an edge is not detected. There are none at a rate below `LEAST_RATE_HZ`.
-
-    Raises:
-        InvalidInputError: the poses are of another skeleton.
     """
-    skeleton.check_joints(poses.names)
-    table = angle_table(skeleton.table)
-    if round(poses.rate_hz, 6) < LEAST_RATE_HZ:
-        note = f"{poses.rate_hz:.3g} Hz is too low a rate for gait events; record {LEAST_RATE_HZ:g} Hz"
-        nowhere = np.full((len(poses), 3), np.nan)
-        return GaitEvents(poses.times, {}, (note,), nowhere, nowhere)
+    rate_hz = paths.rate_hz
+    if round(rate_hz, 6) < LEAST_RATE_HZ:
+        note = f"{rate_hz:.3g} Hz is too low a rate for gait events; record {LEAST_RATE_HZ:g} Hz"
+        nowhere = np.full((len(paths), 3), np.nan)
+        return GaitEvents(paths.times, {}, (note,), nowhere, nowhere)
     notes: list[str] = []
-    (pelvis,) = skeleton.index(table.segments["pelvis"])
-    forward = _forward(poses, pelvis)
-    p_pelvis = poses.p_world_joint[:, pelvis]
+    forward = _forward(paths.heading, rate_hz)
+    p_pelvis = paths.points["pelvis"]
     feet = {}
     for side in SIDES:
-        heel, toe = _heel_and_toe(poses, skeleton, table, side, notes)
+        heel, toe = _heel_and_toe(paths, side, notes)
         if not np.isfinite(heel).any():
             notes.append(f"{side} foot: never observed, so it has no events and no strides")
             continue
         ahead = [np.sum((point - p_pelvis) * forward, axis=-1) for point in (heel, toe)]
-        strikes = _maxima(poses.times, ahead[0], poses.rate_hz)
-        feet[side] = FootEvents(strikes, _maxima(poses.times, -ahead[1], poses.rate_hz), heel, heel is toe)
+        strikes = _maxima(paths.times, ahead[0], rate_hz)
+        feet[side] = FootEvents(strikes, _maxima(paths.times, -ahead[1], rate_hz), heel, heel is toe)
         if not strikes.size:
             notes.append(
-                f"{side} foot: no heel strike in {poses.times[-1] - poses.times[0]:.1f} s; no swing of "
+                f"{side} foot: no heel strike in {paths.times[-1] - paths.times[0]:.1f} s; no swing of "
                 f"{LEAST_SWING:g} m relative to the pelvis, or less than a step"
             )
-    return GaitEvents(poses.times, feet, tuple(notes), p_pelvis, forward)
+    return GaitEvents(paths.times, feet, tuple(notes), p_pelvis, forward)
 
 
-def _forward(poses: PoseSequence, pelvis: int) -> Array:
+def _forward(angle: Array, rate_hz: float) -> Array:
     """(T, 3) low-passed horizontal unit vector in which the pelvis faces; NaN where unknown."""
-    angle = so3.heading(poses.R_world_bone[:, pelvis])
-    out = np.full((len(poses), 3), np.nan)
+    out = np.full((len(angle), 3), np.nan)
     for start, stop in signals.runs(np.isfinite(angle)):
         own, frames = np.unwrap(angle[start:stop]), np.arange(stop - start)
-        if len(own) < 2 * poses.rate_hz / HEADING_CUTOFF_HZ:  # too short to filter
+        if len(own) < 2 * rate_hz / HEADING_CUTOFF_HZ:  # too short to filter
             slow = np.polynomial.Polynomial.fit(frames, own, min(1, len(own) - 1))(frames)
         else:
-            slow = signals.low_pass(own, poses.rate_hz, HEADING_CUTOFF_HZ)
+            slow = signals.low_pass(own, rate_hz, HEADING_CUTOFF_HZ)
         out[start:stop] = np.stack([np.cos(slow), np.sin(slow), np.zeros_like(slow)], axis=-1)
     return out
 
 
-def _heel_and_toe(
-    poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, side: str, notes: list[str]
-) -> tuple[Array, Array]:
+def _heel_and_toe(paths: BodyPaths, side: str, notes: list[str]) -> tuple[Array, Array]:
     """Paths (T, 3) of heel and toe, NaN where the foot's pose is unobserved; both those of the ankle if the
     foot's orientation is unobserved for more than half of the time.
     """
-    (foot,) = skeleton.index(table.segments[f"{side} foot"])
-    seen = poses.position_observed[:, foot]
-    turned = seen & poses.orientation_observed[:, foot]
+    foot = paths.joint(f"{side} foot")
+    seen = paths.masks.position_observed[:, foot]
+    turned = seen & paths.masks.orientation_observed[:, foot]
     unseen = int(seen.sum() - turned.sum())
     if unseen > turned.sum():
         often = f" in {100 * unseen / seen.sum():.0f} % of the frames" if turned.any() else ""
         notes.append(f"{side} foot: orientation unobserved{often}, so ankle positions give its events")
-        ankle = np.where(seen[:, None], poses.p_world_joint[:, foot], np.nan)
+        ankle = np.where(seen[:, None], paths.points[f"{side} foot"], np.nan)
         return ankle, ankle
     if unseen:
-        seconds = f"{unseen / poses.rate_hz:.2g} s"
+        seconds = f"{unseen / paths.rate_hz:.2g} s"
         notes.append(f"{side} foot: orientation unobserved for {seconds}, where it has no events")
-    landmarks = list(skeleton.landmarks)
-    points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
-    wanted = [points[:, landmarks.index(table.segments[f"{side} {word}"])] for word in ("heel", "toe")]
-    heel, toe = (np.where(turned[:, None], point, np.nan) for point in wanted)
+    heel, toe = (
+        np.where(turned[:, None], paths.points[f"{side} {word}"], np.nan) for word in ("heel", "toe")
+    )
     return heel, toe
 
 
@@ -147,5 +136,6 @@ def _maxima(times: Array, ahead: Array, rate_hz: float) -> Array:
             before, at, after = stretch[peak - 1 : peak + 2]
             curvature = before - 2 * at + after
             shift = 0.5 * (before - after) / curvature if curvature < 0 else 0.0
-            found.append(float(np.interp(start + peak + shift, np.arange(len(times)), times)))
+            at = start + peak
+            found.append(float(np.interp(shift, [-1, 0, 1], times[at - 1 : at + 2])))
     return np.array(found)

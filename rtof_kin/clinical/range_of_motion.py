@@ -69,14 +69,24 @@ def angular_velocity(angles: ClinicalAngles) -> Array:
     Args:
         angles: to smooth and differentiate; single frames between gaps have no velocity.
     """
-    out = np.full_like(angles.values, np.nan)
-    usable, rate_hz = np.where(angles.singular, np.nan, angles.trusted_values), angles.rate_hz
-    for column, values in enumerate(usable.T):
-        for start, stop in signals.runs(np.isfinite(values)):
-            if stop - start > 1:
-                stretch = smoothed(values[start:stop], rate_hz, CUTOFF_HZ)
-                out[start:stop, column] = np.gradient(stretch, angles.times[start:stop])
+    rate_hz = angles.rate_hz
+    columns = [_velocity(angles, column, rate_hz) for column in range(len(angles.rows))]
+    return np.stack(columns, axis=1)
+
+
+def _velocity(angles: ClinicalAngles, column: int, rate_hz: float) -> Array:
+    """(T,) time derivative of one angle, rad/s."""
+    values, out = _usable(angles, column), np.full(len(angles), np.nan)
+    for start, stop in signals.runs(np.isfinite(values)):
+        if stop - start > 1:
+            stretch = smoothed(values[start:stop], rate_hz, CUTOFF_HZ)
+            out[start:stop] = np.gradient(stretch, angles.times[start:stop])
     return out
+
+
+def _usable(angles: ClinicalAngles, column: int) -> Array:
+    """(T,) rad of one angle; NaN where it is singular, unknown or unreliable."""
+    return np.where(angles.singular[:, column], np.nan, angles.trusted_angle(column))
 
 
 def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
@@ -96,14 +106,17 @@ def ranges_of_motion(angles: ClinicalAngles) -> tuple[RangeOfMotion, ...]:
     Args:
         angles: over time.
     """
-    speed = np.abs(angular_velocity(angles))
-    return tuple(_range(angles, column, speed[:, column]) for column in range(len(angles.rows)))
+    rate_hz = angles.rate_hz
+    return tuple(
+        _range(angles, column, np.abs(_velocity(angles, column, rate_hz)))
+        for column in range(len(angles.rows))
+    )
 
 
 def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
-    name, known = angles.names[column], angles.known[:, column]
-    trusted, singular = angles.trusted_values[:, column], angles.singular[:, column]
-    values, nan = np.where(singular, np.nan, trusted), float("nan")
+    name, known = angles.names[column], np.isfinite(angles.values[:, column])
+    trusted, singular = angles.trusted_angle(column), angles.singular[:, column]
+    values, nan = _usable(angles, column), float("nan")
     shares: dict[str, Any] = {
         "known_share": float(known.mean()),
         "about_vertical": angles.rows[column].about_vertical,

@@ -8,14 +8,13 @@ from typing import Final, Literal, get_args
 import numpy as np
 from scipy.signal import find_peaks
 
-from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
+from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.clinical.range_of_motion import smoothed
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.poses import PoseSequence
 
 Interval = tuple[float, float]
 Kind = Literal["squat", "sit_to_stand"]
@@ -76,34 +75,31 @@ class RepetitionAnalysis:
         return last.ascent[1] - start[0] if start and last.ascent else float("nan")
 
 
-def find_repetitions(
-    poses: PoseSequence, skeleton: SkeletonModel, angles: ClinicalAngles, kind: Kind
-) -> RepetitionAnalysis:
+def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Kind) -> RepetitionAnalysis:
     """Find squats (standing - down - standing), or rises from a seat to standing.
 
     The height of the pelvis is measured from the ankles, or in world if no ankle is observed.
 
     Args:
-        poses: of the skeleton's joints. skeleton: of the motion. angles: its clinical angles, for the knees.
-        kind: 'squat' or 'sit_to_stand'.
+        paths: of the motion. angles: its clinical angles, for the knees. kind: 'squat' or 'sit_to_stand'.
 
     Raises:
         UnknownNameError: another kind.
     """
     if kind not in KINDS:
         raise UnknownNameError("kind of repetition", [kind], list(KINDS))
-    skeleton.check_joints(poses.names)
-    table = angle_table(skeleton.table)
     notes: list[str] = []
-    height = _pelvis_height(poses, skeleton, table, notes)
-    leg = sum(skeleton.bone_lengths[table.segments[f"{s} {w}"]] for s in SIDES for w in ("shank", "foot")) / 2
+    height = _pelvis_height(paths, notes)
+    lengths, segments = paths.skeleton.bone_lengths, paths.table.segments
+    leg = sum(lengths[segments[f"{side} {word}"]] for side in SIDES for word in ("shank", "foot")) / 2
     dips = [
         dip
         for start, stop in signals.runs(np.isfinite(height))
-        for dip in _dips(poses.times[start:stop], height[start:stop], poses.rate_hz, leg)
+        for dip in _dips(paths.times[start:stop], height[start:stop], paths.rate_hz, leg)
     ]
+    knees = angles.select([f"{side}_knee_flexion" for side in SIDES])
     found = [
-        replace(dip, knee_flexion=_knee_flexion(dip, angles))
+        replace(dip, knee_flexion=_knee_flexion(dip, knees.times, knees.trusted_values))
         for dip in dips
         if dip.ascent is not None and (kind == "sit_to_stand" or dip.descent is not None)
     ]
@@ -117,13 +113,13 @@ def find_repetitions(
     return RepetitionAnalysis(kind, tuple(found), tuple(notes))
 
 
-def _pelvis_height(
-    poses: PoseSequence, skeleton: SkeletonModel, table: AngleTable, notes: list[str]
-) -> Array:
+def _pelvis_height(paths: BodyPaths, notes: list[str]) -> Array:
     """(T,) m above the mean of the observed ankles; NaN where unknown."""
-    height = np.where(poses.position_observed, poses.p_world_joint[..., 2], np.nan)
-    words = ("pelvis", *(f"{side} foot" for side in SIDES))
-    pelvis, *ankles = height[:, skeleton.index(*(table.segments[word] for word in words))].T
+    seen_at = paths.masks.position_observed
+    pelvis, *ankles = (
+        np.where(seen_at[:, paths.joint(term)], paths.points[term][:, 2], np.nan)
+        for term in ("pelvis", *(f"{side} foot" for side in SIDES))
+    )
     seen = [ankle for ankle in ankles if np.isfinite(ankle).any()]
     if not seen:
         notes.append("no ankle was observed: the height of the pelvis is that in world, and drifts with it")
@@ -163,12 +159,11 @@ def _rise(times: Array, height: Array, least: float) -> Interval | None:
     return float(times[left]), float(times[reached])
 
 
-def _knee_flexion(dip: Repetition, angles: ClinicalAngles) -> dict[str, float]:
-    """Side -> largest reliable knee flexion, rad, within a repetition; NaN if none."""
+def _knee_flexion(dip: Repetition, times: Array, flexion: Array) -> dict[str, float]:
+    """Side -> largest reliable knee flexion (T, sides), rad, within a repetition; NaN if none."""
     moments = [moment for way in (dip.descent, dip.ascent) if way for moment in way]
-    inside = (angles.times >= min(moments)) & (angles.times <= max(moments))
-    knees = {}
-    for side in SIDES:
-        flexion = angles.select([f"{side}_knee_flexion"]).trusted_values[inside, 0]
-        knees[side] = float(np.nanmax(flexion)) if np.isfinite(flexion).any() else float("nan")
-    return knees
+    own = flexion[signals.within(times, min(moments), max(moments))]
+    return {
+        side: float(np.nanmax(knee)) if np.isfinite(knee).any() else float("nan")
+        for side, knee in zip(SIDES, own.T, strict=True)
+    }

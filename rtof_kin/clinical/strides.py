@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -67,11 +67,17 @@ def find_strides(side: str, events: GaitEvents) -> list[Stride]:
     others = [other.strikes for name, other in events.feet.items() if name != side]
     out = []
     for start, stop in zip(foot.strikes[:-1], foot.strikes[1:], strict=True):
-        offs, *strikes = (t[(t > start) & (t < stop)] for t in (foot.offs, *others))
+        offs, *strikes = (_between(t, start, stop) for t in (foot.offs, *others))
         alternates = all(len(own) == 1 for own in strikes)
-        seen = np.isfinite(foot.heel[(times >= start) & (times <= stop)]).all()
+        seen = np.isfinite(foot.heel[signals.within(times, start, stop)]).all()
         if len(offs) == 1 and alternates and seen and stop - start <= LONGEST_STRIDE:
-            ends = signals.interpolate(times, foot.heel, [start, stop])
-            length = float(np.linalg.norm((ends[1] - ends[0])[:2]))
-            out.append(Stride(side, float(start), float(offs[0]), float(stop), length))
+            stride = Stride(side, float(start), float(offs[0]), float(stop), float("nan"))
+            own = stride.frames(times)
+            ends = signals.interpolate(times[own], foot.heel[own], [start, stop])
+            out.append(replace(stride, stride_length=float(np.linalg.norm((ends[1] - ends[0])[:2]))))
     return out
+
+
+def _between(times: Array, start: float, stop: float) -> Array:
+    """Those of increasing times that lie in an open interval."""
+    return times[np.searchsorted(times, start, side="right") : np.searchsorted(times, stop)]

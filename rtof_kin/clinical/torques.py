@@ -12,6 +12,8 @@ of masses and motion. External forces are not measured, so either
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
@@ -36,6 +39,10 @@ SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twic
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
 _EDGE: Final = 0.1
 """[s] at either end of a stretch that are left NaN, where accelerations are one-sided differences."""
+
+
+_MARGIN: Final = 2.0
+"""[s] beside a block that are filtered with it: the filter's response has fallen below 1e-20."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ class JointTorques:
 
 
 def joint_torques(
-    motion: MotionSequence,
+    motion: MotionSequence | MotionSource,
     weight_kg: float | None,
     height: float | None = None,
     sex: str | None = None,
@@ -80,9 +87,10 @@ def joint_torques(
         raise InvalidInputError(
             "joint torques: no weight is given; they are proportional to it: pass it in kg"
         )
-    skeleton = motion.skeleton.with_mass(weight_kg, sex)
-    notes = _notes(motion, height, support is None)
-    T = len(motion.q)
+    source = MotionSource.of(motion)
+    skeleton = source.skeleton.with_mass(weight_kg, sex)
+    notes = _notes(source, height, support is None)
+    T = len(source)
     given = np.full(T, UNKNOWN) if support is None else support
     carries: NDArray[np.int_] = readonly("support", given, (T,), np.int_)
     if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
@@ -90,15 +98,18 @@ def joint_torques(
     tau = np.full((T, skeleton.nv), np.nan)
     wrench, unexplained = np.full((T, 6), np.nan), np.full((T, 6), np.nan)
     short = 0
-    for start, stop in signals.runs(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.all(axis=1)):
-        times = motion.times[start:stop]
+    for start, stop in signals.runs(source.masks.known & source.masks.valid.all(axis=1)):
+        times = source.times[start:stop]
         if times[-1] - times[0] < SHORTEST:
             short += 1
             continue
-        edge = max(2, round(_EDGE / float(np.median(np.diff(times)))))
-        parts = _inverse_dynamics(skeleton, motion.q[start:stop], times, carries[start:stop])
-        for whole, part in zip((tau, wrench, unexplained), parts, strict=True):
-            whole[start + edge : stop - edge] = part[edge:-edge]
+        step = float(np.median(np.diff(times)))
+        for frames, parts in _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop]):
+            for whole, part in zip((tau, wrench, unexplained), parts, strict=True):
+                whole[start:stop][frames] = part
+        edge = max(2, round(_EDGE / step))
+        for whole in (tau, wrench, unexplained):
+            whole[start : start + edge] = whole[stop - edge : stop] = np.nan
     if short:
         notes.append(f"{short} stretch(es) shorter than {SHORTEST:g} s have no torques")
     if support is not None:
@@ -108,7 +119,7 @@ def joint_torques(
             "foot bears all load; load sharing of two feet is unknown without a force plate"
         )
     return JointTorques(
-        motion.times, tau[:, 6:], skeleton.dof_names, wrench, unexplained,
+        source.times, tau[:, 6:], skeleton.dof_names, wrench, unexplained,
         skeleton.table.mass_kg, tuple(notes),
     )  # fmt: skip
 
@@ -125,15 +136,16 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
     swings, stands = np.zeros((2, len(SIDES), len(times)), dtype=np.bool_)
     for stride in gait.strides:
         side = SIDES.index(stride.side)
-        swings[side] |= (times > stride.toe_off) & (times < stride.stop)
-        stands[side] |= (times >= stride.start) & (times <= stride.toe_off)
+        own = stride.frames(times)
+        swings[side, own] |= (times[own] > stride.toe_off) & (times[own] < stride.stop)
+        stands[side, own] |= (times[own] >= stride.start) & (times[own] <= stride.toe_off)
     out = np.full(len(times), UNKNOWN)
     for side in range(len(SIDES)):
         out[stands[side] & swings[1 - side]] = side
     return out
 
 
-def _notes(motion: MotionSequence, height: float | None, no_support: bool) -> list[str]:
+def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list[str]:
     """Notes on the size of the skeleton, on external forces and on unobserved degrees of freedom."""
     skeleton, notes = motion.skeleton, []
     if height is not None and not 0.4 < height < 2.6:
@@ -148,7 +160,7 @@ def _notes(motion: MotionSequence, height: float | None, no_support: bool) -> li
             "no ground reaction force is assigned: torques of a leg in contact are not those of its muscles; "
             "the wrench on the root is what is missing"
         )
-    if unseen := never_observed(motion):
+    if unseen := never_observed(motion.masks):
         names = ", ".join(clinical_name(skeleton.table, dof) for dof in unseen)
         notes.append(
             "these degrees of freedom are unobserved: their torques are those of a body that keeps them "
@@ -158,13 +170,22 @@ def _notes(motion: MotionSequence, height: float | None, no_support: bool) -> li
 
 
 def _inverse_dynamics(
-    skeleton: SkeletonModel, q: Array, times: Array, carries: NDArray[np.int_]
+    skeleton: SkeletonModel, motion: MotionSource, rate_hz: float, carries: NDArray[np.int_]
+) -> Iterator[tuple[slice, tuple[Array, Array, Array]]]:
+    """Frames of a stretch in blocks, with `_wrenches` of each."""
+    for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz)):
+        times, own = block.motion.times, block.own
+        q = np.array(smoothed(block.motion.q, rate_hz, CUTOFF_HZ))
+        q[:, 3:7] = so3.unit(q[:, 3:7])  # the quaternion of the root is continuous, so it can be filtered
+        v = joint_velocities(skeleton, q, times)
+        a = np.gradient(v, times, axis=0)
+        yield block.frames, _wrenches(skeleton, q[own], v[own], a[own], carries[block.frames])
+
+
+def _wrenches(
+    skeleton: SkeletonModel, q: Array, v: Array, a: Array, carries: NDArray[np.int_]
 ) -> tuple[Array, Array, Array]:
     """Tau (T, nv), external wrench (T, 6) and its unassigned part (T, 6), about the root in world axes."""
-    q = np.array(smoothed(q, float(1 / np.median(np.diff(times))), CUTOFF_HZ))
-    q[:, 3:7] = so3.unit(q[:, 3:7])  # the quaternion of the root is continuous, so it can be filtered
-    v = joint_velocities(skeleton, q, times)
-    a = np.gradient(v, times, axis=0)
     model, data = skeleton.model, skeleton.model.createData()
     table = angle_table(skeleton.table)
     feet = [_link_joint(skeleton, table.segments[f"{side} foot"]) for side in SIDES]

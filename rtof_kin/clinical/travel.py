@@ -6,18 +6,18 @@ Positions and headings of every frame have errors and sway. A change counts once
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.gait_recognition import GaitVerdict
-from rtof_kin.core import rotations as so3
+from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import Provenance
 
 CUTOFF_HZ: Final = 1.0  # low-pass of the path, which removes jitter and most of the sway within a step
 LEAST_WAY: Final = 0.15  # [m] shortest way that counts
@@ -76,26 +76,26 @@ class Travel:
         return f"{path}, turning {' and '.join(turns)}" if turns else f"{path}, without turns"
 
 
-def travel(motion: MotionSequence, verdict: GaitVerdict) -> Travel:
+def travel(paths: BodyPaths, verdict: GaitVerdict) -> Travel:
     """Return way and turning of a person.
 
     Args:
-        motion: in world, z up. verdict: of its gait.
+        paths: of a motion in world, z up. verdict: of its gait.
     """
-    poses = motion.poses
-    (pelvis,) = motion.skeleton.index(angle_table(motion.skeleton.table).segments["pelvis"])
-    seen: Mask = poses.position_observed[:, pelvis]
-    heading = np.where(poses.valid[:, pelvis], so3.heading(poses.R_world_bone[:, pelvis]), np.nan)
-    turns = _turns(poses.times, heading)
-    path = np.where(seen[:, None], poses.p_world_joint[:, pelvis, :2], np.nan)
+    pelvis, masks = paths.joint("pelvis"), paths.masks
+    seen: Mask = masks.position_observed[:, pelvis]
+    heading = np.where(masks.valid[:, pelvis], paths.heading, np.nan)
+    turns = _turns(paths.times, heading)
+    path = np.where(seen[:, None], paths.points["pelvis"][:, :2], np.nan)
     known = np.flatnonzero(seen)
     way = path[known[-1]] - path[known[0]] if len(known) else np.full(2, np.nan)
     displacement = float(np.linalg.norm(way))
     direction = float(np.arctan2(way[1], way[0])) if displacement >= LEAST_WAY else float("nan")
     return Travel(
-        _path_length(poses, path), displacement, direction, _relative(direction, heading, turns),
+        _path_length(paths.times, path), displacement, direction, _relative(direction, heading, turns),
         float(turns[~(turns < 0)].sum()), float(-turns[~(turns > 0)].sum()),
-        _walking_share(poses.times, verdict), float(seen.mean()), _notes(poses, pelvis, seen),
+        _walking_share(paths.times, verdict), float(seen.mean()),
+        _notes(masks.provenance[:, pelvis], seen),
     )  # fmt: skip
 
 
@@ -124,17 +124,18 @@ def _turning_points(values: Array, least: float) -> list[float]:
     return [*points, high if rising > 0 else low] if points else []
 
 
-def _path_length(poses: PoseSequence, path: Array) -> float:
+def _path_length(times: Array, path: Array) -> float:
     """Length of a path (T, 2), m, from a point to the next that is `LEAST_WAY` away; NaN if unobserved."""
     runs = signals.runs(np.isfinite(path).all(axis=1))
-    smooth = signals.low_pass_known(poses.times, path, CUTOFF_HZ)
+    smooth = signals.low_pass_known(times, path, CUTOFF_HZ)
     length = 0.0 if runs else float("nan")
     for start, stop in runs:
-        anchor, way = smooth[start], 0.0
-        for point in smooth[start:stop]:
-            if (step := float(np.linalg.norm(point - anchor))) >= LEAST_WAY:
+        points = smooth[start:stop].tolist()
+        anchor, way = points[0], 0.0
+        for point in points:
+            if (step := math.dist(point, anchor)) >= LEAST_WAY:
                 way, anchor = way + step, point
-        length += way + float(np.linalg.norm(smooth[stop - 1] - anchor)) if way else 0.0
+        length += way + math.dist(points[-1], anchor) if way else 0.0
     return length
 
 
@@ -153,16 +154,16 @@ def _relative(direction: float, heading: Array, turns: Array) -> float:
 def _walking_share(times: Array, verdict: GaitVerdict) -> float:
     inside = np.zeros(len(times), dtype=np.bool_)
     for stride in verdict.walking:
-        inside |= (times >= stride.start) & (times <= stride.stop)
+        inside[signals.within(times, stride.start, stride.stop)] = True
     return float(inside.mean())
 
 
-def _notes(poses: PoseSequence, pelvis: int, seen: Mask) -> tuple[str, ...]:
-    """Sentences on gaps and drift."""
+def _notes(provenance: NDArray[np.uint8], seen: Mask) -> tuple[str, ...]:
+    """Sentences on gaps and drift of the pelvis, from (T,) its provenance and whether it was observed."""
     if not seen.any():
         return ("the pelvis was never observed",)
     notes = []
-    if np.all(poses.provenance[seen, pelvis] == Provenance.IMU):
+    if np.all(provenance[seen] == Provenance.IMU):
         notes.append(DRIFT)
     if not seen.all():
         share = 100 * float(1 - seen.mean())

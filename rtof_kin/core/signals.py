@@ -158,6 +158,15 @@ def vertex(before: float, most: float, after: float) -> float:
     return float((before - after) / (2 * min(before - 2 * most + after, -1e-9)))
 
 
+def within(times: Array, start: float, stop: float) -> slice:
+    """Return the samples of a closed interval.
+
+    Args:
+        times: (T,) s, increasing. start, stop: s.
+    """
+    return slice(int(np.searchsorted(times, start)), int(np.searchsorted(times, stop, side="right")))
+
+
 def runs(mask: ArrayLike) -> list[tuple[int, int]]:
     """Return half-open index ranges [start, stop) in which a mask is true.
 

@@ -8,7 +8,7 @@ OFFSET.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,7 +18,8 @@ from rtof_kin.body.kinematics import children_of
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
 from rtof_kin.formats.articulated import ArticulatedFrames, ArticulatedMotion
 
 Row = tuple[int, str]
@@ -290,12 +291,49 @@ def write_bvh(
         InvalidInputError: no such order, a name with a line end or a brace, or a value that is not finite.
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
+    write_bvh_blocks(path, [motion], len(motion), order=order, overwrite=overwrite)
+
+
+def write_bvh_blocks(
+    path: str | Path, blocks: Iterable[ArticulatedMotion], frames: int, *, order: str = "zxy",
+    overwrite: bool = False,
+) -> None:  # fmt: skip
+    """Write a motion as `write_bvh` does, block by block.
+
+    Args:
+        path: the file. blocks: of consecutive frames of one tree; at least one. frames: number of all.
+        order, overwrite: see `write_bvh`.
+
+    Raises:
+        As `write_bvh`.
+    """
     if sorted(order) != ["x", "y", "z"]:
         raise InvalidInputError(f"order: {order!r}; give x, y and z in some order")
+    last: Array | None = None
+    with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
+        for motion in blocks:
+            raw = so3.matrix_to_euler(order, motion.R_parent_joint)
+            if last is None:
+                stream.write("\n".join(_head(motion, order, frames)) + "\n")
+                angles = so3.euler_continuous(raw)
+            else:
+                angles = so3.euler_continuous(np.concatenate([last, raw]))[1:]
+            last = angles[-1:]
+            rows = _values(motion, np.rad2deg(angles)).tolist()
+            stream.writelines(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+
+
+def _head(motion: ArticulatedMotion, order: str, frames: int) -> list[str]:
+    """Return the lines above the first frame."""
     odd = [n for n in motion.names if not n.strip() or set(n) & set("{}") or len(n.splitlines()) > 1]
     if odd:
         raise InvalidInputError(f"joint name {odd[0]!r}: empty, or a brace or a line's end in it; rename it")
-    angles = np.rad2deg(so3.euler_continuous(so3.matrix_to_euler(order, motion.R_parent_joint)))
+    lines = ["HIERARCHY", *_hierarchy(motion, order, 0, "")]
+    return [*lines, "MOTION", f"Frames: {frames}", f"Frame Time: {1 / float(motion.rate_hz)!r}"]
+
+
+def _values(motion: ArticulatedMotion, angles: Array) -> Array:
+    """Return the channels (T, width) from angles (T, J, 3), degrees."""
     moving, columns = motion.p_parent_joint, []
     for j in _depth_first(motion.parents, 0):
         if j == 0:
@@ -306,10 +344,7 @@ def write_bvh(
     values = np.concatenate(columns, axis=1)
     if not np.isfinite(values).all():
         raise InvalidInputError("motion: a value is not finite; BVH has no gaps, write a file for each piece")
-    lines = ["HIERARCHY", *_hierarchy(motion, order, 0, "")]
-    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {1 / float(motion.rate_hz)!r}"]
-    lines += [" ".join(f"{value:.9f}" for value in row) for row in values.tolist()]
-    write_text(Path(path), "\n".join([*lines, ""]), overwrite)
+    return values
 
 
 def _depth_first(parents: tuple[int, ...], joint: int) -> list[int]:

@@ -20,7 +20,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file
-from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
 LARGEST_BYTES: Final = 2**31
@@ -201,7 +201,9 @@ def _frames(reader: Any, fitting: int) -> int:
     return int(reader.header.last_frame - reader.header.first_frame + 1)
 
 
-def write_c3d(path: str | Path, markers: MarkerSequence, *, up: str = "z", overwrite: bool = False) -> None:
+def write_c3d(
+    path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "z", overwrite: bool = False
+) -> None:
     """Write points in mm, which `read_c3d` reads back to the format's 32 bits.
 
     Args:
@@ -215,7 +217,7 @@ def write_c3d(path: str | Path, markers: MarkerSequence, *, up: str = "z", overw
     """
     import ezc3d  # slow to import and only needed here
 
-    R_world_file = world_of_file(up)
+    R_world_file, markers = world_of_file(up), MarkerBlocks.of(markers)
     rate = markers.rate_hz
     first = round(float(markers.times[0]) * rate)
     if first < 0 or np.abs(markers.times * rate - first - np.arange(len(markers))).max() > 1e-3:
@@ -223,7 +225,7 @@ def write_c3d(path: str | Path, markers: MarkerSequence, *, up: str = "z", overw
             "marker times: C3D has a number for each frame and no times; resample to one rate, with "
             "times that are multiples of its step"
         )
-    p_file = markers.p_world @ R_world_file / METRES["mm"]
+    p_file = np.concatenate(list(markers.blocks())) @ R_world_file / METRES["mm"]
     file = ezc3d.c3d()
     point = file["parameters"]["POINT"]
     point["UNITS"]["value"], point["RATE"]["value"] = ["mm"], [rate]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 import pinocchio as pin
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array
@@ -49,23 +50,27 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
     return np.asarray((padded[:-1] + padded[1:]) / 2)
 
 
-def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence) -> None:
+def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence | MotionSource) -> None:
     """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's
     orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table.
 
     Args:
         path: the table; an existing file is replaced. motion: configurations and their observability.
     """
-    path, skeleton = Path(path), motion.skeleton
+    path, source = Path(path), MotionSource.of(motion)
+    skeleton = source.skeleton
     columns = ("time", *BASE_COLUMNS, *skeleton.dof_names, *_valid_columns(skeleton))
-    valid = np.column_stack([root_turn_observed(motion), observed_dofs(motion)]).astype(int)
     sidecar = json.dumps(_sidecar(path, skeleton), indent=2) + "\n"
     with new_file(path, overwrite=True) as file:
         with file.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerow(columns)
-            for time, row, flags in zip(motion.times, motion.q, valid.tolist(), strict=True):
-                writer.writerow([*(repr(float(value)) for value in (time, *row)), *flags])
+            for block, masks in source.observed_blocks():
+                numbers = np.column_stack([block.times, block.q]).tolist()
+                valid = np.column_stack([root_turn_observed(masks), observed_dofs(masks)]).astype(int)
+                writer.writerows(
+                    [*map(repr, row), *flags] for row, flags in zip(numbers, valid.tolist(), strict=True)
+                )
         write_text(path.with_suffix(".json"), sidecar, overwrite=True)
 
 
@@ -108,7 +113,7 @@ def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]
     return tuple(columns), table
 
 
-def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Path]:
+def write_ros_trajectory(folder: str | Path, motion: MotionSequence | MotionSource) -> list[Path]:
     """Write ``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and velocities) and
     ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
 
@@ -122,43 +127,44 @@ def write_ros_trajectory(folder: str | Path, motion: MotionSequence) -> list[Pat
     Returns:
         The paths written.
     """
-    folder, times, paths = Path(folder), motion.times - motion.times[0], []
-    unseen = never_observed(motion)
-    known = runs(np.isfinite(motion.q).all(axis=1))
+    folder, source, paths = Path(folder), MotionSource.of(motion), []
+    skeleton, unseen = source.skeleton, never_observed(source.masks)
+    kept = [i for i, name in enumerate(skeleton.dof_names) if name not in unseen]
+    known = runs(source.masks.known)
     for number, (start, stop) in enumerate(known, 1):
-        q, t = motion.q[start:stop], times[start:stop]
-        messages = {
-            "joint": _joint_message(motion.skeleton, q, t, unseen),
-            "base": _base_message(motion.skeleton, q, t),
-        }
-        for kind, message in messages.items():
-            suffix = f"_{number}" if len(known) > 1 else ""
-            paths.append(folder / f"ros_{kind}_trajectory{suffix}.json")
-            write_text(paths[-1], json.dumps(message) + "\n", overwrite=True)
+        suffix = f"_{number}" if len(known) > 1 else ""
+        joints, base = (folder / f"ros_{kind}_trajectory{suffix}.json" for kind in ("joint", "base"))
+        piece, zero = source[start:stop], source.times[0]
+        _write_message(joints, [skeleton.dof_names[i] for i in kept], _joint_points(piece, zero, kept))
+        _write_message(base, [skeleton.root], _base_points(piece, zero))
+        paths += [joints, base]
     return paths
 
 
-def _joint_message(
-    skeleton: SkeletonModel, q: Array, times: Array, without: tuple[str, ...]
-) -> dict[str, Any]:
-    kept = [i for i, name in enumerate(skeleton.dof_names) if name not in without]
-    angles = q[:, 7:][:, kept]
-    velocities = joint_velocities(skeleton, q, times)[:, 6:][:, kept]
-    return {
-        "header": ros_header(0.0),
-        "joint_names": [skeleton.dof_names[i] for i in kept],
-        "points": [
-            {"positions": row, "velocities": rates, "time_from_start": ros_time(time)}
-            for row, rates, time in zip(angles.tolist(), velocities.tolist(), times, strict=True)
-        ],
-    }
+def _write_message(path: Path, joint_names: list[str], points: Iterable[Any]) -> None:
+    """Write a trajectory point by point, as `json.dumps` would as a whole."""
+    head = json.dumps({"header": ros_header(0.0), "joint_names": joint_names, "points": []})
+    with new_file(path, overwrite=True) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(head.removesuffix("]}"))
+        for number, point in enumerate(points):
+            stream.write((", " if number else "") + json.dumps(point))
+        stream.write("]}\n")
 
 
-def _base_message(skeleton: SkeletonModel, q: Array, times: Array) -> dict[str, Any]:
-    points = []
-    for row, time in zip(q.tolist(), times, strict=True):
-        points.append({"transforms": [ros_transform(row)], "time_from_start": ros_time(time)})
-    return {"header": ros_header(0.0), "joint_names": [skeleton.root], "points": points}
+def _joint_points(motion: MotionSource, zero: float, kept: list[int]) -> Iterator[dict[str, Any]]:
+    for block in motion.blocks(margin=1):
+        q, times = block.motion.q, block.motion.times - zero
+        angles = q[block.own, 7:][:, kept]
+        velocities = joint_velocities(motion.skeleton, q, times)[block.own, 6:][:, kept]
+        rows = zip(angles.tolist(), velocities.tolist(), times[block.own], strict=True)
+        for row, rates, time in rows:
+            yield {"positions": row, "velocities": rates, "time_from_start": ros_time(time)}
+
+
+def _base_points(motion: MotionSource, zero: float) -> Iterator[dict[str, Any]]:
+    for block in motion.blocks():
+        for row, time in zip(block.motion.q.tolist(), block.motion.times - zero, strict=True):
+            yield {"transforms": [ros_transform(row)], "time_from_start": ros_time(time)}
 
 
 def ros_time(seconds: float) -> dict[str, int]:

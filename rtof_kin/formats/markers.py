@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -40,6 +41,33 @@ class MarkerSequence:
 
     def __getitem__(self, frames: slice) -> Self:
         return replace(self, times=self.times[frames], p_world=self.p_world[frames])
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames per second, by the mean step; 60 for a single frame."""
+        return (len(self) - 1) / float(self.times[-1] - self.times[0]) if len(self) > 1 else 60.0
+
+
+@dataclass(frozen=True)
+class MarkerBlocks:
+    """Markers that may be longer than memory allows, for writers."""
+
+    times: Array
+    """(T,) seconds, strictly increasing."""
+    names: tuple[str, ...]
+    """M names."""
+    blocks: Callable[[], Iterator[Array]]
+    """Returns p_world (n, M, 3), m, of consecutive frames, T in all; NaN as a whole where missing."""
+
+    @classmethod
+    def of(cls, markers: MarkerSequence | Self) -> MarkerBlocks:
+        """Return markers in memory as one block; blocks are returned as they are."""
+        if isinstance(markers, MarkerBlocks):
+            return markers
+        return MarkerBlocks(markers.times, markers.names, lambda: iter([markers.p_world]))
+
+    def __len__(self) -> int:
+        return len(self.times)
 
     @property
     def rate_hz(self) -> float:

@@ -31,20 +31,21 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
-from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.signals import runs
-from rtof_kin.formats.bvh import write_bvh
+from rtof_kin.formats.bvh import write_bvh_blocks
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.formats.motion_table import CONVENTION, write_motion_csv, write_motion_parquet
 from rtof_kin.formats.motion_views import (
+    Motion,
     dofs_from_prior,
     even_times,
     from_prior,
-    joint_tree,
-    landmark_markers,
+    joint_tree_blocks,
+    landmark_blocks,
     landmarks_from_prior,
     pieces,
 )
@@ -58,7 +59,7 @@ DEFAULT: Final = ("csv", "ros")
 Facts = dict[str, Any]
 Files = dict[str, Facts]
 """Entries of `files.json`, by file name."""
-Writer = Callable[[Path, MotionSequence], object]
+Writer = Callable[[Path, MotionSource], object]
 _MOST_FRAMES_C3D: Final = 0xFFFF
 """Frame numbers have 16 bits in the header."""
 
@@ -69,33 +70,35 @@ class Format:
 
     convention: str
     """Axes, units, order and names."""
-    write: Callable[[Path, MotionSequence], Files]
+    write: Callable[[Path, MotionSource], Files]
     """Write into a folder."""
     even: bool = False
     """True for formats with a rate in place of times, or whose readers expect even ones."""
 
 
-def write_motion_files(folder: str | Path, motion: MotionSequence, formats: Sequence[str] = DEFAULT) -> Path:
+def write_motion_files(folder: str | Path, motion: Motion, formats: Sequence[str] = DEFAULT) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
 
     Args:
         folder: files of these names in it are replaced; `core.files.folder.new_folder` makes a new one.
-        motion: what is written. formats: names in `FORMATS`.
+        motion: what is written, in blocks but for c3d. formats: names in `FORMATS`.
 
     Raises:
         UnknownNameError: no such format. RtofError: Parquet without pyarrow.
         InvalidInputError: a format needs even times or an observed frame.
     """
     check_formats(formats)
-    folder, skeleton = Path(folder), motion.skeleton
-    (folder / URDF).write_text(skeleton.to_urdf(), encoding="utf-8")
+    folder, source = Path(folder), MotionSource.of(motion)
+    (folder / URDF).write_text(source.skeleton.to_urdf(), encoding="utf-8")
     files: Files = {URDF: {"format": "urdf", "convention": _LINKS}}
-    even = _with_even_times(motion) if any(FORMATS[name].even for name in formats) else motion
+    even = source
+    if any(FORMATS[name].even for name in formats):
+        even = source.with_times(even_times(source.times))
     for name in (name for name in FORMATS if name in formats):
         kind = FORMATS[name]
-        for file, facts in kind.write(folder, even if kind.even else motion).items():
+        for file, facts in kind.write(folder, even if kind.even else source).items():
             files[file] = {"format": name, "convention": kind.convention, **facts}
-    text = json.dumps(_index(motion, files), indent=2)
+    text = json.dumps(_index(source, files), indent=2)
     (folder / INDEX).write_text(text + "\n", encoding="utf-8")
     return folder
 
@@ -107,23 +110,17 @@ def check_formats(formats: Sequence[str]) -> None:
         raise UnknownNameError("format", unknown, list(FORMATS))
 
 
-def _with_even_times(motion: MotionSequence) -> MotionSequence:
-    """Return the motion at even times, without confidence, which these formats cannot hold."""
-    poses = replace(motion.poses, times=even_times(motion.times))
-    return replace(motion, poses=poses, confidence=None)
-
-
-def _index(motion: MotionSequence, files: Files) -> Facts:
-    poses, skeleton = motion.poses, motion.skeleton
-    seen = np.zeros(len(poses), dtype=bool)
+def _index(motion: MotionSource, files: Files) -> Facts:
+    skeleton, times = motion.skeleton, motion.times
+    seen = np.zeros(len(motion), dtype=bool)
     for start, stop in pieces(motion):
         seen[start:stop] = True
     return {
         "skeleton": skeleton.name,
         "height_m": skeleton.height,
-        "frames": len(poses),
-        "rate_hz": poses.rate_hz,
-        "times_s": [float(poses.times[0]), float(poses.times[-1])],
+        "frames": len(motion),
+        "rate_hz": motion.rate_hz,
+        "times_s": [float(times[0]), float(times[-1])],
         "gaps": [list(gap) for gap in runs(~seen)],
         **_unseen(motion),
         "meaning": "frames and gaps: [first, stop) in frames of the motion, from 0; from_prior: joints "
@@ -146,23 +143,21 @@ def _index(motion: MotionSequence, files: Files) -> Facts:
 # --- one function for each kind of format --------------------------------------------------------
 
 
-def _whole(writers: dict[str, Writer]) -> Callable[[Path, MotionSequence], Files]:
+def _whole(writers: dict[str, Writer]) -> Callable[[Path, MotionSource], Files]:
     """Return a function that writes the whole motion to each of some files."""
 
-    def write(folder: Path, motion: MotionSequence) -> Files:
+    def write(folder: Path, motion: MotionSource) -> Files:
         for name, write_file in writers.items():
             write_file(folder / name, motion)
-        return {name: {"frames": [0, len(motion.q)], "time_zero_s": 0.0} for name in writers}
+        return {name: {"frames": [0, len(motion)], "time_zero_s": 0.0} for name in writers}
 
     return write
 
 
-def _pieces(
-    suffix: str, write_file: Writer, has_times: bool = True
-) -> Callable[[Path, MotionSequence], Files]:
+def _pieces(suffix: str, write_file: Writer, has_times: bool = True) -> Callable[[Path, MotionSource], Files]:
     """Return a function that writes a file for each piece without gaps; one without times begins at 0."""
 
-    def write(folder: Path, motion: MotionSequence) -> Files:
+    def write(folder: Path, motion: MotionSource) -> Files:
         parts = pieces(motion)
         if not parts:
             raise InvalidInputError(f"motion: the person was seen in no frame, so nothing for {suffix}")
@@ -174,35 +169,35 @@ def _pieces(
             zero = 0.0 if has_times else float(part.times[0])
             files[name] = {"frames": [start, stop], "time_zero_s": zero, **_unseen(part)}
             if suffix == ".mot":
-                files[name]["left_out"] = list(never_observed(part))
+                files[name]["left_out"] = list(never_observed(part.masks))
         return files
 
     return write
 
 
-def _ros(folder: Path, motion: MotionSequence) -> Files:
+def _ros(folder: Path, motion: MotionSource) -> Files:
     paths = write_ros_trajectory(folder, motion)
-    facts = {"time_zero_s": float(motion.times[0]), "left_out": list(never_observed(motion))}
+    facts = {"time_zero_s": float(motion.times[0]), "left_out": list(never_observed(motion.masks))}
     return {path.name: dict(facts) for path in paths}
 
 
-def _osim(folder: Path, motion: MotionSequence) -> Files:
+def _osim(folder: Path, motion: MotionSource) -> Files:
     write_osim(folder / "skeleton.osim", motion.skeleton)
     return {"skeleton.osim": {}}
 
 
-def _c3d(folder: Path, motion: MotionSequence) -> Files:
+def _c3d(folder: Path, motion: MotionSource) -> Files:
     """Write times as frame numbers; `time_zero_s` is the remainder of the first one."""
-    markers = landmark_markers(motion)
+    markers = landmark_blocks(motion)
     start, rate = float(markers.times[0]), markers.rate_hz
     first = round(start * rate)
     if not 0 <= first <= _MOST_FRAMES_C3D - len(markers):
         first = 0
     write_c3d(folder / "motion.c3d", replace(markers, times=(first + np.arange(len(markers))) / rate))
-    return {"motion.c3d": {"frames": [0, len(motion.q)], "time_zero_s": start - first / rate}}
+    return {"motion.c3d": {"frames": [0, len(motion)], "time_zero_s": start - first / rate}}
 
 
-def _unseen(motion: MotionSequence) -> Facts:
+def _unseen(motion: MotionSource) -> Facts:
     return {
         "from_prior": from_prior(motion),
         "landmarks_from_prior": landmarks_from_prior(motion),
@@ -242,14 +237,16 @@ FORMATS: Final[dict[str, Format]] = {
     ),
     "trc": Format(
         f"landmarks by name in {_GROUND}; m; even times",
-        _whole({"motion.trc": lambda path, m: write_trc(path, landmark_markers(m), up="opensim")}),
+        _whole({"motion.trc": lambda path, m: write_trc(path, landmark_blocks(m), up="opensim")}),
         even=True,
     ),
     "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, even=True),
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",
-        _pieces(".bvh", lambda path, m: write_bvh(path, joint_tree(m)), has_times=False),
+        _pieces(
+            ".bvh", lambda path, m: write_bvh_blocks(path, joint_tree_blocks(m), len(m)), has_times=False
+        ),
         even=True,
     ),
 }

@@ -37,6 +37,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -254,11 +255,12 @@ class MotionReader:
             if self._nodes is not None:
                 self._nodes.scan(stop, int(np.searchsorted(self._node_frames, ahead - 1)) + 1)
 
-    def block(self, start: int, stop: int) -> MotionFile:
+    def block(self, start: int, stop: int, confidence: bool = True) -> MotionFile:
         """Return frames.
 
         Args:
             start, stop: frames; those before `available`, or a little after, are found fast.
+            confidence: whether to read it if there is one, which takes longest.
 
         Raises:
             FileFormatError: the file is damaged, or a value in these frames is invalid.
@@ -274,13 +276,13 @@ class MotionReader:
             }
             p, R = self._poses(q, start, stop)
             poses = PoseSequence(self.times[start:stop], p, R, self.names, **masks)
-            confidence = self._confidence(start, stop) if self._pairs else None
+            known = self._confidence(start, stop) if self._pairs and confidence else None
         except (RtofError, ValueError, TypeError) as error:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
         about = (self.dof_names, self._offsets, self.first_frame, self.mode, self.skeleton.name)
-        return MotionFile(q, poses, *about, confidence)
+        return MotionFile(q, poses, *about, known)
 
     def blocks(self, frames: int = 3600, overlap: int = 0) -> Iterator[MotionFile]:
         """Yield all frames in order.
@@ -294,6 +296,10 @@ class MotionReader:
         """
         for start in range(0, len(self), frames):
             yield self.block(max(start - overlap, 0), min(start + frames, len(self)))
+
+    def source(self) -> MotionSource:
+        """Return the motion, to be read while the file is open."""
+        return MotionSource(self.skeleton, self.times, lambda *frames: self.block(*frames).motion())
 
     def root(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,), fast.

@@ -9,8 +9,8 @@ or nulls; bridged values and those of a prior alone are present and not valid.
 from __future__ import annotations
 
 import csv
-import io
 import json
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +18,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.observability import observed_dofs, observed_landmarks, root_turn_observed
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.observability import (
+    ObservationMasks,
+    observed_dofs,
+    observed_landmarks,
+    root_turn_observed,
+)
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import new_file
-from rtof_kin.core.files.text import write_text
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN
 
@@ -47,9 +52,14 @@ class Column:
     """'clinical' and 'opensim' names, '-' in front where the sign is opposite."""
 
 
-def motion_columns(motion: MotionSequence) -> list[Column]:
-    """Return the columns of the table of a motion, in their order."""
+def motion_columns(motion: MotionSequence, masks: ObservationMasks | None = None) -> list[Column]:
+    """Return the columns of the table of a motion, in their order.
+
+    Args:
+        motion: a whole one, or a block. masks: of the block.
+    """
     skeleton, poses = motion.skeleton, motion.poses
+    masks = masks or ObservationMasks.of(motion)
     dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
     columns = [Column("time", "s", motion.times)]
     for name, values in zip(BASE_COLUMNS, motion.q[:, :7].T, strict=True):
@@ -67,12 +77,14 @@ def motion_columns(motion: MotionSequence) -> list[Column]:
     beside = len(skeleton.names)  # landmarks are the joints first
     names = (BASE_TURN, *skeleton.dof_names, *tuple(skeleton.landmarks)[beside:])
     observed = np.column_stack(
-        [root_turn_observed(motion), observed_dofs(motion), observed_landmarks(motion)[:, beside:]]
+        [root_turn_observed(masks), observed_dofs(masks), observed_landmarks(masks)[:, beside:]]
     )
     return columns + [Column(f"{n}_valid", "", valid) for n, valid in zip(names, observed.T, strict=True)]
 
 
-def write_motion_csv(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+def write_motion_csv(
+    path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False
+) -> None:
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
 
     Args:
@@ -81,21 +93,27 @@ def write_motion_csv(path: str | Path, motion: MotionSequence, *, overwrite: boo
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
-    columns = motion_columns(motion)
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
-    writer.writerows(zip(*([_cell(v) for v in c.values.tolist()] for c in columns), strict=True))
-    write_text(Path(path), stream.getvalue(), overwrite)
+    with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        for number, (block, masks) in enumerate(MotionSource.of(motion).observed_blocks()):
+            columns = motion_columns(block, masks)
+            if number == 0:
+                writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
+            writer.writerows(zip(*(_cells(c.values) for c in columns), strict=True))
 
 
-def _cell(value: float | bool | str) -> str:
-    if isinstance(value, bool):
-        return str(int(value))
-    return value if isinstance(value, str) else "" if np.isnan(value) else repr(value)
+def _cells(values: NDArray[Any]) -> list[str]:
+    """Texts of the values (T,) of a column; '' for NaN."""
+    if values.dtype.kind == "U":
+        return [str(value) for value in values.tolist()]
+    if values.dtype.kind == "b":
+        return ["1" if value else "0" for value in values.tolist()]
+    return ["" if value != value else repr(value) for value in values.tolist()]
 
 
-def write_motion_parquet(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+def write_motion_parquet(
+    path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False
+) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
     convention, skeleton and joint offsets in that of the table.
 
@@ -111,14 +129,19 @@ def write_motion_parquet(path: str | Path, motion: MotionSequence, *, overwrite:
         from pyarrow import parquet
     except ImportError as error:
         raise RtofError("Parquet needs pyarrow: install the extra, rtof_kin[parquet]") from error
-    columns = motion_columns(motion)
-    arrays = [pa.array(c.values, from_pandas=True) for c in columns]  # from_pandas: NaN is null
-    fields = [
-        pa.field(c.name, array.type, metadata=({"unit": c.unit} if c.unit else {}) | c.also)
-        for c, array in zip(columns, arrays, strict=True)
-    ]
-    skeleton = motion.skeleton
+    source = MotionSource.of(motion)
+    skeleton = source.skeleton
     offsets = dict(zip(skeleton.names, skeleton.joint_offsets.tolist(), strict=True))
     about = {"convention": CONVENTION, "skeleton": skeleton.name, "joint_offsets_m": json.dumps(offsets)}
-    with new_file(path, overwrite) as file:
-        parquet.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, about)), file)
+    with new_file(path, overwrite) as file, ExitStack() as stack:
+        writer = None
+        for block, masks in source.observed_blocks():
+            columns = motion_columns(block, masks)
+            arrays = [pa.array(c.values, from_pandas=True) for c in columns]  # from_pandas: NaN is null
+            fields = [
+                pa.field(c.name, array.type, metadata=({"unit": c.unit} if c.unit else {}) | c.also)
+                for c, array in zip(columns, arrays, strict=True)
+            ]
+            schema = pa.schema(fields, about)
+            writer = writer or stack.enter_context(parquet.ParquetWriter(file, schema))
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.observability import observed_dofs, observed_landmarks, root_turn_observed
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.observability import (
+    ObservationMasks,
+    observed_dofs,
+    observed_landmarks,
+    root_turn_observed,
+)
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times
@@ -15,34 +23,37 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.signals import runs
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.joint_trajectory import BASE_TURN
-from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
+Motion = MotionSequence | MotionSource
 MOST_UNEVEN: Final = 0.02
 """Largest deviation of a time from an even grid, frames, in formats without times."""
 
 
-def pieces(motion: MotionSequence) -> list[tuple[int, int]]:
+def pieces(motion: Motion) -> list[tuple[int, int]]:
     """Return frames [start, stop) of the runs in which the person was seen, for formats without gaps.
 
     A frame is in a gap where its configuration is unknown or no joint is valid (it was bridged).
     """
-    return runs(outside_gaps(motion))
+    return runs(outside_gaps(MotionSource.of(motion).masks))
 
 
-def outside_gaps(motion: MotionSequence) -> Mask:
+def outside_gaps(masks: ObservationMasks) -> Mask:
     """Return a mask (T,) of the frames of `pieces`."""
-    return np.asarray(np.isfinite(motion.q).all(axis=1) & motion.poses.valid.any(axis=1))
+    return np.asarray(masks.known & masks.valid.any(axis=1))
 
 
-def from_prior(motion: MotionSequence) -> dict[str, float]:
+def from_prior(motion: Motion) -> dict[str, float]:
     """Return joints whose position was unobserved outside gaps -> the share of those frames, 0 to 1."""
-    return _shares(motion, motion.poses.names, motion.poses.position_observed)
+    masks = MotionSource.of(motion).masks
+    return _shares(masks, masks.skeleton.names, masks.position_observed)
 
 
-def dofs_from_prior(motion: MotionSequence) -> dict[str, float]:
+def dofs_from_prior(motion: Motion) -> dict[str, float]:
     """Return the same shares of degrees of freedom by URDF name, and of the root's orientation."""
-    return _shares(motion, root_and_dof_names(motion.skeleton), root_and_dofs_observed(motion))
+    masks = MotionSource.of(motion).masks
+    return _shares(masks, root_and_dof_names(masks.skeleton), root_and_dofs_observed(masks))
 
 
 def root_and_dof_names(skeleton: SkeletonModel) -> tuple[str, ...]:
@@ -50,26 +61,27 @@ def root_and_dof_names(skeleton: SkeletonModel) -> tuple[str, ...]:
     return (BASE_TURN, *skeleton.dof_names)
 
 
-def root_and_dofs_observed(motion: MotionSequence) -> Mask:
+def root_and_dofs_observed(masks: ObservationMasks) -> Mask:
     """Return a mask (T, 1 + D) of what was observed, in the order of `root_and_dof_names`."""
-    return np.column_stack([root_turn_observed(motion), observed_dofs(motion)])
+    return np.column_stack([root_turn_observed(masks), observed_dofs(masks)])
 
 
-def landmarks_from_prior(motion: MotionSequence) -> dict[str, float]:
+def landmarks_from_prior(motion: Motion) -> dict[str, float]:
     """Return the same shares of landmarks that are no joints, e.g. heels."""
-    shares = _shares(motion, tuple(motion.skeleton.landmarks), observed_landmarks(motion))
-    return {name: share for name, share in shares.items() if name not in motion.poses.names}
+    masks = MotionSource.of(motion).masks
+    shares = _shares(masks, tuple(masks.skeleton.landmarks), observed_landmarks(masks))
+    return {name: share for name, share in shares.items() if name not in masks.skeleton.names}
 
 
-def _shares(motion: MotionSequence, names: tuple[str, ...], observed: Mask) -> dict[str, float]:
-    inside = ~observed[outside_gaps(motion)]
+def _shares(masks: ObservationMasks, names: tuple[str, ...], observed: Mask) -> dict[str, float]:
+    inside = ~observed[outside_gaps(masks)]
     shares = inside.mean(axis=0) if len(inside) else np.zeros(len(names))
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}
 
 
-def check_known(motion: MotionSequence) -> None:
+def check_known(motion: Motion) -> None:
     """Raise `InvalidInputError` where a configuration is unknown, for formats without gaps."""
-    unknown = np.flatnonzero(~np.isfinite(motion.q).all(axis=1))
+    unknown = np.flatnonzero(~MotionSource.of(motion).masks.known)
     if len(unknown):
         raise InvalidInputError(
             f"motion: frame {unknown[0]} is not known, and this format has no gaps; write each of its "
@@ -100,10 +112,40 @@ def even_times(times: Array) -> Array:
 
 def landmark_markers(motion: MotionSequence) -> MarkerSequence:
     """Return all landmarks of the skeleton, joints first, as markers; NaN where unobserved."""
-    poses, skeleton = motion.poses, motion.skeleton
-    p = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
-    p = np.where(observed_landmarks(motion)[..., None], p, np.nan)
-    return MarkerSequence(poses.times, tuple(skeleton.landmarks), p)
+    p = landmark_points(motion, ObservationMasks.of(motion))
+    return MarkerSequence(motion.times, tuple(motion.skeleton.landmarks), p)
+
+
+def landmark_blocks(motion: MotionSource) -> MarkerBlocks:
+    """Return the markers of `landmark_markers` in blocks."""
+
+    def blocks() -> Iterator[Array]:
+        for block, masks in motion.observed_blocks():
+            yield landmark_points(block, masks)
+
+    return MarkerBlocks(motion.times, tuple(motion.skeleton.landmarks), blocks)
+
+
+def landmark_points(motion: MotionSequence, masks: ObservationMasks) -> Array:
+    """Return positions (T, L, 3) of landmarks in world, m; NaN where unobserved.
+
+    Args:
+        motion: a whole one, or a block. masks: of the block.
+    """
+    p = motion.skeleton.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
+    return np.where(observed_landmarks(masks)[..., None], p, np.nan)
+
+
+def joint_tree_blocks(motion: MotionSource) -> Iterator[ArticulatedMotion]:
+    """Return `joint_tree` in blocks, with the rate of the whole.
+
+    Args:
+        motion: see `joint_tree`.
+    """
+    check_known(motion)
+    rate_hz = _even_rate_hz(even_times(motion.times))
+    for block in motion.blocks():
+        yield replace(_tree(block.motion, "y", "cm"), rate_hz=rate_hz)
 
 
 def joint_tree(motion: MotionSequence, *, up: str = "y", unit: str = "cm") -> ArticulatedMotion:
@@ -120,10 +162,18 @@ def joint_tree(motion: MotionSequence, *, up: str = "y", unit: str = "cm") -> Ar
     if unit not in METRES:
         raise InvalidInputError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
     check_known(motion)
+    return replace(_tree(motion, up, unit), rate_hz=_even_rate_hz(even_times(motion.times)))
+
+
+def _even_rate_hz(times: Array) -> float:
+    return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 60.0
+
+
+def _tree(motion: MotionSequence, up: str, unit: str) -> ArticulatedMotion:
+    """`joint_tree` of known frames, with a rate that is not theirs."""
     skeleton, R_world_file = motion.skeleton, world_of_file(up)
     leaves = [j for j in range(len(skeleton.names)) if j not in skeleton.parents]
     R_parent_joint = kinematics.local_rotations(skeleton.parents, motion.poses.R_world_bone)
-    times = even_times(motion.times)
 
     def in_file(vectors: Array) -> Array:
         return np.asarray(vectors @ R_world_file / METRES[unit])
@@ -134,7 +184,7 @@ def joint_tree(motion: MotionSequence, *, up: str = "y", unit: str = "cm") -> Ar
         offsets=in_file(skeleton.joint_offsets),
         R_parent_joint=R_world_file.T @ R_parent_joint @ R_world_file,
         p_root=in_file(motion.q[:, :3]),
-        rate_hz=(len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 60.0,
+        rate_hz=60.0,
         unit_m=METRES[unit],
         end_parents=tuple(leaves),
         end_offsets=in_file(np.array([skeleton.table.joints[j].end for j in leaves])),

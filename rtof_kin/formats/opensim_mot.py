@@ -14,21 +14,22 @@ names them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from rtof_kin.body.motion_source import Block, MotionSource
 from rtof_kin.body.observability import never_observed
-from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.folder import new_file
 from rtof_kin.formats.joint_trajectory import BASE_TURN
-from rtof_kin.formats.motion_views import check_known, dofs_from_prior, even_times, from_prior
+from rtof_kin.formats.motion_views import Motion, check_known, dofs_from_prior, even_times, from_prior
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 ROOT_AXES: Final = "yxz"
@@ -91,7 +92,7 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
     return Coordinate(opensim or urdf, joint, unit, True, (low, high), urdf)
 
 
-def coordinate_values(motion: MotionSequence) -> tuple[tuple[Coordinate, ...], Array]:
+def coordinate_values(motion: Motion) -> tuple[tuple[Coordinate, ...], Array]:
     """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
 
     Args:
@@ -100,22 +101,30 @@ def coordinate_values(motion: MotionSequence) -> tuple[tuple[Coordinate, ...], A
     Raises:
         InvalidInputError: a configuration is unknown.
     """
+    source = MotionSource.of(motion)
+    values = [values[block.own] for block, values in _value_blocks(source)]
+    return coordinates(source.skeleton.table), np.concatenate(values)
+
+
+def _value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
+    """The motion in blocks with a margin of one frame, and the values of both (n, C)."""
     check_known(motion)
-    skeleton, R_world_root = motion.skeleton, motion.poses.R_world_bone[:, 0]
-    every = coordinates(skeleton.table)
+    skeleton, last = motion.skeleton, np.zeros((0, 3))
+    signs = [c.sign for c in coordinates(skeleton.table)]
     index = [skeleton.dof_names.index(d.urdf) for j in skeleton.table.joints for d in j.dofs]
-    unsigned = [
-        so3.euler_continuous(so3.matrix_to_euler(ROOT_AXES, R_world_root)),
-        motion.q[:, :3] @ np.abs(R_WORLD_GROUND),
-        motion.q[:, 7:][:, index],
-    ]
-    return every, np.concatenate(unsigned, axis=1) * [c.sign for c in every]
+    for block in motion.blocks(margin=1):
+        turns = so3.matrix_to_euler(ROOT_AXES, block.motion.poses.R_world_bone[block.before :, 0])
+        turns = so3.euler_continuous(np.concatenate([last, turns]))  # goes on from the block before
+        last = turns[block.own][-1:]
+        q = block.motion.q
+        unsigned = [turns, q[:, :3] @ np.abs(R_WORLD_GROUND), q[:, 7:][:, index]]
+        yield block, np.concatenate(unsigned, axis=1) * signs
 
 
 # --- files ---------------------------------------------------------------------------------------
 
 
-def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+def write_mot(path: str | Path, motion: Motion, *, overwrite: bool = False) -> None:
     """Write coordinates, angles in degrees, without those that were never observed.
 
     Args:
@@ -126,15 +135,16 @@ def write_mot(path: str | Path, motion: MotionSequence, *, overwrite: bool = Fal
         InvalidInputError: a frame is unknown, or times are uneven.
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
-    every, values = coordinate_values(motion)
+    source = MotionSource.of(motion)
+    every, unseen = coordinates(source.skeleton.table), never_observed(source.masks)
     unit = [180 / np.pi if c.is_rotation else 1.0 for c in every]
-    unseen = never_observed(motion)
     kept = [i for i, c in enumerate(every) if c.urdf not in unseen]
     names = [every[i].name for i in kept]
-    _write_table(Path(path), motion, names, (values * unit)[:, kept], True, overwrite)
+    values = ((values * unit)[block.own][:, kept] for block, values in _value_blocks(source))
+    _write_table(Path(path), source, names, values, True, overwrite)
 
 
-def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = False) -> None:
+def write_sto(path: str | Path, motion: Motion, *, overwrite: bool = False) -> None:
     """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
     differences (0 for a single frame).
 
@@ -145,23 +155,32 @@ def write_sto(path: str | Path, motion: MotionSequence, *, overwrite: bool = Fal
     Raises:
         As `write_mot`.
     """
-    every, values = coordinate_values(motion)
-    speeds = np.zeros_like(values)
-    if len(values) > 1:
-        speeds = np.gradient(values, even_times(motion.times), axis=0)
+    source = MotionSource.of(motion)
+    every = coordinates(source.skeleton.table)
     names = [f"/jointset/{c.joint}/{c.name}/{kind}" for kind in ("value", "speed") for c in every]
-    _write_table(Path(path), motion, names, np.hstack([values, speeds]), False, overwrite)
+    _write_table(Path(path), source, names, _states(source), False, overwrite)
+
+
+def _states(motion: MotionSource) -> Iterator[Array]:
+    """Values and speeds (n, 2 C) in blocks."""
+    times = even_times(motion.times)
+    for block, values in _value_blocks(motion):
+        first = block.start - block.before
+        speeds = np.zeros_like(values)
+        if len(values) > 1:
+            speeds = np.gradient(values, times[first : first + len(values)], axis=0)
+        yield np.hstack([values, speeds])[block.own]
 
 
 def _write_table(
-    path: Path, motion: MotionSequence, names: list[str], values: Array, in_degrees: bool, overwrite: bool
-) -> None:
-    table = np.column_stack([even_times(motion.times), values])
+    path: Path, motion: MotionSource, names: list[str], blocks: Iterable[Array], in_degrees: bool,
+    overwrite: bool,
+) -> None:  # fmt: skip
     header = [
         path.stem,
         "version=1",
-        f"nRows={len(table)}",
-        f"nColumns={table.shape[1]}",
+        f"nRows={len(motion)}",
+        f"nColumns={1 + len(names)}",
         f"inDegrees={'yes' if in_degrees else 'no'}",
         f"Coordinates of the .osim of the skeleton {motion.skeleton.name}, zero in the T-pose; y is up.",
         f"Units are S.I. units, angles in {'degrees' if in_degrees else 'radians'}.",
@@ -169,11 +188,16 @@ def _write_table(
         "endheader",
         "\t".join(["time", *names]),
     ]
-    rows = ["\t".join(map(repr, row)) for row in table.tolist()]
-    write_text(path, "\n".join([*header, *rows, ""]), overwrite)
+    times, first = even_times(motion.times), 0
+    with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
+        stream.writelines(f"{line}\n" for line in header)
+        for values in blocks:
+            table = np.column_stack([times[first : first + len(values)], values])
+            stream.writelines("\t".join(map(repr, row)) + "\n" for row in table.tolist())
+            first += len(values)
 
 
-def _unseen(motion: MotionSequence) -> list[str]:
+def _unseen(motion: MotionSource) -> list[str]:
     """Return a line each on unobserved joints and coordinates, if any."""
     dofs = dofs_from_prior(motion)
     unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}

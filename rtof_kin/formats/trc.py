@@ -8,6 +8,7 @@ three empty cells; their tabs stay.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
@@ -16,8 +17,9 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.text import LARGEST_NUMBER, read_text, write_text
-from rtof_kin.formats.markers import MarkerSequence
+from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.text import LARGEST_NUMBER, read_text
+from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 _KEYS: Final = (
@@ -116,8 +118,9 @@ def _read_row(path: Path, line: int, text: str, wanted: int) -> list[float]:
 
 
 def write_trc(
-    path: str | Path, markers: MarkerSequence, *, up: str = "y", unit: str = "m", overwrite: bool = False
-) -> None:
+    path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "y", unit: str = "m",
+    overwrite: bool = False,
+) -> None:  # fmt: skip
     """Write markers, which `read_trc` reads back to 1e-9 units, and OpenSim too.
 
     Args:
@@ -134,17 +137,21 @@ def write_trc(
     odd = [n for n in markers.names if not n.strip() or "\t" in n or len(n.splitlines()) > 1]
     if odd:
         raise InvalidInputError(f"marker name {odd[0]!r}: empty, or a tab or a line's end in it; rename it")
+    markers = MarkerBlocks.of(markers)
     T, M, rate = len(markers), len(markers.names), f"{markers.rate_hz:.10g}"
-    p_file = markers.p_world @ R_world_file / METRES[unit]
-    lines = [
+    head = [
         ["PathFileType", "4", "(X/Y/Z)", path.name],
         list(_KEYS),
         [rate, rate, str(T), str(M), unit, rate, "1", str(T)],
         ["Frame#", "Time", *(cell for name in markers.names for cell in (name, "", "")), ""],
         ["", "", *(f"{axis}{i + 1}" for i in range(M) for axis in "XYZ"), ""],
     ]
-    for number, (time, row) in enumerate(zip(markers.times, p_file, strict=True), 1):
-        cells = ("" if np.isnan(value) else f"{value:.9f}" for value in row.ravel())
-        # A tab ends the line as in OpenSim's files; without it OpenSim misses an empty last cell.
-        lines.append([str(number), repr(float(time)), *cells, ""])
-    write_text(path, "".join("\t".join(line) + "\n" for line in lines), overwrite)
+    with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
+        stream.writelines("\t".join(line) + "\n" for line in head)
+        frames = enumerate(markers.times.tolist(), 1)
+        for p_world in markers.blocks():
+            p_file = (p_world @ R_world_file / METRES[unit]).reshape(len(p_world), 3 * M)
+            for row, (number, time) in zip(p_file.tolist(), frames, strict=False):
+                cells = ("" if math.isnan(value) else f"{value:.9f}" for value in row)
+                # A tab ends the line as in OpenSim's files; without it OpenSim misses an empty last cell.
+                stream.write("\t".join([str(number), repr(time), *cells, ""]) + "\n")

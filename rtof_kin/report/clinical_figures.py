@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,12 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.figures import save_figures
+from rtof_kin.report.plot_data import envelope_frames, interval_times, widest_bands
 
 SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
+MOST_DRAWN: Final = 10_000
+"""Largest number of samples of a curve; a picture has fewer columns of pixels."""
 SHOWN: Final = (
     "pelvis_tilt", "pelvis_list", "spine_flexion",
     "hip_flexion", "hip_adduction", "hip_internal_rotation",
@@ -66,13 +72,27 @@ def angles_over_time(analysis: MotionAnalysis) -> Figure:
     angles = analysis.angles
     for a, name in enumerate(angles.names):
         side, shown = side_and_name(name)
-        if shown in axes and angles.known[:, a].any():
-            half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
-            _plot(axes[shown], angles.times, np.degrees(angles.values[:, a]), half, side, side or None)
+        if shown in axes and np.isfinite(angles.values[:, a]).any():
+            _plot(axes[shown], *_curve(angles, a), side, side or None)
     _finish(axes)
     bands = "" if angles.sigma is None else "; bands: 95 %"
     figure.suptitle(f"Joint angles{bands}; gaps: not observed")
     return figure
+
+
+def _curve(angles: ClinicalAngles, a: int) -> tuple[Array, Array, Array | None]:
+    """Times, values and half widths of the band of an angle, deg.
+
+    Of a long motion they are the lowest and the highest value of equal intervals, with the widest band.
+    """
+    times, values = angles.times, np.degrees(angles.values[:, a])
+    half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
+    if len(times) <= MOST_DRAWN:
+        return times, values, half
+    step = math.ceil(2 * len(times) / MOST_DRAWN)
+    if half is not None:
+        half = widest_bands(half, values, step)
+    return interval_times(times, step), values[envelope_frames(values, step)], half
 
 
 def _plot(ax: Any, x: Any, y: Any, half: Any, side: str, label: str | None) -> None:

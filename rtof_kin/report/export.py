@@ -117,8 +117,8 @@ def export_parts(
         assert statistics is not None  # there is at least one part
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
-        with MotionReader(temporary / MARKER) as reader:  # TODO blocks
-            write_motion_files(temporary, reader.block(0, len(reader)).motion(), formats)
+        with MotionReader(temporary / MARKER) as reader:
+            write_motion_files(temporary, reader.source(), formats)
         text = json.dumps(summary(statistics), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
         if figures and whole is not None:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import observed_bones
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
@@ -49,15 +50,15 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     angles = analysis.angles
     frames = len(angles.times[shown])
     step = math.ceil(2 * len(angles.times) / MOST_SAMPLES) if frames > MOST_SAMPLES else 0
-    trusted = np.isfinite(angles.trusted_values)
     groups: dict[str, Data] = {}
     for a, row in enumerate(angles.rows):
-        if not angles.known[:, a].any():
+        if not np.isfinite(angles.values[:, a]).any():
             continue
         half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
-        series = _series(np.degrees(angles.values[:, a]), half, trusted[:, a], shown, step)
+        trusted = np.isfinite(angles.trusted_angle(a))
+        series = _series(np.degrees(angles.values[:, a]), half, trusted, shown, step)
         _group(groups, row)["series"].append({"side": side_and_name(row.name)[0], **series})
-    times = _interval_times(angles.times, step) if step else angles.times[shown]
+    times = interval_times(angles.times, step) if step else angles.times[shown]
     interval = step / angles.rate_hz if step else 0.0
     return {"times": _times(times), "interval": round(interval, 3), "groups": list(groups.values())}
 
@@ -113,8 +114,12 @@ def _intervals(values: Array, step: int) -> Array:
     return np.pad(values, (0, -len(values) % step), constant_values=np.nan).reshape(-1, step)
 
 
-def _interval_times(times: Array, step: int) -> Array:
-    """Two times in each interval."""
+def interval_times(times: Array, step: int) -> Array:
+    """Return two times in each interval of `envelope_frames`, s.
+
+    Args:
+        times: (T,) s. step: frames of an interval.
+    """
     frames = np.arange(0, len(times), step)[:, None] + step * np.array([0.25, 0.75])
     return np.asarray(np.interp(frames.ravel(), np.arange(len(times)), times))
 
@@ -149,15 +154,18 @@ def cycle_curves_data(analysis: MotionAnalysis) -> Data:
     return {"phase": phase, "stance": stance, "groups": list(groups.values())}
 
 
-def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
+def player_data(motion: MotionSequence | MotionSource, shown: slice, floor: Any) -> Data:
     """Return joint positions relative to the middle of the root's path, and frames [first, stop) in which
     the bone that leads to a joint is unobserved.
 
     Args:
-        motion: to plot. shown: frames to plot. floor: its height, m; None if unknown.
+        motion: to plot. shown: frames to plot, from the first on. floor: its height, m; None if unknown.
     """
-    poses, skeleton = motion.poses, motion.skeleton
-    p = poses.p_world_joint[shown]
+    source, step = MotionSource.of(motion), shown.step or 1
+    skeleton, masks = source.skeleton, source.masks
+    p = np.concatenate(
+        [b.motion.poses.p_world_joint[b.own][-b.start % step :: step] for b in source.blocks()]
+    )
     known = np.isfinite(p).all(axis=(1, 2))
     middle = np.zeros(3)
     if known.any():
@@ -168,13 +176,13 @@ def player_data(motion: MotionSequence, shown: slice, floor: Any) -> Data:
     largest = float(np.nanmax(np.abs(p - middle), initial=0.0))
     scale = min(1000.0, (-MISSING - 1) / largest) if largest else 1000.0  # mm, coarser for longer paths
     return {
-        "times": _times(motion.times[shown]),
+        "times": _times(source.times[shown]),
         "scale": scale,
         "joints": list(skeleton.names),
         "parents": [int(parent) for parent in skeleton.parents],
         "p": packed(p - middle, scale),
-        "valid": packed(poses.valid[shown].mean(axis=1), 100),
-        "unseen": [runs(~seen) for seen in observed_bones(motion)[shown].T],
+        "valid": packed(masks.valid[shown].mean(axis=1), 100),
+        "unseen": [runs(~seen) for seen in observed_bones(masks)[shown].T],
         "height": float(skeleton.height),
     }
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.metrics import Metrics
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.column_statistics import ColumnStatistics
 from rtof_kin.core.plausibility import Check
@@ -165,8 +166,9 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
         yield f"provenance {one.name.lower()}", motion.times, poses.provenance == one
     yield "singular", motion.times, motion.report.singular
     yield "limit excess", motion.times, np.nan_to_num(motion.report.limit_excess)
-    inside = outside_gaps(motion)
-    yield "from prior", motion.times[inside], ~root_and_dofs_observed(motion)[inside]
+    masks = MotionSource.of(motion).masks
+    inside = outside_gaps(masks)
+    yield "from prior", motion.times[inside], ~root_and_dofs_observed(masks)[inside]
     if part.keypoints is not None:
         landmarks = part.keypoints.landmarks
         depth = part.keypoints.camera.to_camera(poses.p_world_joint[:, 0])[:, 2]

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
@@ -59,24 +58,24 @@ class SummaryLine:
 
 
 def summary_lines(
-    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
+    analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
     """Return the five lines of a report's summary.
 
     Args:
-        motion: reconstructed. analysis: of the motion. summary: of its folder.
+        analysis: of the motion. summary: of its folder.
         overall: headline of its audit. session: labels of the session.
     """
     return (
-        SummaryLine("Who", _who(motion, summary, session), None),
-        SummaryLine("What", _what(motion, analysis, summary), None),
-        SummaryLine("How good", _how_good(motion, analysis, summary), overall.grade),
-        _careful(motion, analysis, overall),
-        SummaryLine("Findings", _findings(motion, analysis), None),
+        SummaryLine("Who", _who(analysis, summary, session), None),
+        SummaryLine("What", _what(analysis, summary), None),
+        SummaryLine("How good", _how_good(analysis, summary), overall.grade),
+        _careful(analysis, overall),
+        SummaryLine("Findings", _findings(analysis), None),
     )
 
 
-def _who(motion: MotionSequence, summary: Summary, session: Session) -> str:
+def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
     subject = summary.subject
     given = {
         "height": f"{subject['height_m']:.2f} m" if subject.get("height_m") else "",
@@ -86,16 +85,16 @@ def _who(motion: MotionSequence, summary: Summary, session: Session) -> str:
     known = [text for text in given.values() if text]
     missing = [name for name, text in given.items() if not text]
     who = ", ".join([session.subject or "Subject not named", *known])
-    model = f" (the model is {motion.skeleton.height:.2f} m tall)" if "height" in missing else ""
+    model = f" (the model is {analysis.paths.skeleton.height:.2f} m tall)" if "height" in missing else ""
     return f"{who}. Not given: {_listed(missing)}{model}." if missing else f"{who}."
 
 
-def _what(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) -> str:
-    seconds = float(motion.times[-1] - motion.times[0])
-    return f"{_movement(motion, analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."
+def _what(analysis: MotionAnalysis, summary: Summary) -> str:
+    seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
+    return f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."
 
 
-def _movement(motion: MotionSequence, analysis: MotionAnalysis) -> str:
+def _movement(analysis: MotionAnalysis) -> str:
     """Movement in words, as far as it was recognised."""
     gait, travel = analysis.gait, analysis.travel
     strides = len(gait.verdict.walking)
@@ -105,7 +104,7 @@ def _movement(motion: MotionSequence, analysis: MotionAnalysis) -> str:
         if gait.verdict.on_the_spot:
             return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
         return f"Walking{partly}: {strides} strides, {travel.text}"
-    bends = _knee_bends(motion, analysis)
+    bends = _knee_bends(analysis)
     walking = "no walking"
     if strides >= FEWEST_STRIDES:
         walking = f"strides of walking{part}, but no steady walking"
@@ -117,9 +116,9 @@ def _movement(motion: MotionSequence, analysis: MotionAnalysis) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _knee_bends(motion: MotionSequence, analysis: MotionAnalysis) -> list[str]:
+def _knee_bends(analysis: MotionAnalysis) -> list[str]:
     """Repeated descents of the pelvis with deep flexion of both knees or of one, in words."""
-    found = find_repetitions(motion.poses, motion.skeleton, analysis.angles, "squat").repetitions
+    found = find_repetitions(analysis.paths, analysis.angles, "squat").repetitions
     deep = [sum(knee >= DEEP_KNEE for knee in one.knee_flexion.values()) for one in found]
     kinds = {2: "bends of both knees (squats)", 1: "bends of one knee (lunges)"}
     return [
@@ -172,16 +171,16 @@ def _half_widths(analysis: MotionAnalysis) -> dict[str, float]:
     angles = analysis.angles
     if angles.sigma is None:
         return {}
-    sigma = np.where(angles.known, angles.sigma, np.nan)
-    return {
-        row.name: float(np.degrees(BAND_95 * np.nanmedian(sigma[:, a])))
-        for a, row in enumerate(angles.rows)
-        if np.isfinite(sigma[:, a]).any() and not is_second_sequence(row.name)
-    }
+    widths = {}
+    for a, row in enumerate(angles.rows):
+        sigma = angles.sigma[np.isfinite(angles.values[:, a]), a]
+        if np.isfinite(sigma).any() and not is_second_sequence(row.name):
+            widths[row.name] = float(np.degrees(BAND_95 * np.nanmedian(sigma)))
+    return widths
 
 
-def _how_good(motion: MotionSequence, analysis: MotionAnalysis, summary: Summary) -> str:
-    share = 100 * float(motion.poses.position_observed.mean())
+def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
+    share = 100 * float(analysis.paths.masks.position_observed.mean())
     seen = f"{share:.0f} % of the positions of joints were observed."
     reference = "".join(
         f" Against the reference, knees and elbows are {result.value:.1f}° off on average."
@@ -203,7 +202,7 @@ def _joint(angle: str) -> str:
     return re.sub("_[a-z]*flexion$", "", angle).replace("_", " ")
 
 
-def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
+def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
     parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
@@ -215,7 +214,7 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     ]
     if unseen:
         parts.append(f"angles of {_listed(_both_sides(unseen))} were not observed and are not shown")
-    bridged = float((motion.poses.provenance == Provenance.BRIDGED).any(axis=1).mean())
+    bridged = float((analysis.paths.masks.provenance == Provenance.BRIDGED).any(axis=1).mean())
     if bridged > 0:
         parts.append(f"gaps were bridged in {100 * bridged:.0f} % of the frames")
     parts += [note for note in analysis.travel.notes if note == DRIFT]
@@ -226,10 +225,10 @@ def _careful(motion: MotionSequence, analysis: MotionAnalysis, overall: Headline
     return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
 
 
-def _findings(motion: MotionSequence, analysis: MotionAnalysis) -> str:
+def _findings(analysis: MotionAnalysis) -> str:
     if analysis.angles.sigma is None:
         return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
-    found = findings(analysis, motion.skeleton.table)
+    found = findings(analysis, analysis.paths.skeleton.table)
     pairs = compared_pairs(analysis)
     compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
     if not found:

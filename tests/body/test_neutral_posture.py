@@ -11,6 +11,7 @@ from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.clinical.neutral import relative_to_standing
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
@@ -87,7 +88,7 @@ def test_angles_relative_to_standing_vanish_there_and_keep_their_range() -> None
     sitting = {"LeftUpLeg": (0.0, -80.0, 0.0), "RightUpLeg": (0.0, -80.0, 0.0), **tilted}
     poses = joined(bent(sitting, 20), bent(tilted, 45), bent(sitting, 20))
     plain = clinical_angles(all_observed(poses), BODY)
-    own = relative_to_standing(plain, poses)
+    own = relative_to_standing(plain, body_paths(poses, BODY, standing=True))
     assert abs(plain["spine_flexion"][40]) == pytest.approx(np.radians(9.0), abs=0.02)
     assert own["spine_flexion"][40] == pytest.approx(0.0, abs=1e-9)
     for name in ("right_hip_flexion", "left_shoulder_elevation"):
@@ -95,7 +96,8 @@ def test_angles_relative_to_standing_vanish_there_and_keep_their_range() -> None
     np.testing.assert_array_equal(own["left_shoulder_elevation"], plain["left_shoulder_elevation"])
     assert "from 0.35 to 1.05 s" in own.notes[-1]
     with pytest.raises(InvalidInputError, match="nobody stands upright and still"):
-        relative_to_standing(clinical_angles(all_observed(bent(sitting, 60)), BODY), bent(sitting, 60))
+        seated = all_observed(bent(sitting, 60))
+        relative_to_standing(clinical_angles(seated, BODY), body_paths(seated, BODY, standing=True))
 
 
 def test_scaled_bodies_keep_their_posture_and_wrong_ones_are_refused() -> None:

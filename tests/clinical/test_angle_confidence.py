@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.clinical.angle_confidence import UNIFORM_SIGMA, angle_rates, reliable_samples
+from rtof_kin.clinical.angle_confidence import UNIFORM_SIGMA, angle_rates, reliable_samples, turns_too_fast
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.clinical.files import write_analysis
@@ -128,7 +128,9 @@ def reliable(sigma: Array | None, hip: Array | None = None) -> tuple[NDArray[np.
     table = angle_table(BODY.table)
     R = {joint.name: np.full((len(TIMES), 3, 3), np.nan) for joint in table.joints}
     R |= {} if hip is None else {"left_hip": hip}
-    return reliable_samples(table, TIMES, R, sigma, np.ones((len(TIMES), len(table.rows)), dtype=bool))
+    too_fast = np.stack([turns_too_fast(joint, TIMES, R[joint.name]) for joint in table.joints], axis=1)
+    known = np.ones((len(TIMES), len(table.rows)), dtype=bool)
+    return reliable_samples(table, TIMES, too_fast, sigma, known)
 
 
 def test_uncertain_samples_are_excluded_from_ranges() -> None:

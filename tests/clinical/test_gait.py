@@ -14,6 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence, Provenance
 
@@ -39,12 +40,12 @@ def swinging_legs(frames: int = 360, speed: float = 0.0, heading: float = 0.0) -
 
 
 def analysed(poses: PoseSequence, skeleton: SkeletonModel = BODY) -> GaitAnalysis:
-    return analyse_gait(gait_events(poses, skeleton))
+    return analyse_gait(gait_events(body_paths(poses, skeleton)))
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, -3.0])
 def test_events_are_at_the_extremes_of_the_swing(heading: float) -> None:
-    events = gait_events(swinging_legs(heading=heading), BODY)
+    events = gait_events(body_paths(swinging_legs(heading=heading), BODY))
     right, left = events.feet["right"], events.feet["left"]
     np.testing.assert_allclose((right.strikes / PERIOD) % 1, 0.75, atol=0.02)
     np.testing.assert_allclose((right.offs / PERIOD) % 1, 0.25, atol=0.02)
@@ -83,7 +84,7 @@ def transitions(skeleton: SkeletonModel, poses: PoseSequence, landmark: str) -> 
 
 def test_events_of_real_walking_are_at_low_feet_that_stop_or_start() -> None:
     motion = walk()
-    events = gait_events(motion.poses, motion.skeleton)
+    events = gait_events(body_paths(motion.poses, motion.skeleton))
     compared = 0
     for side, foot in events.feet.items():
         for instants, point in ((foot.strikes, "Heel"), (foot.offs, "ToeBase")):
@@ -195,10 +196,10 @@ def test_low_rates_have_no_gait_events(step: int) -> None:
 
 
 def test_one_frame_without_foot_orientation_does_not_change_others() -> None:
-    whole = gait_events(swinging_legs(), BODY)
+    whole = gait_events(body_paths(swinging_legs(), BODY))
     observed = np.ones((360, len(BODY.names)), dtype=bool)
     observed[0, BODY.index("RightFoot", "LeftFoot")] = False
-    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    events = gait_events(body_paths(replace(swinging_legs(), orientation_observed=observed), BODY))
     assert all("foot: orientation unobserved for 0.017 s" in note for note in events.notes)
     for side, foot in events.feet.items():
         assert np.isnan(foot.heel[0]).all()
@@ -209,14 +210,14 @@ def test_one_frame_without_foot_orientation_does_not_change_others() -> None:
 def test_a_foot_without_orientation_has_the_events_of_the_ankle() -> None:
     observed = np.ones((360, len(BODY.names)), dtype=bool)
     observed[:216, BODY.index("RightFoot")] = False
-    events = gait_events(replace(swinging_legs(), orientation_observed=observed), BODY)
+    events = gait_events(body_paths(replace(swinging_legs(), orientation_observed=observed), BODY))
     (note,) = events.notes
     assert "right foot: orientation unobserved in 60 % of the frames" in note
     ankle = swinging_legs().p_world_joint[:, BODY.index("RightFoot")[0]]
     np.testing.assert_array_equal(events.feet["right"].heel, ankle)
     assert (events.feet["right"].by_ankle, events.feet["left"].by_ankle) == (True, False)
     poses = replace(swinging_legs(), orientation_observed=BODY.orientation_observed())
-    strikes = gait_events(poses, BODY).feet["right"].strikes
+    strikes = gait_events(body_paths(poses, BODY)).feet["right"].strikes
     np.testing.assert_allclose((strikes / PERIOD) % 1, 0.75, atol=0.03)
 
 

@@ -14,6 +14,7 @@ from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.gait_recognition import StrideShape, departures, stride_shape
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.data.poses import Provenance
 
 BODY = SkeletonModel.default()
@@ -22,7 +23,7 @@ SPOT = replace(WALKING, progress=0.02, forward=0.0, slip=0.45)
 
 
 def analysed(motion: MotionSequence) -> GaitAnalysis:
-    return analyse_gait(gait_events(motion.poses, motion.skeleton))
+    return analyse_gait(gait_events(body_paths(motion.poses, motion.skeleton)))
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0, -3.0])
@@ -115,7 +116,7 @@ def test_a_walk_among_other_movements_is_judged_by_its_share_of_strides() -> Non
         walk_poses, times=np.arange(len(p)) / 60, p_world_joint=p, R_world_bone=R,
         provenance=None, valid=None, orientation_observed=None, direction_observed=None, sigma_rad=None,
     )  # fmt: skip
-    mixed = analyse_gait(gait_events(all_observed(both), BODY))
+    mixed = analyse_gait(gait_events(body_paths(all_observed(both), BODY)))
     assert len(mixed.verdict.walking) >= len(gait.strides) - 1
     assert not mixed.is_gait
     assert "backward or sideways" in mixed.why_not or "stance takes less" in mixed.why_not
@@ -125,7 +126,7 @@ def test_unobserved_feet_and_low_rates_are_named() -> None:
     motion = walking()
     provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
     provenance[:, BODY.index("RightFoot", "LeftFoot")] = Provenance.PRIOR
-    unseen = analyse_gait(gait_events(replace(motion.poses, provenance=provenance), BODY))
+    unseen = analyse_gait(gait_events(body_paths(replace(motion.poses, provenance=provenance), BODY)))
     assert unseen.why_not.startswith("Walking cannot be recognised: right foot: never observed")
-    slow = analyse_gait(gait_events(motion.poses[::15], BODY))
+    slow = analyse_gait(gait_events(body_paths(motion.poses[::15], BODY)))
     assert slow.why_not.startswith("Walking cannot be recognised: 4 Hz is too low a rate")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import clinical_angles
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.repetitions import RepetitionAnalysis, find_repetitions
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
@@ -48,7 +49,7 @@ AT_THE_BOTTOM = float(np.mean(_way >= 0.95))
 
 
 def found(poses: PoseSequence, kind: Any = "squat", skeleton: SkeletonModel = BODY) -> RepetitionAnalysis:
-    return find_repetitions(poses, skeleton, clinical_angles(poses, skeleton), kind)
+    return find_repetitions(body_paths(poses, skeleton), clinical_angles(poses, skeleton), kind)
 
 
 SQUAT = ((110.0, 1.5), (110.0, 0.5), (0.0, 1.0), (0.0, 1.0))

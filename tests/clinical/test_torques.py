@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.torques import UNKNOWN, JointTorques, joint_torques, single_support
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
@@ -101,7 +102,7 @@ def test_the_supporting_leg_bears_the_whole_external_wrench() -> None:
 
 def test_walking_has_a_mean_force_of_one_body_weight_and_ankle_push_off() -> None:
     motion = walk()
-    gait = analyse_gait(gait_events(motion.poses, motion.skeleton))
+    gait = analyse_gait(gait_events(body_paths(motion.poses, motion.skeleton)))
     support = single_support(gait)
     for stride in gait.strides:
         swing = (motion.times > stride.toe_off) & (motion.times < stride.stop)

@@ -43,7 +43,7 @@ def summary(
 def lines(
     motion: MotionSequence, overall: Headline = FINE, session: Session | None = None, **fields: Any
 ) -> dict[str, SummaryLine]:
-    found = summary_lines(motion, analyse_motion(motion), summary(**fields), overall, session or Session())
+    found = summary_lines(analyse_motion(motion), summary(**fields), overall, session or Session())
     assert tuple(line.label for line in found) == LABELS
     assert all(line.text.endswith(".") for line in found)
     return {line.label: line for line in found}
@@ -128,7 +128,7 @@ def test_segments_with_sensors_are_named_in_words() -> None:
     names = ("Hips", "Head", "LeftShoulder", "LeftFoot", "RightFoot")
     own = replace(own, inputs=own.inputs | {"sensors": [{"segment": name} for name in names]})
     motion = squatting()
-    what = summary_lines(motion, analyse_motion(motion), own, FINE, Session())[1].text
+    what = summary_lines(analyse_motion(motion), own, FINE, Session())[1].text
     assert what.endswith("and 5 sensors (pelvis, head, left shoulder, both feet).")
 
 

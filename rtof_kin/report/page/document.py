@@ -9,9 +9,9 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import SECTIONS, Grade, section_verdict
 from rtof_kin.report.clinical_findings import NO_BANDS, clinical_findings
@@ -55,19 +55,20 @@ def report(
     """
     folder = Path(folder)
     summary = read_summary(folder / SUMMARY)
-    motion = read_motion_npz(folder / "motion.npz").motion()
     weight_kg = weight_kg or summary.subject.get("mass_kg")
     sex = sex or summary.subject.get("sex")
-    analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
     labels = summary.session.updated(session or Session())
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
+    with MotionReader(folder / MOTION) as reader:
+        motion = reader.source()
+        analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+        return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 
 def _page(
-    motion: MotionSequence, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
+    motion: MotionSource, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
 ) -> str:
     inputs = summary.inputs
     clinical = clinical_findings(analysis)
@@ -90,11 +91,11 @@ def _page(
     parts = {
         "title": escape(f"{session.subject or summary.recording}: motion report"),
         "origin": escape(_origin(summary, session, made)),
-        "summary": _summary(summary_lines(motion, analysis, summary, overall, session)),
+        "summary": _summary(summary_lines(analysis, summary, overall, session)),
         "contents": _contents(_CONTENTS),
         "ranges": way_line(analysis.travel) + ranges_section(analysis.ranges, analysis.angles.rows),
         "bands": _BANDS if bands else f"There are no bands: {NO_BANDS}.",
-        "sampling": _sampling(curves, motion.poses[shown].rate_hz),
+        "sampling": _sampling(curves, motion.rate_hz / (shown.step or 1)),
         "gait": gait_section(analysis.gait),
         "torques": torques_section(analysis.torques, motion.skeleton.table),
         "notes": quality.notes_section(str(inputs.get("notes") or "")),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any, Final
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.session import Session
 from rtof_kin.report.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict
@@ -19,7 +19,7 @@ from rtof_kin.report.summary_file import Summary
 _LONGEST: Final = 260  # characters of a reason that stands in the table of verdicts unfolded
 
 
-def recording_section(motion: MotionSequence, summary: Summary, session: Session, made: str) -> str:
+def recording_section(motion: MotionSource, summary: Summary, session: Session, made: str) -> str:
     """Return what was recorded, with what, and how the motion was computed.
 
     Args:
@@ -39,7 +39,7 @@ def recording_section(motion: MotionSequence, summary: Summary, session: Session
         *([label.title(), getattr(session, label) or "not stated"] for label in labels),
         ["Recording", summary.recording],
         ["Body", f"{height}, {weight}"],
-        ["Length", f"{len(times)} frames, {times[-1] - times[0]:.1f} s, {motion.poses.rate_hz:.4g} Hz"],
+        ["Length", f"{len(times)} frames, {times[-1] - times[0]:.1f} s, {motion.rate_hz:.4g} Hz"],
         ["Camera", image],
         ["Sensors", ", ".join(str(s.get("segment") or s.get("name")) for s in sensors) or "none"],
         ["Mode", summary.mode],
@@ -81,14 +81,14 @@ def notes_section(text: str) -> str:
     return f'<section id="notes" aria-labelledby="notes-title">{inside}</section>'
 
 
-def missing_data(motion: MotionSequence) -> str:
+def missing_data(motion: MotionSource) -> str:
     """Return the intervals in which the person was not observed, in words.
 
     Args:
         motion: the motion.
     """
     times = motion.times
-    gaps = runs(~motion.poses.valid.any(axis=1))
+    gaps = runs(~motion.masks.valid.any(axis=1))
     if not gaps:
         return f"no frame without an observation; missing samples: see {SECTIONS['streams']}"
     spans = ", ".join(f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps[:8])

@@ -1,0 +1,139 @@
+"""`MotionSource`: a motion of any length, in memory or in a file, read in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+
+from rtof_kin.body.observability import ObservationMasks
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.core.array_types import Array
+
+BLOCK: Final = 3600
+"""Frames of a block: a minute at 60 Hz."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive frames of a motion."""
+
+    motion: MotionSequence
+    """The frames, with a margin on either side as far as the motion goes."""
+    start: int
+    stop: int
+    """Frames [start, stop) of the source, without the margin."""
+    before: int
+    """Number of frames of the margin before `start`."""
+
+    @property
+    def frames(self) -> slice:
+        """The block in the source."""
+        return slice(self.start, self.stop)
+
+    @property
+    def own(self) -> slice:
+        """The block in `motion`."""
+        return slice(self.before, self.before + self.stop - self.start)
+
+
+class MotionSource:
+    """A motion that may be longer than memory allows; functions read it in blocks, as often as they need to.
+
+    Attributes:
+        skeleton: of the subject. times: (T,) s.
+    """
+
+    def __init__(
+        self,
+        skeleton: SkeletonModel,
+        times: Array,
+        read: Callable[[int, int, bool], MotionSequence],
+        masks: ObservationMasks | None = None,
+    ):
+        """Read nothing yet.
+
+        Args:
+            skeleton: of the subject. times: (T,) s.
+            read: returns frames [start, stop), which have to have their confidence if the third is True.
+            masks: of all frames; by default the first pass over the motion collects them.
+        """
+        self.skeleton, self.times = skeleton, times
+        self._read, self._masks = read, masks
+
+    @classmethod
+    def of(cls, motion: MotionSequence | Self) -> MotionSource:
+        """Return the source of a motion in memory; a source is returned as it is."""
+        if isinstance(motion, MotionSource):
+            return motion
+
+        def read(start: int, stop: int, _: bool) -> MotionSequence:
+            return motion if stop - start == len(motion.q) else motion[start:stop]
+
+        return MotionSource(motion.skeleton, motion.times, read)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, frames: slice) -> MotionSource:
+        """Return consecutive frames."""
+        first, last, _ = frames.indices(len(self))
+
+        def read(start: int, stop: int, confidence: bool) -> MotionSequence:
+            return self._read(first + start, first + stop, confidence)
+
+        return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last])
+
+    def with_times(self, times: Array) -> MotionSource:
+        """Return the motion at other times, without confidence.
+
+        Args:
+            times: (T,) s.
+        """
+
+        def read(start: int, stop: int, _: bool) -> MotionSequence:
+            motion = self._read(start, stop, False)
+            return replace(motion, poses=replace(motion.poses, times=times[start:stop]), confidence=None)
+
+        return MotionSource(self.skeleton, times, read, self.masks)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frame rate, Hz, from the median step; 60 for a single frame."""
+        return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
+
+    @property
+    def masks(self) -> ObservationMasks:
+        """What was observed, of all frames."""
+        if self._masks is None:
+            for _ in self.blocks():
+                pass
+        assert self._masks is not None
+        return self._masks
+
+    def observed_blocks(self) -> Iterator[tuple[MotionSequence, ObservationMasks]]:
+        """Return the motion in blocks, with their masks."""
+        masks = self.masks
+        for block in self.blocks():
+            yield block.motion, masks[block.frames]
+
+    def blocks(self, margin: int = 0, confidence: bool = False) -> Iterator[Block]:
+        """Return the motion in blocks of at most `BLOCK` frames.
+
+        Args:
+            margin: number of frames before and after each block that its motion has too.
+            confidence: whether their confidence is needed, which takes longest to read.
+        """
+        parts = []
+        for start in range(0, len(self), BLOCK):
+            stop = min(start + BLOCK, len(self))
+            before = min(margin, start)
+            motion = self._read(start - before, min(stop + margin, len(self)), confidence)
+            block = Block(motion, start, stop, before)
+            if self._masks is None:
+                parts.append(ObservationMasks.of(block.motion)[block.own])
+            yield block
+        if self._masks is None:
+            self._masks = ObservationMasks.joined(parts)
