@@ -15,6 +15,7 @@ from rtof_kin.calibration.excerpt import Excerpt, Slice
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.solve.joint_space.observations import bone_axis
 
 Array = NDArray[np.float64]
 N = cs.FRAMES
@@ -130,11 +131,11 @@ def test_a_delay_is_found_from_slices() -> None:
 
 
 def turned(part: Slice, joint: str, frames: slice) -> Slice:
-    """A sensor 40 degrees askew in some frames."""
+    """A sensor 40 degrees askew, about an axis across its bone, in some frames."""
     own: BoneImuSequence = part.bone_imus
     R = own.R_world_bone.copy()
-    s = own.joints.index(joint)
-    R[frames, s] = R[frames, s] @ so3.exp(np.radians([0.0, 40.0, 0.0]))
+    s, across = own.joints.index(joint), np.linalg.svd(bone_axis(cs.BODY, joint)[None])[2][1]
+    R[frames, s] = R[frames, s] @ so3.exp(np.radians(40.0) * across)
     return replace(part, bone_imus=replace(own, R_world_bone=R))
 
 
