@@ -1,8 +1,9 @@
 """What calibrating a recording from itself costs: ``python -m benchmarks.calibration_cost``.
 
-Runs ``rtof-kin reconstruct models/demo --no-figures`` with and without ``--calibrate``, in turns and in processes of
-their own on one core, and divides their CPU seconds among the stages. Of several runs the cheapest counts: other
-work on the machine only adds. ``--code FOLDER`` measures another version of the package in turns with this one.
+Runs ``rtof-kin reconstruct models/demo --no-figures`` with and without ``--calibrate``, in turns and in
+processes of their own on one core, and divides their CPU seconds among the stages. Of several runs the
+cheapest counts: other work on the machine only adds. ``--code FOLDER`` measures another version of the
+package in turns with this one. The first run after a change of compiled code compiles.
 """
 
 from __future__ import annotations
@@ -160,13 +161,13 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--code", type=Path, help="folder of another version of the package, before this one")
-    parser.add_argument("--runs", type=int, default=3, help="of every kind; the cheapest counts")
+    parser.add_argument("--runs", type=int, default=3, help="of every kind")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "calibration_cost.md")
     options = parser.parse_args(arguments)
     versions = {"before": options.code.resolve()} if options.code else {}
     versions["now"] = ROOT
     found: dict[str, dict[bool, dict[str, float]]] = {name: {} for name in versions}
-    for _ in range(options.runs + 1):  # the first may compile
+    for _ in range(options.runs):
         for name, code in versions.items():
             for calibrate in (False, True):
                 new = measured(code, calibrate)

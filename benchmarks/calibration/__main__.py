@@ -1,7 +1,7 @@
 """What calibrating a recording from itself gains: ``python -m benchmarks.calibration --corpus DIR``.
 
 Three rows for the benchmark's 4 s motions and for sessions of 20 s that join motions of one person
-(`sessions`), each with 8 and 10 sensors and realistic 2D:
+(`sessions`), each with 8 and 10 sensors and independent errors of 2D (`KeypointNoise`):
 
 * given: reconstructed with the calibration as it is given, which is off by 2 degrees a sensor, with a
   detector's biases and a late video.
@@ -62,7 +62,7 @@ def motions(corpus: Path, subset: str, kind: str) -> list[MocapClip]:
 
 def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) -> Recording:
     """Simulate the recording of a motion; without calibration errors where they are known."""
-    settings = replace(SimulationSettings.realistic(), sensors=tuple(sensors))
+    settings = replace(SimulationSettings.independent(), sensors=tuple(sensors))
     if known:
         settings = replace(
             settings,

@@ -251,16 +251,19 @@ def quantities_of(
 
 
 def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Quantity:
-    """A delay in doubt, by the search or by `check_clocks`, gets its prior's standard deviation."""
+    """A delay in doubt, by the search or by `check_clocks` of most slices, gets its prior's standard
+    deviation.
+    """
     if quantity.kind != "delay" or quantity.verdict is Verdict.PRIOR:
         return quantity
-    checks = (
+    checks = [
         check_clocks(own.video, _sensed(own), part.guess.poses, own.skeleton)
         for part in slices
         for own in [part.recording]
-    )
-    causes = (clocks.cause for clocks in checks if clocks.failed)
-    doubt = next(causes, "") or next(iter(shared.doubts.values()), "")
+    ]
+    causes = [clocks.cause for clocks in checks if clocks.failed]
+    apart = len(causes) > sum(clocks.passed for clocks in checks)
+    doubt = causes[0] if apart else next(iter(shared.doubts.values()), "")
     return replace(quantity, sigma=quantity.sigma_prior, doubt=doubt) if doubt else quantity
 
 

@@ -5,6 +5,8 @@ The fragment's states x are eliminated by the Schur complement of their Gauss-Ne
     Hessian     H - C^T A^-1 C          A banded by x, C by x and y, H by y
     gradient    h - C^T A^-1 g
 
+with C^T A^-1 C = (L^-1 C)^T (L^-1 C) by the factor of A = L L^T.
+
 The work comes in slices, so that a caller with little time per frame makes one slice in each.
 """
 
@@ -28,7 +30,7 @@ from rtof_kin.solve.joint_space.observations import Attached
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 _DAMPING: Final = 1e-6
-_BLOCK: Final = 4
+_BLOCK: Final = 24
 """Right-hand sides that are solved in one slice."""
 
 
@@ -120,12 +122,13 @@ def _eliminated(
 ) -> Slices[tuple[Array, Array]]:
     """Hessian and gradient without the states."""
     G = len(own.gradient)
-    C = own.columns.reshape(-1, G)
-    right = np.column_stack([C, slope.ravel()])
-    coupled = np.empty((G, G + 1))
+    right = np.column_stack([own.columns.reshape(-1, G), slope.ravel()])
+    half = np.empty_like(right)  # L^-1 of it, where A = L L^T
+    coupled = np.zeros((G + 1, G + 1))
     for first in range(0, G + 1, _BLOCK):
-        block = slice(first, first + _BLOCK)
-        coupled[:, block] = C.T @ factor.solve_columns(right[:, block])
+        block, done = slice(first, first + _BLOCK), slice(first + _BLOCK)
+        half[:, block] = factor.forward_columns(right[:, block])
+        coupled[done, block] = half[:, done].T @ half[:, block]
         yield
-    hessian = own.corner - coupled[:, :-1]
-    return (hessian + hessian.T) / 2, own.gradient - coupled[:, -1]
+    coupled = np.triu(coupled) + np.triu(coupled, 1).T
+    return own.corner - coupled[:G, :G], own.gradient - coupled[:G, G]

@@ -39,7 +39,7 @@ from rtof_kin.solve.joint_space.annealing import Annealing
 
 _INNER: Final = 8
 """Iterations of a fragment's states after the first round."""
-_LIVELY: Final = 8
+_LIVELY: Final = 6
 """Fragments used by the search for a delay."""
 _AS_GOOD: Final = 0.01
 """Relative energy within which another value of a search is as good as the best one."""
@@ -144,11 +144,11 @@ class SharedFragments:
             energies.append(energy)
             converged = before - energy < _ENOUGH * energy
             best = of_data, y
+            if converged:  # the Hessian is that of the step before
+                break
             information, slope = self.profile(corrected, y)
             self.prior = learned_precision(given, information, slope, y, shrinking, overcount)
             hessian = information + self.prior
-            if converged:
-                break
             step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
             y = y + step
         y = best[1]
@@ -176,7 +176,7 @@ class SharedFragments:
             best = float(grid[int(np.argmin(energies))])
             found = minimize_scalar(
                 energy, bounds=(best - sigma, best + sigma), method="bounded",
-                options={"xatol": 0.02 * sigma, "maxiter": 8},
+                options={"xatol": 0.05 * sigma, "maxiter": 6},
             )  # fmt: skip
             y[i] = found.x
             self._doubts |= _doubt(i, float(found.x), float(found.fun), grid, energies, sigma)
@@ -188,7 +188,6 @@ class SharedFragments:
         corrected, a, N = self.corrected(y, Weights()), self._given.a_world, self.data.frames
         lively = {first: float(np.std(a[first : first + N], axis=0).sum()) for first in self._firsts}
         chosen = sorted(sorted(lively, key=lambda first: -lively[first])[:_LIVELY])
-        self.settle(corrected, chosen)
         return self.settle(corrected, chosen) + self._unlikely(y)
 
     def corrected(self, y: Array, weights: Weights | None = None) -> CalibrationObservations:

@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
@@ -89,16 +89,22 @@ class _Past:
         """Return the points at a time by linear regression, NaN for those with too few positions."""
         if len(self._frames) < _FEWEST_FRAMES or time - self._frames[-1][0] > _PAST:
             return None
-        past = np.stack([points for _, points in self._frames])
-        known = np.isfinite(past).all(axis=-1, keepdims=True)
-        past, count = np.where(known, past, 0.0), known.sum(axis=0)
-        t = np.reshape(np.array([at for at, _ in self._frames]) - time, (-1, 1, 1, 1))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            middle = (t * known).sum(axis=0) / count
-            off = (t - middle) * known
-            slope = (off * past).sum(axis=0) / (off**2).sum(axis=0)
-            line = past.sum(axis=0) / count - slope * middle
-        return np.where(count < _FEWEST_FRAMES, np.nan, line)
+        times, points = zip(*self._frames, strict=True)
+        return _on_lines(np.array(times) - time, np.stack(points))
+
+
+def _on_lines(since: Array, past: Array) -> Array:
+    """Points (..., n, 2, 2) by linear regression over past ones (F, ..., n, 2, 2), at times `since` (F, ...)
+    later, which are negative; NaN where there are too few.
+    """
+    known = np.isfinite(past).all(axis=-1, keepdims=True)
+    past, count, t = np.where(known, past, 0.0), known.sum(axis=0), since[..., None, None, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        middle = (t * known).sum(axis=0) / count
+        off = (t - middle) * known
+        slope = (off * past).sum(axis=0) / (off**2).sum(axis=0)
+        line = past.sum(axis=0) / count - slope * middle
+    return np.where(count < _FEWEST_FRAMES, np.nan, line)
 
 
 def _exchanges(
@@ -129,14 +135,21 @@ def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int,
     times, sides, size = keypoints.times, keypoints.uv_px[:, pairs], _size(keypoints)
     past, first, last = _Past(), None, 0
     whole = np.isfinite(sides).all(axis=(2, 3)).sum(axis=1)
-    for t in np.flatnonzero(whole >= _FEWEST_PAIRS).tolist():
+    frames, straight = np.flatnonzero(whole >= _FEWEST_PAIRS), 0
+    sudden = _crossed_at_once(times[frames], sides[frames], size)
+    for t, crossed in zip(frames.tolist(), sudden.tolist(), strict=True):
+        straight += 1
+        if first is None and straight > _FRAMES_OF_PAST and not crossed:
+            past.add(times[t], sides[t])
+            continue
         if first is not None and (
             times[t] - times[first] > _LONGEST_EXCHANGE or times[t] - times[last] > _PAST
         ):
             yield first, last, False
-            first, past = None, _Past()
+            first, past, straight = None, _Past(), 1
         now = sides[t] if first is None else sides[t][:, ::-1]
-        if _crossed(now, past.expected(times[t]), size):
+        expected = past.expected(times[t])
+        if expected is not None and _crossed(now, expected, size):
             now = now[:, ::-1]
             if first is None:
                 first = t
@@ -144,21 +157,30 @@ def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int,
                 yield first, last, True
                 first = None
         past.add(times[t], now)
-        last = t
+        last, straight = t, straight if first is None else 0
     if first is not None:
         yield first, last, False
 
 
-def _crossed(now: Array, expected: Array | None, size: float) -> bool:
-    """Return whether half of the pairs (n, 2, 2), NaN if missing, are nearer to the prediction exchanged."""
-    if expected is None:
-        return False
-    off = np.linalg.norm(now - expected, axis=-1).mean(axis=1) / size
-    off_crossed = np.linalg.norm(now[:, ::-1] - expected, axis=-1).mean(axis=1) / size
-    for_it = np.sum((off > _APART) & (off_crossed < _NEARER * off))
-    against = np.sum((off_crossed > _APART) & (off < _NEARER * off_crossed))
-    enough = max(_FEWEST_PAIRS, (np.isfinite(off).sum() + 1) // 2)
-    return bool(for_it >= enough and for_it > 2 * against)
+def _crossed_at_once(times: Array, sides: Array, size: float) -> Mask:
+    """Return whether pairs (K, n, 2, 2) are crossed, frame by frame, where the frames before are not."""
+    before = np.arange(len(times)) - np.arange(_FRAMES_OF_PAST, 0, -1)[:, None]
+    at, newest = np.maximum(before, 0), np.maximum(before[-1], 0)
+    there = (before >= 0) & (times[newest] - times[at] <= _PAST) & (times - times[newest] <= _PAST)
+    past = np.where(there[..., None, None, None], sides[at], np.nan)
+    return _crossed(sides, _on_lines(times[at] - times, past), size)
+
+
+def _crossed(now: Array, expected: Array, size: float) -> Mask:
+    """Return whether half of the pairs (..., n, 2, 2), NaN if missing, are nearer to their prediction if they
+    are exchanged.
+    """
+    off = np.linalg.norm(now - expected, axis=-1).mean(axis=-1) / size
+    off_crossed = np.linalg.norm(now[..., ::-1, :] - expected, axis=-1).mean(axis=-1) / size
+    for_it = np.sum((off > _APART) & (off_crossed < _NEARER * off), axis=-1)
+    against = np.sum((off_crossed > _APART) & (off < _NEARER * off_crossed), axis=-1)
+    enough = np.maximum(_FEWEST_PAIRS, (np.isfinite(off).sum(axis=-1) + 1) // 2)
+    return np.asarray((for_it >= enough) & (for_it > 2 * against))
 
 
 def _without_other_people(keypoints: KeypointSequence) -> tuple[KeypointSequence, list[StreamFault]]:

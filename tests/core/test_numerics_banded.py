@@ -90,8 +90,19 @@ def test_factor_serves_right_hand_sides_of_any_shape_and_outlives_other_factors(
         assert solved.shape == array.shape
         np.testing.assert_array_equal(solved.ravel(), flat)
     np.testing.assert_array_equal(right, before)
-    columns = factor.solve_columns(np.eye(24)[:, :3])
-    np.testing.assert_allclose(H @ columns, np.eye(24)[:, :3], atol=1e-10)
+
+
+@pytest.mark.parametrize("size, width", SIZES)
+@pytest.mark.parametrize("count", [1, 12, 31])
+def test_half_solutions_multiply_to_products_with_the_inverse(
+    solver: Solver, size: int, width: int, count: int
+) -> None:
+    H, right = system(size, width), np.random.default_rng(1).normal(size=(size, count))
+    before = right.copy()
+    half = solver(H, width).forward_columns(right)
+    assert half.shape == right.shape
+    np.testing.assert_allclose(half.T @ half, right.T @ np.linalg.solve(H, right), rtol=1e-8, atol=1e-11)
+    np.testing.assert_array_equal(right, before)
 
 
 def test_right_hand_side_of_another_size_is_refused(solver: Solver) -> None:
@@ -100,7 +111,7 @@ def test_right_hand_side_of_another_size_is_refused(solver: Solver) -> None:
         with pytest.raises(SolverError, match=f"{size} numbers for a system of 4"):
             factor.solve(np.ones(size))
         with pytest.raises(SolverError, match="right-hand sides"):
-            factor.solve_columns(np.ones((size, 2)))
+            factor.forward_columns(np.ones((size, 2)))
 
 
 @pytest.mark.parametrize("width", [1, 5, 60])

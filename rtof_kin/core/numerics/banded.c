@@ -144,3 +144,33 @@ void banded_solve(const double *l, double *x, Int size, Int band, Int step) {
     }
   }
 }
+
+/* x = inverse of the factor l times x, for TILE right-hand sides at once: x has rows of TILE numbers. */
+void banded_forward(const double *l, double *x, Int size, Int band, Int step) {
+  for (Int first = 0; first < size; first += WIDE) {
+    const Int begin = first - band > 0 ? first - band : 0;
+    double *own = x + first * TILE;
+    V t[WIDE][DEEP];
+#pragma GCC unroll 8
+    for (int r = 0; r < WIDE; r++)
+#pragma GCC unroll 3
+      for (int d = 0; d < DEEP; d++) t[r][d] = *(const U *)(own + r * TILE + d * WIDE);
+    const double *heads = l + first + begin * step, *known = x + begin * TILE;
+    for (Int k = begin; k < first; k++, heads += step, known += TILE) {
+      V row[DEEP];
+#pragma GCC unroll 3
+      for (int d = 0; d < DEEP; d++) row[d] = *(const U *)(known + d * WIDE);
+#pragma GCC unroll 8
+      for (int r = 0; r < WIDE; r++)
+#pragma GCC unroll 3
+        for (int d = 0; d < DEEP; d++) t[r][d] -= row[d] * heads[r];
+    }
+    const double *corner = l + first + first * step;
+    for (int r = 0; r < WIDE; r++) {
+      for (int b = 0; b < r; b++)
+        for (int d = 0; d < DEEP; d++) t[r][d] -= t[b][d] * corner[r + b * step];
+      const double inverse = 1 / corner[r + r * step];
+      for (int d = 0; d < DEEP; d++) *(U *)(own + r * TILE + d * WIDE) = t[r][d] *= inverse;
+    }
+  }
+}

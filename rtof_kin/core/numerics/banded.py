@@ -48,8 +48,8 @@ class Factor:
             raise SolverError("the banded system could not be solved")
         return np.asarray(x.reshape(right.shape))
 
-    def solve_columns(self, right: Array) -> Array:
-        """Return the solutions (n, k) of several right-hand sides.
+    def forward_columns(self, right: Array) -> Array:
+        """Return the inverse of the factor L times right-hand sides (n, k): half of a solution.
 
         Args:
             right: (n, k).
@@ -61,7 +61,7 @@ class Factor:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
         if right.size == 0:
             return np.zeros(right.shape)
-        x, info = lapack.dpbtrs(self.band, right, lower=1)
+        x, info = lapack.dtbtrs(self.band, right, uplo="L")
         if info:
             raise SolverError("the banded system could not be solved")
         return np.asarray(x)
@@ -162,13 +162,24 @@ class Store:
         )
         if failed:
             raise SolverError("the fragment's Hessian is not positive definite")
-        return StoredFactor(factor, self.size, self.band, self.step, self._solve)
+        return StoredFactor(factor, self.size, self.band, self.step, self._solve, self._forward)
 
     def _solve(self, factor: Array, right: Array) -> Array:
         x = np.zeros(self._blocked + self._padding)
         x[: self.size] = right
         self._code.banded_solve(factor.ctypes.data, x.ctypes.data, self._blocked, self.band, self.step)
         return x[: self.size]
+
+    def _forward(self, factor: Array, right: Array) -> Array:
+        tile = self._code.banded_tile()
+        x = np.zeros((-(-right.shape[1] // tile), self._blocked, tile))
+        for own, first in zip(x, range(0, right.shape[1], tile), strict=True):
+            part = right[:, first : first + tile]
+            own[: self.size, : part.shape[1]] = part
+            self._code.banded_forward(
+                factor.ctypes.data, own.ctypes.data, self._blocked, self.band, self.step
+            )
+        return np.asarray(np.moveaxis(x[:, : self.size], 0, 1).reshape(self.size, -1)[:, : right.shape[1]])
 
 
 @dataclass(frozen=True)
@@ -180,6 +191,7 @@ class StoredFactor:
     _band: int
     _step: int
     _solved: Any
+    _forwarded: Any
 
     def solve(self, right: Array) -> Array:
         """See `Factor.solve`."""
@@ -187,14 +199,11 @@ class StoredFactor:
             raise SolverError(f"{right.size} numbers for a system of {self._size}")
         return np.asarray(self._solved(self._factor, right.ravel()).reshape(right.shape))
 
-    def solve_columns(self, right: Array) -> Array:
-        """See `Factor.solve_columns`."""
+    def forward_columns(self, right: Array) -> Array:
+        """See `Factor.forward_columns`."""
         if right.ndim != 2 or len(right) != self._size:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self._size}")
-        out = np.empty(right.shape[::-1])
-        for i, column in enumerate(np.ascontiguousarray(right.T)):
-            out[i] = self._solved(self._factor, column)
-        return out.T
+        return np.asarray(self._forwarded(self._factor, right))
 
     def blocks(self, size: int, lags: int) -> Array:
         """See `Factor.blocks`."""
@@ -243,6 +252,8 @@ def _opened(cache: Path) -> Any:
         opened.banded_factorise.restype = count
         opened.banded_solve.argtypes = [pointer, pointer, count, count, count]
         opened.banded_solve.restype = None
+        opened.banded_forward.argtypes = [pointer, pointer, count, count, count]
+        opened.banded_forward.restype = None
         return opened
 
     code = built(text, lambda: text, loaded, ("-O3", *native()), "banded") if native() else None
