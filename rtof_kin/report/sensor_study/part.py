@@ -9,6 +9,7 @@ import numpy as np
 
 from rtof_kin.core import rotations
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.recording.recording import Recording
 
@@ -65,7 +66,12 @@ def liveliest_part(recording: Recording, longest: float) -> Part:
 
     Args:
         recording: with IMUs, with or without keypoints. longest: s; a shorter recording is taken whole.
+
+    Raises:
+        InvalidInputError: `longest` is not positive.
     """
+    if not longest > 0:
+        raise InvalidInputError(f"seconds: {longest}; study more than 0 of a recording")
     imus, keypoints = recording.imus, recording.keypoints
     assert imus is not None
     times = imus.times if keypoints is None else keypoints.times

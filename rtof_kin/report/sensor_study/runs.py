@@ -17,9 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.angle_table import AngleRow, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import JobResult, Outcome, run_jobs
@@ -36,7 +35,8 @@ from rtof_kin.report.sensor_study.accuracy import SensorSet, measure_set, true_a
 
 Progress = Callable[[int, int, str], None]
 """Called with (runs done, runs in all, what is running)."""
-_START: Final = 4.0  # [s] that new processes need before their first run
+_START: Final = 8.0  # [s] that new processes need to import and to build the solver
+_ANGLES: Final = ("values", "provenance", "singular")  # arrays of angles that comparing needs
 _OF_THE_IMAGE: Final = ("sides", "person")  # outlier rejection that does not depend on the sensors
 
 
@@ -90,7 +90,9 @@ def measure_full(run: Run) -> JobResult:
     with _without_warnings():
         result = run.reconstructed()
     angles = clinical_angles(result.motion)
-    angles = angles.select([name for name, known in zip(angles.names, angles.known.T, strict=True) if known.any()])
+    angles = angles.select(
+        [name for name, known in zip(angles.names, angles.known.T, strict=True) if known.any()]
+    )
     truth = true_angles(run.recording, angles)
     found = measure_set(run.sensors, angles, angles, truth)
     verdict = headline(audit(result))
@@ -117,8 +119,13 @@ def measure(run: Run) -> JobResult:
     return JobResult(found.facts | {"seconds": time.process_time() - begun}, found.arrays)
 
 
-def _arrays_of(name: str, angles: ClinicalAngles) -> dict[str, Array]:
-    return {f"{name}_{field}": getattr(angles, field) for field in ("values", "provenance", "singular")}
+def _arrays_of(name: str, angles: ClinicalAngles) -> dict[str, Any]:
+    return {f"{name}_{field}": getattr(angles, field) for field in _ANGLES}
+
+
+def _angles_of(name: str, arrays: Mapping[str, Any], rows: tuple[AngleRow, ...]) -> ClinicalAngles:
+    fields = {field: arrays[f"{name}_{field}"] for field in _ANGLES}
+    return ClinicalAngles(arrays["times"], rows=rows, **fields)
 
 
 @contextmanager
@@ -158,17 +165,12 @@ class Runs:
         facts, arrays = outcome.done[key], outcome.arrays(key)
         rows = {row.name: row for row in angle_table(run.recording.skeleton.table).rows}
         chosen = tuple(rows[name] for name in facts["angles"])
-        angles, *truth = (
-            ClinicalAngles(arrays["times"], *(arrays[f"{name}_{a}"] for a in ("values", "provenance", "singular")),
-                           rows=chosen)
-            for name in ("full", "true") if f"{name}_values" in arrays
-        )  # fmt: skip
+        angles = _angles_of("full", arrays, chosen)
+        truth = _angles_of("true", arrays, chosen) if "true_values" in arrays else None
         sections = tuple(SectionVerdict(name, Grade(g), tuple(why)) for name, g, why in facts["sections"])
         verdict = Headline(Grade(facts["grade"]), facts["headline"], sections)
-        self._common = _lighter(replace(run, full=angles, truth=truth[0] if truth else None))
-        return FullSet(
-            SensorSet.read(facts, arrays), angles, self._common.truth, verdict, facts["choices"]
-        )
+        self._common = _lighter(replace(run, full=angles, truth=truth))
+        return FullSet(SensorSet.read(facts, arrays), angles, self._common.truth, verdict, facts["choices"])
 
     def measured(self, sets: Sequence[tuple[str, ...]], what: str) -> tuple[SensorSet, ...]:
         """Measure sets that do not depend on each other, after `full`.
@@ -179,9 +181,19 @@ class Runs:
         Raises:
             RtofError: a run failed; the others are saved.
         """
+        if not sets:
+            return ()
         jobs = {self._key(sensors): replace(self._common, sensors=sensors) for sensors in sets}
         outcome = self._outcome(measure, jobs, what, self._processes(len(jobs)))
         return tuple(SensorSet.read(outcome.done[key], outcome.arrays(key)) for key in jobs)
+
+    def expect(self, number: int) -> None:
+        """State how many runs are to come at most.
+
+        Args:
+            number: of runs.
+        """
+        self.total = self._done + number
 
     def _key(self, sensors: Sequence[str]) -> str:
         return "".join("1" if name in sensors else "0" for name in self.names)
@@ -204,7 +216,8 @@ class Runs:
         if outcome.failed:
             key, problem = next(iter(outcome.failed.items()))
             others = f"; so did {len(outcome.failed) - 1} others" if len(outcome.failed) > 1 else ""
-            raise RtofError(f"the reconstruction with sensors {key} failed: {problem}{others}")
+            named = ", ".join(jobs[key].sensors) or "none"
+            raise RtofError(f"the reconstruction with sensors {named} failed: {problem}{others}")
         self._seconds = float(np.median([facts["seconds"] for facts in outcome.done.values()]))
         return outcome
 

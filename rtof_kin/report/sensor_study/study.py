@@ -9,20 +9,25 @@ may be equally good or better.
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+import rtof_kin
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+from rtof_kin.report.angle_names import label
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.sensor_study.accuracy import SensorSet, spread
 from rtof_kin.report.sensor_study.part import LONGEST, Part, liveliest_part
@@ -33,6 +38,7 @@ TOLERANCE: Final = np.radians(5.0)
 (McGinley, Baker, Wolfe, Morris: Gait & Posture 29, 2009)."""
 LEAST_SEEN: Final = 0.9  # smallest share of frames in which an angle that is kept is observed
 MOST_GREEDY: Final = 8  # largest number of sensors for which the greedy search is the default
+_FIRST: Final = 2  # sets of a step that are tried before others are compared with them
 CLEARLY: Final = 2.0  # standard errors from which the losses of two sets differ clearly
 
 
@@ -45,6 +51,8 @@ class SensorStudy:
     """What was studied of it."""
     segments: dict[str, str]
     """Sensor -> segment that carries it."""
+    places: dict[str, str]
+    """The same in words, e.g. 'left shank'."""
     angles: tuple[str, ...]
     """A names of the angles that the full set observes."""
     moved: Array
@@ -120,7 +128,7 @@ def omitted(found: SensorSet, sensors: Sequence[str]) -> str:
 
 
 def number_of_runs(sensors: int, camera: bool = True, greedy: bool | None = None) -> int:
-    """Return the number of reconstructions of a study.
+    """Return the largest number of reconstructions of a study; a greedy one usually needs fewer.
 
     Args:
         sensors: number of sensors. camera: whether there are keypoints. greedy: as in `study_sensors`.
@@ -148,8 +156,10 @@ def study_sensors(
 
     Args:
         recording: with calibrated IMUs, with or without keypoints.
-        greedy: whether each removal tries all remaining sensors, n (n + 1) / 2 + 1 runs in all; else sensors
-            are removed in the order of their loss when omitted alone. Default: up to `MOST_GREEDY` sensors.
+        greedy: whether each removal tries the remaining sensors, at most n (n + 1) / 2 + 1 runs in all; else
+            sensors are removed in the order of their loss when omitted alone. Default: up to `MOST_GREEDY`
+            sensors. A set is not tried where a larger one has a larger loss than the best set of this size:
+            that a set is no better than a larger one is assumed.
         lifter, settings: as for `reconstruct`.
         longest: s; of a longer recording, the part with the most movement is studied.
         folder: where each run is saved; runs that it has are not repeated, so it must be one that
@@ -157,9 +167,10 @@ def study_sensors(
         workers: processes, see `rtof_kin.core.jobs.run_jobs`. progress: see `runs.Progress`.
 
     Raises:
-        InvalidInputError: there are no sensors, or only one and no camera. RtofError: a run failed.
+        InvalidInputError: there are no sensors, or only one and no camera; `longest` is not positive.
+        RtofError: a run failed; the others are saved.
     """
-    check_removable(recording)
+    _check_removable(recording)
     imus, bone_imus, camera = recording.imus, recording.bone_imus(), recording.keypoints is not None
     assert imus is not None
     assert bone_imus is not None
@@ -173,23 +184,56 @@ def study_sensors(
             progress,
         )  # fmt: skip
         full = runs.full()
-        steps = _steps(runs, names, camera, _is_greedy(len(names), greedy))
+        steps = _steps(runs, full.accuracy, 0 if camera else 1, _is_greedy(len(names), greedy))
+    segments = dict(zip(names, bone_imus.joints, strict=True))
+    words = {joint: label(name) for name, joint in angle_table(recording.skeleton.table).segments.items()}
+    places = {sensor: words.get(joint, joint) for sensor, joint in segments.items()}
     reference = full.angles if full.truth is None else full.truth
     return SensorStudy(
-        recording.name, part, dict(zip(names, bone_imus.joints, strict=True)), full.angles.names,
-        spread(reference), full.accuracy, steps, full.truth is not None, camera, full.verdict, full.choices,
+        recording.name, part, segments, places, full.angles.names, spread(reference), full.accuracy, steps,
+        full.truth is not None, camera, full.verdict, full.choices,
     )  # fmt: skip
 
 
-def check_removable(recording: Recording) -> None:
-    """Check that a recording has sensors to omit.
+def identity_of(
+    recording: Recording, lifter: LifterLike | None, settings: ReconstructionSettings, longest: float
+) -> dict[str, Any]:
+    """Return everything that the runs of a study depend on, as plain values for `open_runs`.
 
     Args:
-        recording: to be studied.
+        recording, lifter, settings, longest: as for `study_sensors`.
 
     Raises:
-        InvalidInputError: there are no sensors, or only one and no camera.
+        InvalidInputError: see `study_sensors`.
     """
+    _check_removable(recording)
+    part = liveliest_part(recording, longest)
+    whole = hashlib.sha256()
+    _digest(recording, whole.update)
+    return {
+        "command": "study", "version": rtof_kin.__version__, "recording": whole.hexdigest(),
+        "lifter": getattr(lifter, "sha256", None), "settings": repr(settings),
+        "part_s": [part.start, part.stop],
+    }  # fmt: skip
+
+
+def _digest(value: object, update: Callable[[bytes], None]) -> None:
+    """Pass the contents of data on, for a checksum."""
+    if isinstance(value, np.ndarray):
+        update(f"{value.dtype}{value.shape}".encode())
+        update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        for field in fields(value):
+            _digest(getattr(value, field.name), update)
+    elif isinstance(value, Mapping | tuple | list):
+        for item in value.items() if isinstance(value, Mapping) else value:
+            _digest(item, update)
+    else:
+        update(f"{value!r}\n".encode())
+
+
+def _check_removable(recording: Recording) -> None:
+    """Raise where a recording has no sensor to omit."""
     if recording.imus is None:
         raise InvalidInputError(f"recording {recording.name}: has no IMUs, so there is nothing to omit")
     if recording.keypoints is None and len(recording.imus.names) < 2:
@@ -198,11 +242,9 @@ def check_removable(recording: Recording) -> None:
         )
 
 
-def _steps(
-    runs: Runs, names: tuple[str, ...], camera: bool, greedy: bool
-) -> tuple[tuple[SensorSet, ...], ...]:
-    """Sets tried at each removal."""
-    least = 0 if camera else 1
+def _steps(runs: Runs, full: SensorSet, least: int, greedy: bool) -> tuple[tuple[SensorSet, ...], ...]:
+    """Sets tried at each removal, down to the least number of sensors."""
+    names = full.sensors
     without = runs.measured([_less(names, name) for name in names], "each sensor omitted alone")
     if not greedy:
         order = [omitted(found, names) for found in sorted(without, key=lambda found: found.loss)]
@@ -210,9 +252,26 @@ def _steps(
         return (without, *((found,) for found in runs.measured(sets, "in the order of their loss alone")))
     steps = [without]
     while len(left := _least(steps[-1]).sensors) > least:
-        what = f"{len(left)} sensors left, one of them omitted"
-        steps.append(runs.measured([_less(left, name) for name in left], what))
+        runs.expect(sum(range(least + 1, len(left) + 1)))
+        steps.append(_greedy_step(runs, left, [full, *chain(*steps)]))
     return tuple(steps)
+
+
+def _greedy_step(runs: Runs, left: tuple[str, ...], tried: Sequence[SensorSet]) -> tuple[SensorSet, ...]:
+    """Sets with one sensor less, the most promising ones first; those that a larger set shows to be worse
+    are not tried.
+
+    The number of processes does not matter to which sets are tried.
+    """
+
+    def bound(sensors: tuple[str, ...]) -> float:
+        return max(found.loss for found in tried if {*sensors} < {*found.sensors})
+
+    what = f"{len(left)} sensors left, which one is removed"
+    sets = sorted((_less(left, name) for name in left), key=bound)
+    first = runs.measured(sets[:_FIRST], what)
+    better = [sensors for sensors in sets[_FIRST:] if bound(sensors) < _least(first).loss]
+    return (*first, *runs.measured(better, what))
 
 
 @contextmanager
