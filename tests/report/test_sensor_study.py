@@ -280,6 +280,27 @@ def test_sentences_say_what_the_numbers_are(study: SensorStudy) -> None:
     assert study_data(off)["compared_with"] == "the truth"
 
 
+def test_without_a_camera_one_sensor_remains(monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles) -> None:
+    recording, _ = fake(monkeypatch, angles, np.radians([8.0, 1.0]), camera=False)
+    study = study_sensors(recording)
+    study = replace(study, moved=np.full(3, 1.0), places={"S0": "pelvis", "S1": "thorax"})
+    found = sentences(study)
+    assert "down to the pelvis alone" in group(found, "The pelvis is enough")
+    assert "left knee flexion without pelvis (8.0 deg)" in group(found, "Beyond 5 deg where one sensor")
+
+
+def test_processes_are_started_only_where_they_save_time(
+    monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles, tmp_path: Path
+) -> None:
+    recording, _ = fake(monkeypatch, angles, LOSSES)
+    runs = sensor_runs.Runs(recording, None, ReconstructionSettings(), 7, tmp_path, 4, None)
+    for seconds, jobs, processes in ((1.0, 8, 1), (2.0, 8, 4), (60.0, 2, 4), (60.0, 1, 1)):
+        runs._seconds = seconds
+        assert runs._processes(jobs) == processes
+    runs.workers = 1
+    assert runs._processes(8) == 1
+
+
 def test_removals_within_the_scatter_are_called_chance(study: SensorStudy) -> None:
     assert not group(sentences(study), "The order is partly chance")
     tied = tuple(

@@ -11,13 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.report.angle_names import SECOND_SHOULDER, label, side_and_name
-from rtof_kin.report.clinical_findings import SECOND_PELVIS
+from rtof_kin.report.angle_names import label, side_and_name
 from rtof_kin.report.sensor_study.accuracy import SensorSet
 from rtof_kin.report.sensor_study.study import CLEARLY, LEAST_SEEN, TOLERANCE, SensorStudy, omitted
 
-_SECOND: Final = (SECOND_PELVIS, SECOND_SHOULDER)
-"""Parts of the names of angles of a joint in a second sequence, which the table has only."""
 NO_ERROR: Final = (
     "A difference from the full set is not an error: an error that both motions share does not appear in it, "
     "and where they differ, either may be wrong."
@@ -31,7 +28,7 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     Args:
         study: of a recording. tolerance: RMS, rad.
     """
-    shown = [name for name in study.angles if not any(second in name for second in _SECOND)]
+    shown = [study.angles[a] for a in study.shown]
     return [
         _scope(study), _meaning(study), _alone(study), _order(study, tolerance), *_chance(study),
         *_by_need(study, shown, tolerance),
@@ -65,10 +62,10 @@ def _meaning(study: SensorStudy) -> str:
 def _alone(study: SensorStudy) -> str:
     """Which sensors matter when one alone is omitted."""
     ranked = sorted(study.without, key=lambda found: found.loss)
-    least, most = ranked[0], ranked[-1]
+    chosen = {"most": ranked[-1], "least": ranked[0]} if len(ranked) > 1 else {"most": ranked[0]}
     what = f"mean {'error' if study.has_truth else 'difference'} of {len(study.angles)} angles"
     texts = []
-    for which, found in (("most", most), ("least", least)):
+    for which, found in chosen.items():
         value = f"{_deg(study.full.loss)} to {_deg(found.loss)}" if study.has_truth else _deg(found.loss)
         texts.append(f"the {_place(study, found)} matters {which} ({value} +-{_scatter(study.full, found)})")
     return (

@@ -27,7 +27,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.angle_names import label
+from rtof_kin.report.angle_names import SECOND_SHOULDER, label
+from rtof_kin.report.clinical_findings import SECOND_PELVIS
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.sensor_study.accuracy import SensorSet, spread
 from rtof_kin.report.sensor_study.part import LONGEST, Part, liveliest_part
@@ -83,6 +84,12 @@ class SensorStudy:
     def runs(self) -> int:
         """Number of reconstructions."""
         return 1 + sum(map(len, self.steps))
+
+    @property
+    def shown(self) -> tuple[int, ...]:
+        """Indices of the angles without those of a joint in a second sequence, which only the table has."""
+        second = (SECOND_PELVIS, SECOND_SHOULDER)
+        return tuple(a for a, name in enumerate(self.angles) if not any(part in name for part in second))
 
     def measure(self, found: SensorSet) -> Array:
         """Return (A,) rad: errors if there is a reference, else differences from the full set."""
