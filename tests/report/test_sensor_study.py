@@ -236,8 +236,8 @@ def group(found: list[str], beginning: str) -> str:
 def test_sentences_call_a_sensor_needed_only_where_its_removal_alone_matters(study: SensorStudy) -> None:
     found = sentences(replace(study, places={"S0": "left shank", "S1": "right shank", "S2": "thorax"}))
     assert group(found, "Beyond 5 deg where one sensor alone") == (
-        "Beyond 5 deg where one sensor alone is omitted, so it is needed: left knee flexion without left "
-        "shank (8.0 deg); right knee flexion without right shank (6.0 deg)."
+        "Beyond 5 deg where one sensor alone is omitted, so that it is needed for this angle: left knee "
+        "flexion without left shank (8.0 deg); right knee flexion without right shank (6.0 deg)."
     )
     assert "the left shank matters most" in found[2]
     assert "the thorax matters least" in found[2]
@@ -254,7 +254,7 @@ def test_sentences_tell_angles_that_need_no_sensor_from_those_that_hardly_move(s
     )
     still = sentences(replace(study, moved=np.radians([30.0, 30.0, 3.0])))
     assert not group(still, "No sensor is needed")
-    assert "spine flexion" in group(still, "Within 5 deg in every set too, but this says little")
+    assert "spine flexion" in group(still, "These hardly move here")
 
 
 def test_an_angle_that_only_several_missing_sensors_spoil_needs_no_single_one(study: SensorStudy) -> None:
@@ -262,6 +262,17 @@ def test_an_angle_that_only_several_missing_sensors_spoil_needs_no_single_one(st
     found = group(sentences(replace(study, steps=(within, *study.steps[1:]))), "No single sensor is needed")
     assert "left knee flexion down to 1" in found
     assert "right knee flexion down to 2" in found
+
+
+def test_a_sensor_that_hardly_changes_an_angle_is_not_called_needed(study: SensorStudy) -> None:
+    error = np.radians([4.8, 4.8, 4.8])
+    within = replace(study.full, error=error)
+    without = tuple(replace(one, error=error + 0.1 * one.difference) for one in study.without)
+    off = replace(study, has_truth=True, full=within, steps=(without, *study.steps[1:]))
+    found = sentences(off)
+    slightly = group(found, "Within 5 deg with all sensors and slightly beyond")
+    assert "left knee flexion (4.8 deg), right knee flexion (4.8 deg)" in slightly
+    assert not group(found, "Beyond 5 deg where one sensor")
 
 
 def test_sentences_say_what_the_numbers_are(study: SensorStudy) -> None:

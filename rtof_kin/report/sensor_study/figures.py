@@ -106,6 +106,7 @@ def error_by_number(study: SensorStudy) -> Figure:
     what = "error against the truth" if study.has_truth else "difference from the full set (not an error)"
     figure.suptitle(
         f"{study.recording}: {what}; a line ends where the angle is unobserved\n"
-        "(one order of removal: other sets of the same size were not tried and may be better)", fontsize=11,
+        "(one order of removal: not all sets of the same size were tried, and others may be better)",
+        fontsize=11,
     )  # fmt: skip
     return figure

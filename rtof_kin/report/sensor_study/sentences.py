@@ -1,12 +1,12 @@
 """What the numbers of a sensor study mean, in sentences.
 
-A sensor is called needed only where its removal alone takes an angle beyond the tolerance. That it was
-removed late proves nothing, because other sets of the same size were not tried.
+A sensor is called needed only where its removal alone clearly takes an angle beyond the tolerance. That it
+was removed late proves nothing, because not all sets of the same size were tried.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,8 @@ from rtof_kin.report.angle_names import label, side_and_name
 from rtof_kin.report.sensor_study.accuracy import SensorSet
 from rtof_kin.report.sensor_study.study import CLEARLY, LEAST_SEEN, TOLERANCE, SensorStudy, omitted
 
+LEAST_CHANGE: Final = np.radians(1.0)
+"""[rad] by which the RMS of an angle grows where a sensor is called needed."""
 NO_ERROR: Final = (
     "A difference from the full set is not an error: an error that both motions share does not appear in it, "
     "and where they differ, either may be wrong."
@@ -110,58 +112,86 @@ def _chance(study: SensorStudy) -> Iterator[str]:
 
 
 def _by_need(study: SensorStudy, shown: list[str], tolerance: float) -> Iterator[str]:
-    """One sentence for each of four groups of angles."""
-    limit = _deg(tolerance, 0)
-    never: list[str] = []
-    still: list[str] = []
-    beyond: list[str] = []
-    sensitive: list[str] = []
-    down: dict[int, list[str]] = {}
+    """One sentence for each group of angles."""
+    groups: dict[str, list[str]] = {}
     for name in shown:
-        a = study.angles.index(name)
-        kept = [bool(study.kept(found, tolerance)[a]) for found in study.path]
-        alone = [found for found in study.without if not study.kept(found, tolerance)[a]]
-        if not kept[0]:
-            beyond.append(f"{label(name)} ({_deg(float(study.measure(study.full)[a]))})")
-        elif alone:
-            sensitive.append(f"{label(name)} {_without(study, a, alone)}")
-        elif all(kept):
-            (never if study.moved[a] > tolerance else still).append(name)
-        else:
-            fewest = study.fewest(name, tolerance)
-            assert fewest is not None
+        groups.setdefault(_need(study, name, tolerance), []).append(name)
+    limit, least = _deg(tolerance, 0), study.path[-1].sensors
+    last = f"the {study.places[least[0]]}" if least else "the camera"
+    enough = f"{last[0].upper()}{last[1:]} is enough" if least else "No sensor is needed"
+    says = {
+        "none": f"{enough}, within {limit} in every set of the order down to {last} alone",
+        "several": f"No single sensor is needed, and these stay within {limit} in this order of removal",
+        "single": f"Beyond {limit} where one sensor alone is omitted, so that it is needed for this angle",
+        "slight": f"Within {limit} with all sensors and slightly beyond it without some single one (by a "
+        f"change of less than {_deg(LEAST_CHANGE, 0)})",
+        "still": f"These hardly move here (standard deviation under {limit}), so that being within {limit} "
+        "says little",
+        "beyond": f"Beyond {limit} even with all {len(study.full.sensors)} sensors, so that this study "
+        "cannot say what they need",
+    }
+    for group, beginning in says.items():
+        if names := groups.get(group):
+            yield f"{beginning}: {_listed(study, group, names, tolerance)}."
+
+
+def _need(study: SensorStudy, name: str, tolerance: float) -> str:
+    """What an angle needs: 'none', 'several' sensors, a 'single' one, a single one for a 'slight' change; or
+    that it is 'beyond' the tolerance anyway or nearly 'still'.
+    """
+    a = study.angles.index(name)
+    kept = [bool(study.kept(found, tolerance)[a]) for found in study.path]
+    if not kept[0]:
+        return "beyond"
+    if _needed(study, a, tolerance):
+        return "single"
+    if not study.moved[a] > tolerance:
+        return "still"
+    if not all(study.kept(found, tolerance)[a] for found in study.without):
+        return "slight"
+    return "none" if all(kept) else "several"
+
+
+def _listed(study: SensorStudy, group: str, names: list[str], tolerance: float) -> str:
+    """The angles of a group with what belongs to it."""
+    index = [study.angles.index(name) for name in names]
+    if group in ("none", "still"):
+        return _both_sides(names)
+    if group == "single":
+        return "; ".join(f"{_named(study, a)} {_without(study, a, tolerance)}" for a in index)
+    if group in ("slight", "beyond"):
+        return ", ".join(_named(study, a) for a in index)
+    down: dict[int, list[str]] = {}
+    for name in names:
+        if (fewest := study.fewest(name, tolerance)) is not None:
             down.setdefault(len(fewest.sensors), []).append(name)
-    least = study.path[-1]
-    last = "the camera alone" if not least.sensors else f"the {study.places[least.sensors[0]]} alone"
-    no_need = (
-        "No sensor is needed" if not least.sensors else f"The {study.places[least.sensors[0]]} is enough"
-    )
-    if never:
-        yield f"{no_need}, within {limit} in every set of the order down to {last}: {_both_sides(never)}."
-    if still:
-        yield (
-            f"Within {limit} in every set too, but this says little, because they hardly move here (standard "
-            f"deviation under {limit}): {_both_sides(still)}."
-        )
-    if down:
-        sets = (f"{_both_sides(names)} down to {number}" for number, names in sorted(down.items()))
-        yield (
-            f"No single sensor is needed, and these stay within {limit} in this order of removal: "
-            f"{'; '.join(sets)} sensors."
-        )
-    if sensitive:
-        yield f"Beyond {limit} where one sensor alone is omitted, so it is needed: {'; '.join(sensitive)}."
-    if beyond:
-        yield (
-            f"Beyond {limit} even with all {len(study.full.sensors)} sensors, so that this study cannot say "
-            f"what they need: {', '.join(beyond)}."
-        )
+    sets = (f"{_both_sides(own)} down to {number}" for number, own in sorted(down.items()))
+    return f"{'; '.join(sets)} sensors"
 
 
-def _without(study: SensorStudy, a: int, alone: Iterable[SensorSet]) -> str:
+def _needed(study: SensorStudy, a: int, tolerance: float) -> list[SensorSet]:
+    """Sets without one sensor alone that an angle clearly needs."""
+    return [
+        found for found in study.without if not study.kept(found, tolerance)[a] and _changed(study, a, found)
+    ]
+
+
+def _changed(study: SensorStudy, a: int, found: SensorSet) -> bool:
+    """Whether an angle is lost without a sensor, or clearly worse."""
+    change = float(study.measure(found)[a] - study.measure(study.full)[a])
+    return not found.seen[a] >= LEAST_SEEN or not change < LEAST_CHANGE
+
+
+def _named(study: SensorStudy, a: int) -> str:
+    """An angle in words, with its error with all sensors if there is a truth."""
+    error = f" ({_deg(float(study.full.error[a]))})" if study.has_truth else ""
+    return f"{label(study.angles[a])}{error}"
+
+
+def _without(study: SensorStudy, a: int, tolerance: float) -> str:
     """Sensors whose removal alone takes an angle beyond the tolerance, with its RMS."""
     texts = []
-    for found in alone:
+    for found in _needed(study, a, tolerance):
         value = float(study.measure(found)[a])
         seen = not found.seen[a] < LEAST_SEEN
         texts.append(f"{_place(study, found)} ({_deg(value) if seen else 'unobserved'})")
