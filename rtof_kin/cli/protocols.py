@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column
 from rich.table import Table as RichTable
 
-from rtof_kin.cli.terminal import add_model, add_output, command, err, out
+from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, out
 from rtof_kin.core.choices import SPACES
 
 if TYPE_CHECKING:
@@ -65,7 +63,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             seed=options.seed,
             save=options.save and options.save / name,
         )
-        with _job_progress() as update:
+        with job_progress() as update:
             outcome = run(
                 protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=update
             )
@@ -101,7 +99,7 @@ def _human36m(options: argparse.Namespace) -> None:
         modes=_names(options.modes),
         save=options.save,
     )
-    with _job_progress() as update:
+    with job_progress() as update:
         outcome = human36m.run(
             protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update
         )
@@ -135,30 +133,6 @@ def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
 
 
 # --- printing ------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar over jobs with the time that remains, and a line for each that fails."""
-    columns = (
-        TextColumn("measuring"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}", markup=False),
-    )  # fmt: skip
-    progress = Progress(*columns, console=err)
-    task = progress.add_task("jobs", total=None, last="")
-
-    def update(done: int, total: int, last: str) -> None:
-        progress.start()  # not before there are jobs: an error stands alone
-        if " failed: " in last:
-            progress.console.print(last, soft_wrap=True)
-            last = ""
-        progress.update(task, completed=done, total=total, last=last)
-
-    try:
-        yield update
-    finally:
-        if progress.live.is_started:
-            progress.stop()
 
 
 def _print_tables(tables: Sequence[Table]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
-from rtof_kin.cli.terminal import add_model, add_output, command, out, print_files, print_headline, progress
+from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, out, print_headline
 
 
 def add_commands(commands: Any) -> None:
@@ -48,36 +48,38 @@ def _report(options: argparse.Namespace) -> None:
 def _study(options: argparse.Namespace) -> None:
     use_threads(options)
     from lifting.predict import Lifter
-    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.core.jobs import open_runs
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.audit import audit
-    from rtof_kin.report.headline import headline
-    from rtof_kin.report.sensor_study.files import MARKER, sentences, write_study
-    from rtof_kin.report.sensor_study.study import number_of_runs, study_sensors
+    from rtof_kin.report.sensor_study.files import remove_results, unused_removed, write_study
+    from rtof_kin.report.sensor_study.sentences import sentences
+    from rtof_kin.report.sensor_study.study import identity_of, number_of_runs, study_sensors
 
-    check_replaceable(options.output, MARKER, options.overwrite)
-    recording = Recording.load(options.recording)
+    folder, recording = Path(options.output), Recording.load(options.recording)
     camera = recording.keypoints is not None
     settings = settings_of(options, "rtof" if camera else "imu")
     greedy = {"greedy": True, "ranked": False}.get(options.path)
-    if recording.imus is not None:
-        runs = number_of_runs(len(recording.imus.names), camera, greedy)
-        out.print(f"{len(recording.imus.names)} sensors: {runs} reconstructions, one after the other")
     lifter = Lifter.load(options.model) if camera else None
-    with progress() as update, _quiet():
-        study = study_sensors(recording, greedy=greedy, lifter=lifter, settings=settings, progress=update)
-    verdict = headline(audit(study.reconstruction))
-    print_headline(verdict, "all sensors: ")
-    with new_folder(options.output, MARKER, options.overwrite) as folder:
-        write_study(study, folder, verdict)
-        if not options.no_figures:
-            from rtof_kin.report.sensor_study.figures import write_study_figures
+    identity = identity_of(recording, lifter, settings, options.seconds)
+    runs = open_runs(folder, identity, options.overwrite, None, {})
+    remove_results(folder)
+    sensors = len(recording.imus.names) if recording.imus is not None else 0
+    out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
+    with job_progress("study") as update, _quiet(), unused_removed(folder):
+        study = study_sensors(
+            recording, greedy=greedy, lifter=lifter, settings=settings, longest=options.seconds,
+            folder=runs, workers=options.workers, progress=update,
+        )  # fmt: skip
+    print_headline(study.verdict, "all sensors: ")
+    written = []
+    if not options.no_figures:
+        from rtof_kin.report.sensor_study.figures import write_study_figures
 
-            write_study_figures(study, folder / "figures")
+        written += write_study_figures(study, folder / "figures")
+    written += write_study(study, folder)
     _print_way_down(study)
     for sentence in sentences(study):
         out.print(sentence, soft_wrap=True)
-    print_files(options.output)
+    out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
 
 
 @contextmanager
@@ -93,8 +95,6 @@ def _quiet() -> Iterator[None]:
 
 
 def _print_way_down(study: Any) -> None:
-    from rtof_kin.report.sensor_study.files import NO_ERROR
-
     what = "error" if study.has_truth else "difference"
     table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
     for before, found in zip((study.path[0], *study.path), study.path, strict=False):
@@ -102,8 +102,6 @@ def _print_way_down(study: Any) -> None:
         kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
         table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
     out.print(table)
-    if not study.has_truth:
-        out.print(NO_ERROR, soft_wrap=True)
 
 
 # --- their arguments -----------------------------------------------------------------------------
@@ -134,17 +132,23 @@ def _add_study(commands: Any) -> None:
     parser = command(
         commands, "study", _study, "contribution of each sensor of a recording, angle by angle",
         "Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, "
-        "the least useful one removed first. OUT gets a table, figures, and the number of sensors that "
-        "each angle needs. Without a truth in the recording, the table has the difference from the full "
-        "set, which is no error.",
+        "the one with the smallest effect removed first. OUT gets a table, figures, and sentences on what "
+        "the sensors contribute to each angle. Without a truth in the recording, the table has the "
+        "difference from the full set, which is no error.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
-    add_output(parser, None, "folder to write")
+    add_output(parser, None, "folder for results and every run: the same command resumes there after an "
+               "interruption")  # fmt: skip
     parser.add_argument(
         "--path", choices=["greedy", "ranked"],
         help="greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, "
         "with fewer runs; default: greedy up to eight sensors",
     )  # fmt: skip
+    parser.add_argument(
+        "--seconds", type=float, default=120.0, metavar="S",
+        help="of a longer recording, study as many seconds: those with the most movement",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_model(parser)
     add_solver_options(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

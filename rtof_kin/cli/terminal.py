@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -37,6 +44,8 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
+_LONG = 600.0
+"""[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
 """Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
 
@@ -105,6 +114,35 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(tasks[stage], completed=done, total=total)
 
         yield update
+
+
+@contextmanager
+def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], None]]:
+    """Show a bar over jobs with the time that remains, and a line for each that fails; yields a function of
+    (done, in all, last event).
+
+    Args:
+        what: description of the bar.
+    """
+    columns = (
+        TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[last]}", markup=False),
+    )  # fmt: skip
+    bar = Progress(*columns, console=err, speed_estimate_period=_LONG)
+    task = bar.add_task("jobs", total=None, last="")
+
+    def update(done: int, total: int, last: str) -> None:
+        bar.start()  # not before there are jobs: an error stands alone
+        if " failed: " in last:
+            bar.console.print(last, soft_wrap=True)
+            last = ""
+        bar.update(task, completed=done, total=total, last=last)
+
+    try:
+        yield update
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
 @contextmanager

@@ -188,12 +188,7 @@ def _result(
     warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
-    camera = check_camera_evidence(declared.recording, prepared, poses, skeleton, job.lifter)
-    view_suspect = any(check.failed for check in camera)
-    sensors = check_sensor_evidence(
-        declared.recording, prepared, skeleton, job.lifter, settings, suspect, view_suspect
-    )
-    checks = (*sensors, *camera)
+    checks = _checked(declared, job, prepared, poses, suspect) if settings.checks else ()
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
     motion = with_covariances(skeleton.motion(poses), prepared, solution, others)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
@@ -204,6 +199,18 @@ def _result(
         scores, faults=prepared.faults, warnings=warnings, calibration=calibration, checks=checks,
         choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
     )  # fmt: skip
+
+
+def _checked(
+    declared: Job, job: Job, prepared: Prepared, poses: PoseSequence, suspect: bool
+) -> tuple[Check, ...]:
+    """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
+    camera = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
+    view_suspect = any(check.failed for check in camera)
+    sensors = check_sensor_evidence(
+        declared.recording, prepared, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
+    )
+    return (*sensors, *camera)
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:
@@ -246,7 +253,7 @@ def _from_sensors(job: Job) -> Reconstruction:
         recording, skeleton, settings.sensors_alone, solver, settings.frames, settings.sensor_joints,
         lambda done, total: job.progress("imu", done, total), job.times,
     )  # fmt: skip
-    checks = check_sensor_form(job.recording)
+    checks = check_sensor_form(job.recording) if settings.checks else ()
     _warn(recording, (*_failed(checks), *faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}

@@ -34,6 +34,8 @@ class ReconstructionSettings:
     """Which outliers of keypoints and sensors are rejected (`Reconstruction.faults`)."""
     confidence: bool = True
     """Compute pose covariances (`MotionSequence.confidence`) in modes rto and rtof in joint space."""
+    checks: bool = True
+    """Check what the recording declares (`Reconstruction.checks`)."""
     sensor_joints: tuple[str, ...] = ()
     """Segments for which the compiled problem has room for a sensor, besides those of the recording:
     recordings with any subset of them share one compilation."""

@@ -8,9 +8,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import pytest
 from report_support import Page
-
-from rtof_kin.core.files.manifest import MANIFEST
 
 
 def test_report_writes_one_page(reconstructed: Path, tmp_path: Path, cli: Any) -> None:
@@ -51,14 +50,44 @@ def test_summary_has_the_audit(reconstructed: Path) -> None:
 
 
 def test_study_writes_the_contribution_of_each_sensor(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    command = ("study", stuck, "-o", tmp_path / "study", "--path", "ranked")
+    folder = tmp_path / "study"
+    command = ("study", stuck, "-o", folder, "--path", "ranked", "--workers", "1")
     done = cli(*command)
     assert done.code == 0
-    for text in ("2 sensors: 4 reconstructions", "difference", "knee: flexion"):
+    for text in ("2 sensors: at most 4 reconstructions", "mean difference", "matters most", "0.517 s of"):
         assert text in done.out
-    names = {path.name for path in (tmp_path / "study").iterdir()}
-    assert names == {"study.csv", "study.json", "figures", MANIFEST}
-    study = json.loads((tmp_path / "study" / "study.json").read_text())
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"study.csv", "study.json", "figures", "runs", "settings.json"}
+    study = json.loads((folder / "study.json").read_text())
     assert study["verdict"]["headline"] in done.out
     assert (study["settings"]["space"], study["settings"]["frames"]) == ("joint", 50)
-    assert "--overwrite" in cli(*command).err
+    assert all(sentence.split()[0] in done.out for sentence in study["sentences"])
+
+    # The same command goes on where it stopped, with the same results.
+    kept = {path.name: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
+    (folder / "runs" / "01.json").unlink()
+    table = (folder / "study.csv").read_bytes()
+    (folder / "study.csv").unlink()
+    assert cli(*command).code == 0
+    assert (folder / "study.csv").read_bytes() == table
+    assert json.loads((folder / "study.json").read_text()) == study
+    for path in (folder / "runs").iterdir():
+        assert (path.stat().st_mtime_ns == kept[path.name]) == (path.stem != "01")
+
+    # Results of other settings are refused, or replaced where that is wanted.
+    refused = cli(*command, "--frames", "60")
+    assert refused.code == 2
+    assert "other settings (settings)" in refused.err
+    assert "--overwrite" in refused.err
+    assert (folder / "study.csv").read_bytes() == table
+    assert cli(*command, "--frames", "60", "--overwrite", "--no-figures").code == 0
+    assert json.loads((folder / "study.json").read_text())["settings"]["frames"] == 60
+    assert not list((folder / "figures").iterdir())
+
+
+@pytest.mark.parametrize("seconds", ["0", "-3", "nan"])
+def test_study_of_no_seconds_is_refused(stuck: Path, tmp_path: Path, cli: Any, seconds: str) -> None:
+    done = cli("study", stuck, "-o", tmp_path / "study", "--seconds", seconds)
+    assert done.code == 2
+    assert "seconds" in done.err
+    assert not (tmp_path / "study").exists()

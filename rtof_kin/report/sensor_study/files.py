@@ -1,4 +1,4 @@
-"""Export of a sensor study as sentences and files.
+"""Export of a sensor study as files.
 
 ``study.csv`` has a row for each set of sensors and angle, with empty cells for missing values;
 ``study.json`` has the verdict and settings of the full set, the sets in order and the sentences.
@@ -7,112 +7,121 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.report.angle_names import side_and_name
-from rtof_kin.report.headline import Headline
-from rtof_kin.report.sensor_study.study import LEAST_SEEN, TOLERANCE, SensorSet, SensorStudy
+from rtof_kin.core.errors import RtofError
+from rtof_kin.core.files.text import write_text
+from rtof_kin.report.sensor_study.accuracy import SensorSet
+from rtof_kin.report.sensor_study.sentences import NO_ERROR, sentences
+from rtof_kin.report.sensor_study.study import CLEARLY, LEAST_SEEN, TOLERANCE, SensorStudy, omitted
 
-MARKER: Final = "study.csv"
+TABLE: Final = "study.csv"
+SUMMARY: Final = "study.json"
+_FIGURES: Final = ("figures/sensors.png", "figures/number.png")
+_SETTINGS: Final = "settings.json"  # written by `rtof_kin.core.jobs.open_runs`
 COLUMNS: Final = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",
            "half_band_deg", "kept")  # fmt: skip
-NO_ERROR: Final = (
-    "a difference from the full set is not an error: errors that both sets share are not included"
-)
 
 
-def write_study(study: SensorStudy, folder: str | Path, verdict: Headline | None = None) -> None:
-    """Write ``study.csv`` and ``study.json``.
+def write_study(study: SensorStudy, folder: str | Path) -> list[Path]:
+    """Write ``study.csv`` and then ``study.json``, and return their paths; earlier ones are replaced.
 
     Args:
-        study: to write. folder: that exists. verdict: on the reconstruction with the full set.
+        study: to write. folder: that exists.
     """
     folder = Path(folder)
-    with (folder / MARKER).open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(COLUMNS)
-        writer.writerows(_rows(study))
-    text = json.dumps(study_data(study, verdict), indent=2)
-    (folder / "study.json").write_text(text + "\n", encoding="utf-8")
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(_rows(study))
+    write_text(folder / TABLE, stream.getvalue(), overwrite=True)
+    write_text(folder / SUMMARY, json.dumps(study_data(study), indent=2) + "\n", overwrite=True)
+    return [folder / TABLE, folder / SUMMARY]
 
 
-def study_data(study: SensorStudy, verdict: Headline | None = None) -> dict[str, Any]:
+def remove_results(folder: str | Path) -> None:
+    """Remove the results of an earlier study of a folder, so that none remain of a study that is not done.
+
+    Args:
+        folder: of a study.
+    """
+    for name in (TABLE, SUMMARY, *_FIGURES):
+        (Path(folder) / name).unlink(missing_ok=True)
+
+
+@contextmanager
+def unused_removed(folder: Path) -> Iterator[None]:
+    """Remove the new folder of a study that fails before its first run is done.
+
+    Args:
+        folder: of a study.
+    """
+    try:
+        yield
+    except RtofError:
+        runs = folder / "runs"
+        if not any(runs.iterdir()):
+            runs.rmdir()
+            (folder / _SETTINGS).unlink()
+            with suppress(OSError):  # results of an earlier study
+                folder.rmdir()
+        raise
+
+
+def study_data(study: SensorStudy) -> dict[str, Any]:
     """Return a study as plain data, with units in the names.
 
     Args:
-        study: to write. verdict: on the reconstruction with the full set.
+        study: to write.
     """
+    part = study.part
     return {
         "recording": study.recording,
-        "verdict": None if verdict is None else verdict.plain(),
-        "settings": study.reconstruction.choices.plain(),
+        "part_s": [part.start, part.stop],
+        "whole_s": part.whole,
+        "verdict": study.verdict.plain(),
+        "settings": study.choices,
+        "runs": study.runs,
         "compared_with": "the truth" if study.has_truth else "the full set of sensors",
         "note": "errors are against the truth; differences against the full set" if study.has_truth
         else NO_ERROR,
         "tolerance_deg": float(np.degrees(TOLERANCE)),
         "least_seen_share": LEAST_SEEN,
         "segments": study.segments,
-        "without": [_set_data(found) | {"left_out": _left_out(study, found)} for found in study.without],
-        "path": [_set_data(found) for found in study.path],
+        "without": [
+            _set_data(study, found) | {"left_out": _left_out(study, found)} for found in study.without
+        ],
+        "path": [_set_data(study, found) for found in study.path],
+        "tried": [[_set_data(study, found) for found in step] for step in study.steps],
+        "removed_as_well": [list(study.as_good(step)) for step in range(len(study.steps))],
+        "standard_deviation_deg": {
+            name: _finite(np.degrees(value)) for name, value in zip(study.angles, study.moved, strict=True)
+        },
         "sentences": sentences(study),
     }  # fmt: skip
 
 
-def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
-    """Return sentences on the sensors that the angles of each joint need along the path; both sides together
-    unless only one is ever within the tolerance.
-
-    Args:
-        study: of a recording. tolerance: RMS, rad.
-    """
-    joints: dict[str, list[str]] = {}
-    for angle in dict.fromkeys(side_and_name(name)[1] for name in study.angles):
-        if not angle.startswith("pelvis_opensim"):
-            joint, _, movement = angle.partition("_")
-            need = _need(study, angle, tolerance)
-            joints.setdefault(joint, []).append(f"{movement.replace('_', ' ')} {need}")
-    what = "the truth" if study.has_truth else "the full set of sensors"
-    limit = f"{np.degrees(tolerance):.0f} deg (RMS)"
-    opening = f"Within {limit} of {what}, when the least important sensor is removed first:"
-    return [opening, *(f"{joint}: {'; '.join(needs)}." for joint, needs in joints.items())]
-
-
-def _need(study: SensorStudy, angle: str, tolerance: float) -> str:
-    """Sensors that one angle needs, on both sides if it has two."""
-    sets = {name: study.fewest(name, tolerance) for name in study.angles if side_and_name(name)[1] == angle}
-    within = {name: found for name, found in sets.items() if found is not None}
-    beyond = [name for name in sets if name not in within]
-    if not beyond:
-        return _needed(study, within.values())
-    worst = max(float(study.measure(study.full)[study.angles.index(name)]) for name in beyond)
-    text = f"is not within it even with all {len(study.full.sensors)} ({np.degrees(worst):.1f} deg)"
-    if not within:
-        return text
-    outside, inside = side_and_name(beyond[0])[0], side_and_name(next(iter(within)))[0]
-    return f"on the {outside} {text}, on the {inside} {_needed(study, within.values())}"
-
-
-def _needed(study: SensorStudy, sets: Iterable[SensorSet]) -> str:
-    """Description of the largest of some sets."""
-    most = max(sets, key=lambda found: len(found.sensors))
-    if not most.sensors:
-        return "needs no sensor"
-    if len(most.sensors) == len(study.full.sensors):
-        return f"needs all {len(most.sensors)} sensors"
-    return f"needs {len(most.sensors)}: {', '.join(study.segments[name] for name in most.sensors)}"
-
-
 def _left_out(study: SensorStudy, found: SensorSet) -> str:
-    return next(name for name in study.full.sensors if name not in found.sensors)
+    return omitted(found, study.full.sensors)
 
 
-def _set_data(found: SensorSet) -> dict[str, Any]:
-    return {"sensors": list(found.sensors), "loss_deg": float(np.degrees(found.loss))}
+def _set_data(study: SensorStudy, found: SensorSet) -> dict[str, Any]:
+    scatter = CLEARLY * np.degrees(found.scatter(study.full))
+    return {
+        "sensors": list(found.sensors), "loss_deg": float(np.degrees(found.loss)),
+        "loss_change_scatter_deg": _finite(scatter), "angles_kept": int(study.kept(found).sum()),
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def _rows(study: SensorStudy) -> Iterator[list[str]]:

@@ -1,57 +1,46 @@
 """Sensor study: accuracy of each angle when sensors are removed from a reconstruction.
 
-First each sensor is omitted alone, then sensors are removed one after the other, the least important first,
-down to none (without a camera, to one). Each set is compared with the full set, and with the reference if
-the recording has one. A difference from the full set is not an error: errors that both share cancel. Other
-sets of the same size than those of this order of removal may be equally good or better.
+First each sensor is omitted alone, then sensors are removed one after the other, the one with the smallest
+loss first, down to none (without a camera, to one). Each set is compared with the full set, and with the
+reference if the recording has one. A difference from the full set is not an error: errors that both share
+cancel. A sensor that stays until late in this order is not proven to be needed: other sets of the same size
+may be equally good or better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import count
+import hashlib
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import chain
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
-from rtof_kin.core import signals
+import rtof_kin
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.confidence import BAND_95
-from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+from rtof_kin.report.angle_names import SECOND_SHOULDER, label
+from rtof_kin.report.clinical_findings import SECOND_PELVIS
+from rtof_kin.report.headline import Headline
+from rtof_kin.report.sensor_study.accuracy import SensorSet, spread
+from rtof_kin.report.sensor_study.part import LONGEST, Part, liveliest_part
+from rtof_kin.report.sensor_study.runs import Progress, Runs
 
-Progress = Callable[[str, int, int], None]
 TOLERANCE: Final = np.radians(5.0)
 """[rad] largest RMS of an angle that is kept: differences beyond 5 degrees may mislead a clinical decision
 (McGinley, Baker, Wolfe, Morris: Gait & Posture 29, 2009)."""
 LEAST_SEEN: Final = 0.9  # smallest share of frames in which an angle that is kept is observed
 MOST_GREEDY: Final = 8  # largest number of sensors for which the greedy search is the default
-
-
-@dataclass(frozen=True)
-class SensorSet:
-    """Accuracy of the reconstruction with some of the sensors; A angles."""
-
-    sensors: tuple[str, ...]
-    difference: Array
-    """(A,) rad, RMS difference from the full set over frames in which both observe the angle; NaN without."""
-    seen: Array
-    """(A,) share of the frames observed by the full set that are observed here; NaN if there are none."""
-    error: Array
-    """(A,) rad, RMS error against the reference; NaN without one."""
-    half_band: Array
-    """(A,) rad, half the median 95 % band; NaN if the motion has no confidence."""
-    loss: float
-    """[rad] mean over angles of the RMS against the reference, else the full set. In unobserved frames the
-    standard deviation of the angle counts, which is the error of its mean."""
+_FIRST: Final = 2  # sets of a step that are tried before others are compared with them
+CLEARLY: Final = 2.0  # standard errors from which the losses of two sets differ clearly
 
 
 @dataclass(frozen=True)
@@ -59,19 +48,48 @@ class SensorStudy:
     """Importance of each sensor of a recording."""
 
     recording: str
+    part: Part
+    """What was studied of it."""
     segments: dict[str, str]
     """Sensor -> segment that carries it."""
+    places: dict[str, str]
+    """The same in words, e.g. 'left shank'."""
     angles: tuple[str, ...]
     """A names of the angles that the full set observes."""
+    moved: Array
+    """(A,) rad, standard deviation of each angle over time, of the reference or the full set."""
     full: SensorSet
-    without: tuple[SensorSet, ...]
-    """Each sensor omitted alone, in the order of the sensors."""
-    path: tuple[SensorSet, ...]
-    """From the full set down, with one sensor fewer each."""
+    steps: tuple[tuple[SensorSet, ...], ...]
+    """Sets that were tried at each removal; the first ones omit each sensor alone."""
     has_truth: bool
     """Whether the recording has a reference, so that there are errors."""
-    reconstruction: Reconstruction
-    """With the full set."""
+    camera: bool
+    """Whether there are keypoints."""
+    verdict: Headline
+    """On the reconstruction with the full set."""
+    choices: dict[str, Any]
+    """How it was made, as JSON values."""
+
+    @property
+    def without(self) -> tuple[SensorSet, ...]:
+        """Each sensor omitted alone, in the order of the sensors."""
+        return self.steps[0]
+
+    @property
+    def path(self) -> tuple[SensorSet, ...]:
+        """From the full set down, with one sensor fewer each."""
+        return (self.full, *map(_least, self.steps))
+
+    @property
+    def runs(self) -> int:
+        """Number of reconstructions."""
+        return 1 + sum(map(len, self.steps))
+
+    @property
+    def shown(self) -> tuple[int, ...]:
+        """Indices of the angles without those of a joint in a second sequence, which only the table has."""
+        second = (SECOND_PELVIS, SECOND_SHOULDER)
+        return tuple(a for a, name in enumerate(self.angles) if not any(part in name for part in second))
 
     def measure(self, found: SensorSet) -> Array:
         """Return (A,) rad: errors if there is a reference, else differences from the full set."""
@@ -90,9 +108,34 @@ class SensorStudy:
             last = found
         return last
 
+    def as_good(self, step: int) -> tuple[str, ...]:
+        """Return the sensors whose removal at a step was not clearly worse than that of the one removed.
+
+        Args:
+            step: index into `steps`.
+        """
+        best = _least(self.steps[step])
+        return tuple(
+            omitted(found, self.path[step].sensors) for found in self.steps[step]
+            if found is not best and not found.loss - best.loss > CLEARLY * found.scatter(best)
+        )  # fmt: skip
+
+
+def _least(tried: Sequence[SensorSet]) -> SensorSet:
+    return min(tried, key=lambda found: found.loss)
+
+
+def omitted(found: SensorSet, sensors: Sequence[str]) -> str:
+    """Return the first of some sensors that a set does not have.
+
+    Args:
+        found: a smaller set. sensors: names.
+    """
+    return next(name for name in sensors if name not in found.sensors)
+
 
 def number_of_runs(sensors: int, camera: bool = True, greedy: bool | None = None) -> int:
-    """Return the number of reconstructions of a study.
+    """Return the largest number of reconstructions of a study; a greedy one usually needs fewer.
 
     Args:
         sensors: number of sensors. camera: whether there are keypoints. greedy: as in `study_sensors`.
@@ -109,6 +152,9 @@ def study_sensors(
     greedy: bool | None = None,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
+    longest: float = LONGEST,
+    folder: Path | None = None,
+    workers: int | None = 1,
     progress: Progress | None = None,
 ) -> SensorStudy:
     """Reconstruct a recording with all sensors, without each of them, and with fewer and fewer.
@@ -117,129 +163,137 @@ def study_sensors(
 
     Args:
         recording: with calibrated IMUs, with or without keypoints.
-        greedy: whether each removal tries all remaining sensors, n (n + 1) / 2 runs in all; else sensors
-            are removed in the order of their loss when omitted alone. Default: up to `MOST_GREEDY` sensors.
-        lifter, settings: as for `reconstruct`. progress: called with ("study", runs done, runs in all).
+        greedy: whether each removal tries the remaining sensors, at most n (n + 1) / 2 + 1 runs in all; else
+            sensors are removed in the order of their loss when omitted alone. Default: up to `MOST_GREEDY`
+            sensors. A set is not tried where a larger one has a larger loss than the best set of this size:
+            that a set is no better than a larger one is assumed.
+        lifter, settings: as for `reconstruct`.
+        longest: s; of a longer recording, the part with the most movement is studied.
+        folder: where each run is saved; runs that it has are not repeated, so it must be one that
+            `rtof_kin.core.jobs.open_runs` made for this recording and these settings. None: nothing is saved.
+        workers: processes, see `rtof_kin.core.jobs.run_jobs`. progress: see `runs.Progress`.
 
     Raises:
-        InvalidInputError: there are no sensors, or only one and no camera.
+        InvalidInputError: there are no sensors, or only one and no camera; `longest` is not positive.
+        RtofError: a run failed; the others are saved.
     """
-    imus, bone_imus = recording.imus, recording.bone_imus()
-    if imus is None or bone_imus is None:
+    _check_removable(recording)
+    imus, bone_imus, camera = recording.imus, recording.bone_imus(), recording.keypoints is not None
+    assert imus is not None
+    assert bone_imus is not None
+    part = liveliest_part(recording, longest)
+    settings = settings or ReconstructionSettings()
+    settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
+    names = imus.names
+    with _folder(folder) as place:
+        runs = Runs(
+            part.of(recording), lifter, settings, number_of_runs(len(names), camera, greedy), place, workers,
+            progress,
+        )  # fmt: skip
+        full = runs.full()
+        steps = _steps(runs, full.accuracy, 0 if camera else 1, _is_greedy(len(names), greedy))
+    segments = dict(zip(names, bone_imus.joints, strict=True))
+    words = {joint: label(name) for name, joint in angle_table(recording.skeleton.table).segments.items()}
+    places = {sensor: words.get(joint, joint) for sensor, joint in segments.items()}
+    reference = full.angles if full.truth is None else full.truth
+    return SensorStudy(
+        recording.name, part, segments, places, full.angles.names, spread(reference), full.accuracy, steps,
+        full.truth is not None, camera, full.verdict, full.choices,
+    )  # fmt: skip
+
+
+def identity_of(
+    recording: Recording, lifter: LifterLike | None, settings: ReconstructionSettings, longest: float
+) -> dict[str, Any]:
+    """Return everything that the runs of a study depend on, as plain values for `open_runs`.
+
+    Args:
+        recording, lifter, settings, longest: as for `study_sensors`.
+
+    Raises:
+        InvalidInputError: see `study_sensors`.
+    """
+    _check_removable(recording)
+    part = liveliest_part(recording, longest)
+    whole = hashlib.sha256()
+    _digest(recording, whole.update)
+    return {
+        "command": "study", "version": rtof_kin.__version__, "recording": whole.hexdigest(),
+        "lifter": getattr(lifter, "sha256", None), "settings": repr(settings),
+        "part_s": [part.start, part.stop],
+    }  # fmt: skip
+
+
+def _digest(value: object, update: Callable[[bytes], None]) -> None:
+    """Pass the contents of data on, for a checksum."""
+    if isinstance(value, np.ndarray):
+        update(f"{value.dtype}{value.shape}".encode())
+        update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        for field in fields(value):
+            _digest(getattr(value, field.name), update)
+    elif isinstance(value, Mapping | tuple | list):
+        for item in value.items() if isinstance(value, Mapping) else value:
+            _digest(item, update)
+    else:
+        update(f"{value!r}\n".encode())
+
+
+def _check_removable(recording: Recording) -> None:
+    """Raise where a recording has no sensor to omit."""
+    if recording.imus is None:
         raise InvalidInputError(f"recording {recording.name}: has no IMUs, so there is nothing to omit")
-    camera, names = recording.keypoints is not None, imus.names
-    if not camera and len(names) < 2:
+    if recording.keypoints is None and len(recording.imus.names) < 2:
         raise InvalidInputError(
             f"recording {recording.name}: has one sensor and no camera, so there is nothing to omit"
         )
-    settings = settings or ReconstructionSettings()
-    settings = replace(settings, sensor_joints=(*settings.sensor_joints, *bone_imus.joints))
-    done, total = count(), number_of_runs(len(names), camera, greedy)
 
-    def run(sensors: tuple[str, ...]) -> Reconstruction:
-        if progress is not None:
-            progress("study", next(done), total)
-        return _reconstruct(recording, sensors, lifter, settings)
 
-    def measure(sensors: tuple[str, ...]) -> SensorSet:
-        return measure_set(sensors, clinical_angles(run(sensors).motion).select(observed), angles, truth)
+def _steps(runs: Runs, full: SensorSet, least: int, greedy: bool) -> tuple[tuple[SensorSet, ...], ...]:
+    """Sets tried at each removal, down to the least number of sensors."""
+    names = full.sensors
+    without = runs.measured([_less(names, name) for name in names], "each sensor omitted alone")
+    if not greedy:
+        order = [omitted(found, names) for found in sorted(without, key=lambda found: found.loss)]
+        sets = [tuple(n for n in names if n not in order[:k]) for k in range(2, len(names) - least + 1)]
+        return (without, *((found,) for found in runs.measured(sets, "in the order of their loss alone")))
+    steps = [without]
+    while len(left := _least(steps[-1]).sensors) > least:
+        runs.expect(sum(range(least + 1, len(left) + 1)))
+        steps.append(_greedy_step(runs, left, [full, *chain(*steps)]))
+    return tuple(steps)
 
-    reconstruction = run(names)
-    angles = clinical_angles(reconstruction.motion)
-    observed = tuple(np.array(angles.names)[angles.known.any(axis=0)].tolist())
-    angles = angles.select(observed)
-    truth = _true_angles(recording, angles)
-    full = measure_set(names, angles, angles, truth)
-    without = tuple(measure(_less(names, name)) for name in names)
-    path = [full, min(without, key=lambda found: found.loss)]
-    loss = dict(zip(names, (found.loss for found in without), strict=True))
-    while len(path[-1].sensors) > (0 if camera else 1):
-        left = path[-1].sensors
-        tried = left if _is_greedy(len(names), greedy) else (min(left, key=lambda name: loss[name]),)
-        path.append(min((measure(_less(left, name)) for name in tried), key=lambda found: found.loss))
-    if progress is not None:
-        progress("study", total, total)
-    return SensorStudy(
-        recording.name, dict(zip(names, bone_imus.joints, strict=True)), observed, full, without,
-        tuple(path), recording.truth is not None, reconstruction,
-    )  # fmt: skip
+
+def _greedy_step(runs: Runs, left: tuple[str, ...], tried: Sequence[SensorSet]) -> tuple[SensorSet, ...]:
+    """Sets with one sensor less, the most promising ones first; those that a larger set shows to be worse
+    are not tried.
+
+    The number of processes does not matter to which sets are tried.
+    """
+
+    def bound(sensors: tuple[str, ...]) -> float:
+        return max(found.loss for found in tried if {*sensors} < {*found.sensors})
+
+    what = f"{len(left)} sensors left, which one is removed"
+    sets = sorted((_less(left, name) for name in left), key=bound)
+    first = runs.measured(sets[:_FIRST], what)
+    better = [sensors for sensors in sets[_FIRST:] if bound(sensors) < _least(first).loss]
+    return (*first, *runs.measured(better, what))
+
+
+@contextmanager
+def _folder(folder: Path | None) -> Iterator[Path]:
+    """The folder of the runs, a temporary one if none is given."""
+    if folder is not None:
+        yield folder
+        return
+    with tempfile.TemporaryDirectory() as temporary:
+        yield Path(temporary)
 
 
 def _is_greedy(sensors: int, greedy: bool | None) -> bool:
     return sensors <= MOST_GREEDY if greedy is None else greedy
 
 
-def _less(names: Sequence[str], omitted: str) -> tuple[str, ...]:
-    return tuple(name for name in names if name != omitted)
-
-
-def _reconstruct(
-    recording: Recording,
-    sensors: tuple[str, ...],
-    lifter: LifterLike | None,
-    settings: ReconstructionSettings,
-) -> Reconstruction:
-    """Reconstruction with some of the sensors."""
-    mode: Mode = "rto"
-    if sensors and recording.imus is not None:
-        recording = replace(recording, imus=recording.imus.select(sensors))
-        mode = "rtof" if recording.keypoints is not None else "imu"
-    else:
-        recording = replace(recording, imus=None, calibration=None)
-    return reconstruct(recording, mode=mode, lifter=lifter, settings=settings, calibrate=False)
-
-
-def _true_angles(recording: Recording, like: ClinicalAngles) -> ClinicalAngles | None:
-    """Angles of the reference at the times of others."""
-    truth = recording.truth
-    if truth is None:
-        return None
-    poses = PoseSequence(
-        times=like.times,
-        p_world_joint=signals.interpolate(truth.times, truth.p_world_joint, like.times),
-        R_world_bone=signals.interpolate_rotations(truth.times, truth.R_world_bone, like.times),
-        names=truth.names,
-    )
-    return clinical_angles(all_observed(poses), recording.skeleton).select(like.names)
-
-
-def measure_set(
-    sensors: tuple[str, ...], angles: ClinicalAngles, full: ClinicalAngles, truth: ClinicalAngles | None
-) -> SensorSet:
-    """Compare a set of sensors with the full set and the reference; singular postures are excluded.
-
-    Args:
-        sensors: names. angles, full, truth: with the same rows and times.
-    """
-    reference = full if truth is None else truth
-    counted = full.known & ~full.singular
-    off, error = _difference(angles, full), np.full(angles.values.shape, np.nan)
-    if truth is not None:
-        error = np.where(full.known, _difference(angles, truth), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        seen = (angles.known & counted).sum(axis=0) / counted.sum(axis=0)
-    spread = np.nan_to_num(_by_column(np.std, reference.values))
-    lost = off if truth is None else error
-    losses = _by_column(_rms, np.where(counted, np.where(np.isnan(lost), spread, lost), np.nan))
-    known = losses[np.isfinite(losses)]
-    half = np.full(len(angles.names), np.nan)
-    if angles.sigma is not None:
-        half = BAND_95 * _by_column(np.median, angles.sigma)
-    loss = float(known.mean()) if known.size else 0.0
-    return SensorSet(sensors, _by_column(_rms, off), seen, _by_column(_rms, error), half, loss)
-
-
-def _difference(angles: ClinicalAngles, reference: ClinicalAngles) -> Array:
-    """(T, A) rad in [-pi, pi); NaN where either is unknown or singular."""
-    off = (angles.values - reference.values + np.pi) % (2 * np.pi) - np.pi
-    return np.where(angles.singular | reference.singular, np.nan, off)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _by_column(statistic: Callable[[Array], Any], values: Array) -> Array:
-    """(A,) statistic of the finite values of each column of (T, A); NaN without any."""
-    finite = (column[np.isfinite(column)] for column in values.T)
-    return np.array([statistic(own) if own.size else np.nan for own in finite])
+def _less(names: Sequence[str], one: str) -> tuple[str, ...]:
+    return tuple(name for name in names if name != one)
