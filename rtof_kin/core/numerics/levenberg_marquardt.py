@@ -20,6 +20,8 @@ _LEAST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
 _TRUSTED: Final = (0.5, 2.0)
 """Ratio of actual to predicted decrease within which the factor is reused."""
+_FAR: Final = 0.1
+"""Predicted decrease, as a share of the energy, of a step so long that its factor is not reused."""
 _SLOW: Final = 0.5
 """Largest ratio of predicted decreases, of a step with a reused factor to the step before."""
 STIFFNESS: Final = 1 / np.radians(1.0) ** 2
@@ -126,7 +128,7 @@ class LevenbergMarquardt:
     def __init__(self, problem: Problem, limits: Limits | None = None) -> None:
         """Take a problem and the limits of its states."""
         self.problem, self.limits = problem, limits
-        self._angles: tuple[Array, Array] | None = None
+        self._known: tuple[Array, Array, Array | None] | None = None
 
     def solve(
         self,
@@ -188,14 +190,14 @@ class LevenbergMarquardt:
         if not ratio > 1e-3:
             run.factor = None
             return False if fresh and not _increase_damping(run) else None
-        run.x, run.energy, run.updated = candidate, after, False
-        if not _TRUSTED[0] < ratio < _TRUSTED[1] or (not fresh and predicted > _SLOW * run.promised):
+        slow = predicted > _FAR * abs(run.energy) if fresh else predicted > _SLOW * run.promised
+        if slow or not _TRUSTED[0] < ratio < _TRUSTED[1]:
             run.factor = None
-        run.promised = predicted
+        run.x, run.energy, run.updated, run.promised = candidate, after, False, predicted
         if fresh and ratio > 0.5:
             run.damping = max(run.damping / 10, _LEAST_DAMPING)
         if reweigh is not None and reweigh(run.x):
-            run.factor, run.energy = None, self._energy(run.x, run.m)
+            run.energy, run.promised = self._energy(run.x, run.m), np.inf
         return None
 
     def _factorise(self, run: _Run) -> Factor | None:
@@ -209,19 +211,22 @@ class LevenbergMarquardt:
 
     # --- limits ----------------------------------------------------------------------------------
 
-    def _pushed(self, x: Array, m: Array) -> Array:
-        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts."""
-        assert self.limits is not None
-        if self._angles is None or self._angles[0] is not x:
-            self._angles = x, self.limits.values(x)
-        return self.limits.excess(self._angles[1] + m / STIFFNESS)
+    def _pushed(self, x: Array, m: Array) -> Array | None:
+        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts; None
+        where nothing is beyond its limit.
+        """
+        if self.limits is None:
+            return None
+        if self._known is None or self._known[0] is not x or self._known[1] is not m:
+            pushed = self.limits.excess(self.limits.values(x) + m / STIFFNESS)
+            self._known = x, m, pushed if pushed.any() else None
+        return self._known[2]
 
     def _energy(self, x: Array, m: Array) -> float:
-        energy = self.problem.total(x)
-        if self.limits is None:
-            return energy
-        pushed = self._pushed(x, m)
-        return energy + float(0.5 * STIFFNESS * np.sum(pushed**2) - 0.5 / STIFFNESS * np.sum(m**2))
+        energy, pushed = self.problem.total(x), self._pushed(x, m)
+        if pushed is not None:
+            energy += 0.5 * STIFFNESS * float(np.vdot(pushed, pushed))
+        return energy - 0.5 / STIFFNESS * float(np.vdot(m, m))
 
     def linearise(self, x: Array, m: Array) -> Array:
         """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
@@ -230,16 +235,18 @@ class LevenbergMarquardt:
             x: (N, ...) state. m: (N, M) multipliers.
         """
         _, gradient = self.problem.linearise(x)
-        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+        if (pushed := self._pushed(x, m)) is None:
             return gradient
+        assert self.limits is not None
         frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
         cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, STIFFNESS * squares)
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _gradient(self, x: Array, m: Array) -> Array:
-        gradient = self.problem.gradient(x)
-        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+        gradient, pushed = self.problem.gradient(x), self._pushed(x, m)
+        if pushed is None:
             return gradient
+        assert self.limits is not None
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
@@ -248,9 +255,8 @@ class LevenbergMarquardt:
         A multiplier changes by the stiffness times the violation of its limit, or times the slack of an
         inactive limit with a multiplier.
         """
-        if self.limits is None:
-            return m, 0.0
-        new = STIFFNESS * self._pushed(x, m)
+        pushed = self._pushed(x, m)
+        new = np.zeros_like(m) if pushed is None else STIFFNESS * pushed
         return new, float(np.abs(new - m).max(initial=0.0)) / STIFFNESS
 
 
