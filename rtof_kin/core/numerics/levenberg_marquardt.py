@@ -114,6 +114,7 @@ class _Run:
     """True if multipliers were updated since the last step."""
     promised: float = np.inf
     """Predicted decrease of the last step."""
+    iterations: int = 0
 
 
 class LevenbergMarquardt:
@@ -159,11 +160,12 @@ class LevenbergMarquardt:
         run = _Run(x, m, self._energy(x, m))
         if not np.isfinite(run.energy):
             raise SolverError("the energy of the starting state is not finite")
-        for iteration in range(max_iterations):
+        converged: bool | None = None
+        while converged is None and run.iterations < max_iterations:
+            run.iterations += 1
             converged = self._iterate(run, tolerance, reweigh)
-            if converged is not None:
-                return Solved(run.x, iteration, converged, self._updated(run.x, run.m)[0])
-        return Solved(run.x, max_iterations, False, self._updated(run.x, run.m)[0], True)
+        m, ran_out = self._updated(run.x, run.m)[0], converged is None
+        return Solved(run.x, run.iterations, bool(converged), m, ran_out)
 
     def _iterate(self, run: _Run, tolerance: float, reweigh: Callable[[Array], bool] | None) -> bool | None:
         """Try one step; return True if converged, False if no step lowers the energy, else None."""
@@ -174,11 +176,13 @@ class LevenbergMarquardt:
             return None
         step = factor.solve(-gradient)
         predicted = -0.5 * float(np.sum(gradient * step))
-        small = predicted / (tolerance * (1 + abs(run.energy)) + 1e-300)
-        if small < _EARLY and not run.updated:
+        enough = tolerance * (1 + abs(run.energy))
+        allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
+        if predicted < _EARLY * enough and not run.updated:
             new, outside = self._updated(run.x, run.m)
-            allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
-            if small < 1 and outside <= allowed:
+            if predicted < enough and outside <= allowed:
+                run.iterations -= 1
+                self._polish(run, step)
                 return True
             run.updated = bool(outside > allowed)
             if run.updated:
@@ -198,7 +202,16 @@ class LevenbergMarquardt:
             run.damping = max(run.damping / 10, _LEAST_DAMPING)
         if reweigh is not None and reweigh(run.x):
             run.energy, run.promised = self._energy(run.x, run.m), np.inf
+        elif predicted < _EARLY * enough and 4 * abs(1 - ratio) * predicted < enough:
+            return True if self._updated(run.x, run.m)[1] <= allowed else None
         return None
+
+    def _polish(self, run: _Run, step: Array) -> None:
+        """Take the last step, too small to be needed, if it lowers the energy and keeps the limits."""
+        candidate = self.problem.retract(run.x, step)
+        after = self._energy(candidate, run.m)
+        if after < run.energy:
+            run.x, run.energy = candidate, after
 
     def _factorise(self, run: _Run) -> Factor | None:
         """Factorise the Hessian; if it is not positive definite, increase the damping and return None."""

@@ -162,12 +162,16 @@ class _Fragments:
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
     def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
-        """Yield the fragments; one that fits much worse than an overlapping one is solved again from it."""
+        """Yield the fragments; one that fits much worse than an overlapping one is solved again from it.
+
+        Fragments start from the solution of the one before, the first of every `_CHAIN` from the initial
+        guess: chains depend on each other only where they are solved again.
+        """
         pending: list[_Piece] = []
         for done, first in enumerate(firsts, start=1):
             last = pending[-1] if pending else None
             warm = last is not None and (done - 1) % _CHAIN > 0 and last.is_solved
-            piece = self._solve(first, self._begun(first, last) if warm else None)
+            piece = self._solve(first, self._continued(first, last) if warm else None)
             if last is not None and piece.fits_worse(last):
                 piece = self._better(piece, self._solve(first)) if warm else self._retried(piece, last)
             pending.append(piece)
@@ -182,9 +186,16 @@ class _Fragments:
         yield from pending
 
     def _retried(self, piece: _Piece, other: _Piece) -> _Piece:
-        """The fragment solved from a neighbour's states; as it was where that is no better."""
-        begun = replace(self._begun(piece.first, other), multipliers=None, pictures=())
-        return self._better(piece, self._solve(piece.first, begun))
+        """The fragment solved from a neighbour's states, continued by its own initial guess; as it was
+        where that is no better.
+        """
+        index = self.data.frames_of(piece.first)
+        shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
+        own, theirs = shared - piece.first, shared - other.first
+        edge = -1 if other.first < piece.first else 0
+        x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
+        x[own] = other.x[theirs]
+        return self._better(piece, self._solve(piece.first, _Start(x)))
 
     def _better(self, piece: _Piece, again: _Piece) -> _Piece:
         """A fragment, or what it was when solved again where that fits better."""
@@ -193,17 +204,13 @@ class _Fragments:
         both = replace(kept.report, iterations=a.iterations + b.iterations, seconds=a.seconds + b.seconds)
         return replace(kept, report=both)
 
-    def _begun(self, first: int, other: _Piece) -> _Start:
-        """Where a fragment starts from a neighbour: its states, continued by the initial guess."""
-        index, _, _ = self.data.fragment(first)
-        shared = max(first, other.first) + np.arange(self.data.frames // 2)
-        own, theirs = shared - first, shared - other.first
-        edge = -1 if other.first < first else 0
-        x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
-        x[own] = other.x[theirs]
-        multipliers = np.zeros_like(other.multipliers)
-        multipliers[own] = other.multipliers[theirs]
-        return _Start(x, multipliers, other.pictures)
+    def _continued(self, first: int, last: _Piece) -> _Start:
+        """Start from the solution of the fragment before, and the initial guess of the new frames."""
+        half, x = self.data.frames // 2, self.data.start[self.data.frames_of(first)]
+        x[:half] = last.x[half:]
+        multipliers = np.zeros_like(last.multipliers)
+        multipliers[:half] = last.multipliers[half:]
+        return _Start(x, multipliers, last.pictures)
 
     def _solve(self, first: int, start: _Start | None = None) -> _Piece:
         """The frames from `first`, from the initial guess or elsewhere."""
