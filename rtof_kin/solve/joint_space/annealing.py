@@ -126,9 +126,10 @@ class Picture:
         self._kept = self._found = sigma
 
     def begin(self, other: Picture, bounds: tuple[float, float]) -> None:
-        """Take the estimate of another fragment, within bounds, px."""
-        self._found, self.factor = other._found, other.factor
-        self.accept(bounds)
+        """Take the estimate of another fragment, within bounds, px, where both see enough."""
+        if self.enough and other.enough:
+            self._found, self.factor = other._found, other.factor
+            self.accept(bounds)
 
     def estimate(self, residuals: Array) -> bool:
         """Estimate from residuals (N, L, 2), px; return whether the size has changed much."""
