@@ -236,7 +236,7 @@ class LevenbergMarquardt:
         return self._known[2]
 
     def _energy(self, x: Array, m: Array) -> float:
-        energy, pushed = self.problem.total(x), self._pushed(x, m)
+        energy, pushed = float(self.problem.total(x)), self._pushed(x, m)
         if pushed is not None:
             energy += 0.5 * STIFFNESS * float(np.vdot(pushed, pushed))
         return energy - 0.5 / STIFFNESS * float(np.vdot(m, m))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -29,7 +28,7 @@ class Annealing:
 
     def __init__(
         self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array, sizes: Array,
-        observation: dict[str, Array], least_px: float = 0.0, before: Sequence[Picture] = (),
+        observation: dict[str, Array], least_px: float = 0.0,
     ) -> None:  # fmt: skip
         """Set the initial weights.
 
@@ -37,7 +36,6 @@ class Annealing:
             settings: bounds of the estimate. problem: with the fragment bound to it.
             confidence: (N, L) of the landmarks. sizes: (L,) their errors relative to those of the others.
             observation: of the fragment. least_px: lower bound of sigma.
-            before: `pictures` of a fragment just before, whose weights are taken until the first step.
         """
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
@@ -46,29 +44,24 @@ class Annealing:
         given, shape = settings.sigma_reprojection, problem.energy.shape
         largest = settings.sigma_reprojection_range[1] if given is None else given
         self._camera = np.array(shape.cameras, dtype=int)
-        self.pictures = [
+        self._pictures = [
             Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
             for own in (self._camera == c for c in range(1 + len(shape.further)))
         ]
         self._left = settings.annealing if given is None and shape.landmarks else 0
-        self._known, self._began = bool(before) and self._left > 0, False
-        if self._known:
-            for picture, known in zip(self.pictures, before, strict=True):
-                picture.begin(known, self._bounds)
-        self._weigh(self._known)
+        self._weigh(False)
 
     def __call__(self, x: Array) -> bool:
         """Estimate the weights at states x (N, 3 + 4A); return whether they were changed."""
-        first, self._began = not self._began, True
-        if self._left == 0 or (first and self._known):
+        if self._left == 0:
             return False
-        residuals, changed = self._problem.value(x)[1], first
-        for c, picture in enumerate(self.pictures):
+        residuals, changed = self._problem.value(x)[1], self._left == self._settings.annealing
+        for c, picture in enumerate(self._pictures):
             changed |= picture.estimate(residuals[:, self._camera == c])
         if not changed:
             return False
         self._left -= 1
-        for picture in self.pictures:
+        for picture in self._pictures:
             picture.accept(self._bounds)
         self._weigh(True)
         return True
@@ -83,12 +76,12 @@ class Annealing:
     @property
     def _observing(self) -> list[Picture]:
         """Cameras with enough landmarks for an estimate, else all."""
-        return [picture for picture in self.pictures if picture.enough] or self.pictures
+        return [picture for picture in self._pictures if picture.enough] or self._pictures
 
     @property
     def constant_px(self) -> float:
         """Size of the constant part of a landmark's errors, px per axis; the first camera's."""
-        picture = self.pictures[0]
+        picture = self._pictures[0]
         square = picture.factor**2  # (1 + r) / (1 - r) with the correlation r
         return float(picture.sigma / picture.factor * np.sqrt((square - 1) / (square + 1)))
 
@@ -99,9 +92,9 @@ class Annealing:
         the initial guess and of the prior's mean are constant over a fragment; their weights per frame
         decrease where the errors of vision average out.
         """
-        variance = np.array([picture.sigma**2 for picture in self.pictures])[self._camera]
+        variance = np.array([picture.sigma**2 for picture in self._pictures])[self._camera]
         self._problem.reweigh("w_visual", self._confidence * self._seen / variance)
-        knees = [self._settings.robust_reprojection / picture.factor for picture in self.pictures]
+        knees = [self._settings.robust_reprojection / picture.factor for picture in self._pictures]
         self._problem.reweigh("knee_visual", np.tile(knees, (len(self._seen), 1)))
         largest = self._settings.largest_correlation_factor
         factor = float(np.mean([picture.factor for picture in self._observing]))
@@ -124,12 +117,6 @@ class Picture:
         self._count, self._pairs = int(seen.sum()), int((seen[1:] & seen[:-1]).sum())
         self.enough, self.sigma, self.factor = self._count >= _FEWEST, sigma, 1.0
         self._kept = self._found = sigma
-
-    def begin(self, other: Picture, bounds: tuple[float, float]) -> None:
-        """Take the estimate of another fragment, within bounds, px, where both see enough."""
-        if self.enough and other.enough:
-            self._found, self.factor = other._found, other.factor
-            self.accept(bounds)
 
     def estimate(self, residuals: Array) -> bool:
         """Estimate from residuals (N, L, 2), px; return whether the size has changed much."""

@@ -20,7 +20,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
 from rtof_kin.solve.energy.problem import TERMS
-from rtof_kin.solve.joint_space.annealing import Annealing, Picture
+from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.ipopt import Ipopt
@@ -122,8 +122,6 @@ class _Piece:
     """(N, D, D) of their tangents, where asked for; NaN where unobserved."""
     multipliers: Array
     """(N, M) of the limits."""
-    pictures: Sequence[Picture]
-    """Weights of the cameras' landmarks."""
 
     @property
     def first(self) -> int:
@@ -147,8 +145,6 @@ class _Start:
     """(N, 3 + 4A) states."""
     multipliers: Array | None = None
     """(N, M) of the limits."""
-    pictures: Sequence[Picture] = ()
-    """Weights of the cameras' landmarks; none: to be estimated from scratch."""
 
 
 class _Fragments:
@@ -205,12 +201,15 @@ class _Fragments:
         return replace(kept, report=both)
 
     def _continued(self, first: int, last: _Piece) -> _Start:
-        """Start from the solution of the fragment before, and the initial guess of the new frames."""
+        """Start from the solution of the fragment before, and the initial guess of the new frames.
+
+        Not from its sigma: small ones fit closely, and would become smaller from fragment to fragment.
+        """
         half, x = self.data.frames // 2, self.data.start[self.data.frames_of(first)]
         x[:half] = last.x[half:]
         multipliers = np.zeros_like(last.multipliers)
         multipliers[:half] = last.multipliers[half:]
-        return _Start(x, multipliers, last.pictures)
+        return _Start(x, multipliers)
 
     def _solve(self, first: int, start: _Start | None = None) -> _Piece:
         """The frames from `first`, from the initial guess or elsewhere."""
@@ -221,7 +220,7 @@ class _Fragments:
         data.problem.bind(values)
         annealing = Annealing(
             self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation,
-            self.least_px.get(first, 0.0), start.pictures,
+            self.least_px.get(first, 0.0),
         )  # fmt: skip
         failed = True
         try:
@@ -237,7 +236,7 @@ class _Fragments:
         if failed:
             report = replace(report, status=SolverStatus.FAILED)
         covariance = self._covariance(solved, report) if self._confidence else None
-        return _Piece(solved.x, report, covariance, solved.multipliers, annealing.pictures)
+        return _Piece(solved.x, report, covariance, solved.multipliers)
 
     def _covariance(self, solved: Solved, report: FragmentReport) -> Array:
         """(N, D, D) of the states' tangents."""
