@@ -145,6 +145,8 @@ class _Start:
     """(N, 3 + 4A) states."""
     multipliers: Array | None = None
     """(N, M) of the limits."""
+    guess: Array | None = None
+    """(N, 3 + 4A) states for the first estimate of the landmarks' weights; None: `x`."""
 
 
 class _Fragments:
@@ -201,15 +203,12 @@ class _Fragments:
         return replace(kept, report=both)
 
     def _continued(self, first: int, last: _Piece) -> _Start:
-        """Start from the solution of the fragment before, and the initial guess of the new frames.
-
-        Not from its sigma: small ones fit closely, and would become smaller from fragment to fragment.
-        """
-        half, x = self.data.frames // 2, self.data.start[self.data.frames_of(first)]
-        x[:half] = last.x[half:]
+        """Start from the solution of the fragment before, and the initial guess of the new frames."""
+        half, guess = self.data.frames // 2, self.data.start[self.data.frames_of(first)]
+        x = np.concatenate([last.x[half:], guess[half:]])
         multipliers = np.zeros_like(last.multipliers)
         multipliers[:half] = last.multipliers[half:]
-        return _Start(x, multipliers)
+        return _Start(x, multipliers, guess)
 
     def _solve(self, first: int, start: _Start | None = None) -> _Piece:
         """The frames from `first`, from the initial guess or elsewhere."""
@@ -220,7 +219,7 @@ class _Fragments:
         data.problem.bind(values)
         annealing = Annealing(
             self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation,
-            self.least_px.get(first, 0.0),
+            self.least_px.get(first, 0.0), start.guess,
         )  # fmt: skip
         failed = True
         try:
