@@ -30,6 +30,7 @@ SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {
     "joint space, knees and elbows as ball joints": JointSpaceSettings(hinges=False),
     "joint space, sigma given": JOINT_SETTINGS,
     "joint space, without limits": JointSpaceSettings(limits=False),
+    "joint space, IPOPT": JointSpaceSettings(backend="ipopt"),
     **{f"cartesian, energy as printed, {name}": s for name, s in CARTESIAN_BACKENDS.items()},
     "cartesian, IPOPT": CartesianSettings(backend="ipopt"),
     "cartesian, real time": CartesianSettings(backend="realtime"),
@@ -52,6 +53,8 @@ def rate(solver: FragmentSolver, material: Material, effort: Effort) -> dict[str
         "iterations_per_fragment": solution.iterations / len(solution.fragments),
         "converged": sum(f.status is SolverStatus.CONVERGED for f in solution.fragments),
         "fragments": len(solution.fragments),
+        "median_gradient": median(f.optimality for f in solution.fragments),
+        "largest_gradient": max(f.optimality for f in solution.fragments),
     }
 
 

@@ -62,6 +62,8 @@ def markdown(result: dict[str, Any]) -> str:
         "iterations_per_fragment": ("iterations a fragment", ".1f"),
         "converged": ("converged", ""),
         "fragments": ("of fragments", ""),
+        "median_gradient": ("median gradient", ".2g"),
+        "largest_gradient": ("largest gradient", ".2g"),
         "build_seconds": ("build s", ".1f"),
     }
     lengths: Columns = {name: (name, ".1f") for name in result["by_length"][0]}
@@ -134,7 +136,8 @@ Cartesian: the energy as printed; joint: the default settings (IPOPT: with sigma
 
 {by_settings}
 
-Median of at most {runs} runs over {frames} frames; build: until the first fragments are solved, in a
+Median of at most {runs} runs over {frames} frames; gradients, in 1/m and 1/rad, are those at which the
+fragments stopped (with limits the Lagrangian's); build: until the first fragments are solved, in a
 process that may have built parts of it for rows above.
 
 ## Building the problem

@@ -168,9 +168,10 @@ def levels_by_points(skeleton: SkeletonModel, keypoints: KeypointSequence) -> ND
     for j, points in enumerate(places):
         index = [i for i, _ in points]
         offsets = np.array([offset for _, offset in points]).reshape(-1, 3)
-        patterns, frames = np.unique(keypoints.seen[:, index], axis=0, return_inverse=True)
-        ranks = [_rank(offsets[pattern]) for pattern in patterns]
-        levels[:, j] = np.array(ranks)[frames.ravel()]
+        seen = keypoints.seen[:, index]
+        codes = seen @ (1 << np.arange(len(index)))  # a number for every pattern of seen points
+        _, first, pattern = np.unique(codes, return_index=True, return_inverse=True)
+        levels[:, j] = np.array([_rank(offsets[seen[t]]) for t in first])[pattern]
     return levels
 
 

@@ -121,8 +121,11 @@ def checked_rotations(field: str, R: Array) -> None:
     Raises:
         InvalidInputError: a matrix is neither.
     """
-    missing = np.isnan(R).any(axis=(-2, -1))
-    if np.any(missing & ~np.isnan(R).all(axis=(-2, -1))):
+    unknown = np.isnan(R)
+    if not unknown.any() and so3.is_rotation(R, tolerance=1e-5):
+        return
+    missing = unknown.any(axis=(-2, -1))
+    if np.any(missing & ~unknown.all(axis=(-2, -1))):
         raise InvalidInputError(f"{field}: a matrix is partly NaN; missing ones are NaN as a whole")
     if not so3.is_rotation(R[~missing], tolerance=1e-5):
         given = np.argwhere(~missing)

@@ -54,24 +54,24 @@ class _Rays:
 
     def __init__(self, poses: PoseSequence, keypoints: KeypointSequence, sigma_px: float) -> None:
         seen, camera = keypoints.select(poses.names), keypoints.camera
-        self.p = camera.to_camera(poses.p_world_joint)
-        self.xy = camera.normalise(seen.uv_px)
-        self.size = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / sigma_px
-        self.ok = seen.seen & np.isfinite(self.p).all(axis=-1)
+        p, xy = camera.to_camera(poses.p_world_joint), camera.normalise(seen.uv_px)
+        ok = seen.seen & np.isfinite(p).all(axis=-1)
+        self.p = np.ascontiguousarray(np.moveaxis(np.where(ok[..., None], p, 0.0), -1, 0))
+        self.xy = np.ascontiguousarray(np.moveaxis(np.where(ok[..., None], xy, 0.0), -1, 0))
+        self.size = ok * float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) / sigma_px
 
     def equations(self, shift: Array) -> tuple[Array, Array]:
         """Normal equations (T, 3, 3) and (T, 3) of a step from a shift (T, 3), m, in the camera's axes."""
-        p, ok, T = self.p, self.ok, len(self.p)
-        moved = p + shift[:, None]
-        depth = np.maximum(moved[..., 2], 0.3)
-        # Residual of a point at depth z: focal / z (x - z x_ray), in sigmas.
-        A = np.zeros((*p.shape[:2], 2, 3))
-        A[..., 0, 0] = A[..., 1, 1] = 1.0
-        A[..., :, 2] = -moved[..., :2] / depth[..., None]
-        scale = (self.size / depth)[..., None]
-        r = (moved[..., :2] - moved[..., 2:] * self.xy) * scale
-        r = np.where(ok[..., None], r, 0.0)
-        weight = np.where(ok, 1 / (1 + np.sum(r**2, axis=-1) / 4), 0.0)
-        A = np.where(ok[..., None, None], A * scale[..., None], 0.0).reshape(T, -1, 3)
-        weighed = np.swapaxes(A * np.repeat(weight, 2, axis=1)[..., None], 1, 2)
-        return weighed @ A, -(weighed @ r.reshape(T, -1, 1))[..., 0]
+        x, y, z = self.p + shift.T[..., None]
+        depth = np.maximum(z, 0.3)
+        # Residual of a point at depth z: focal / z (x - z x_ray), in sigmas; its derivative by the shift is
+        # focal / z (1, 0, -x / z), and alike for y.
+        scale, u, v = self.size / depth, -x / depth, -y / depth
+        r, s = (x - z * self.xy[0]) * scale, (y - z * self.xy[1]) * scale
+        weight = scale / (1 + (r**2 + s**2) / 4)
+        square, r, s = weight * scale, weight * r, weight * s
+        zero, diagonal = np.zeros(len(shift)), square.sum(axis=1)
+        a, b = (square * u).sum(axis=1), (square * v).sum(axis=1)
+        c = (square * (u**2 + v**2)).sum(axis=1)
+        normal = np.stack([diagonal, zero, a, zero, diagonal, b, a, b, c], axis=1).reshape(-1, 3, 3)
+        return normal, -np.stack([r.sum(axis=1), s.sum(axis=1), (r * u + s * v).sum(axis=1)], axis=1)

@@ -20,6 +20,8 @@ _LEAST_DAMPING: Final = 1e-6
 _MOST_DAMPING: Final = 1e6
 _TRUSTED: Final = (0.5, 2.0)
 """Ratio of actual to predicted decrease within which the factor is reused."""
+_FAR: Final = 0.1
+"""Predicted decrease, as a share of the energy, of a step so long that its factor is not reused."""
 _SLOW: Final = 0.5
 """Largest ratio of predicted decreases, of a step with a reused factor to the step before."""
 STIFFNESS: Final = 1 / np.radians(1.0) ** 2
@@ -112,6 +114,7 @@ class _Run:
     """True if multipliers were updated since the last step."""
     promised: float = np.inf
     """Predicted decrease of the last step."""
+    iterations: int = 0
 
 
 class LevenbergMarquardt:
@@ -126,7 +129,7 @@ class LevenbergMarquardt:
     def __init__(self, problem: Problem, limits: Limits | None = None) -> None:
         """Take a problem and the limits of its states."""
         self.problem, self.limits = problem, limits
-        self._angles: tuple[Array, Array] | None = None
+        self._known: tuple[Array, Array, Array | None] | None = None
 
     def solve(
         self,
@@ -157,11 +160,12 @@ class LevenbergMarquardt:
         run = _Run(x, m, self._energy(x, m))
         if not np.isfinite(run.energy):
             raise SolverError("the energy of the starting state is not finite")
-        for iteration in range(max_iterations):
+        converged: bool | None = None
+        while converged is None and run.iterations < max_iterations:
+            run.iterations += 1
             converged = self._iterate(run, tolerance, reweigh)
-            if converged is not None:
-                return Solved(run.x, iteration, converged, self._updated(run.x, run.m)[0])
-        return Solved(run.x, max_iterations, False, self._updated(run.x, run.m)[0], True)
+        m, ran_out = self._updated(run.x, run.m)[0], converged is None
+        return Solved(run.x, run.iterations, bool(converged), m, ran_out)
 
     def _iterate(self, run: _Run, tolerance: float, reweigh: Callable[[Array], bool] | None) -> bool | None:
         """Try one step; return True if converged, False if no step lowers the energy, else None."""
@@ -172,11 +176,13 @@ class LevenbergMarquardt:
             return None
         step = factor.solve(-gradient)
         predicted = -0.5 * float(np.sum(gradient * step))
-        small = predicted / (tolerance * (1 + abs(run.energy)) + 1e-300)
-        if small < _EARLY and not run.updated:
+        enough = tolerance * (1 + abs(run.energy))
+        allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
+        if predicted < _EARLY * enough and not run.updated:
             new, outside = self._updated(run.x, run.m)
-            allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
-            if small < 1 and outside <= allowed:
+            if predicted < enough and outside <= allowed:
+                run.iterations -= 1
+                self._polish(run, step)
                 return True
             run.updated = bool(outside > allowed)
             if run.updated:
@@ -188,15 +194,24 @@ class LevenbergMarquardt:
         if not ratio > 1e-3:
             run.factor = None
             return False if fresh and not _increase_damping(run) else None
-        run.x, run.energy, run.updated = candidate, after, False
-        if not _TRUSTED[0] < ratio < _TRUSTED[1] or (not fresh and predicted > _SLOW * run.promised):
+        slow = predicted > _FAR * abs(run.energy) if fresh else predicted > _SLOW * run.promised
+        if slow or not _TRUSTED[0] < ratio < _TRUSTED[1]:
             run.factor = None
-        run.promised = predicted
+        run.x, run.energy, run.updated, run.promised = candidate, after, False, predicted
         if fresh and ratio > 0.5:
             run.damping = max(run.damping / 10, _LEAST_DAMPING)
         if reweigh is not None and reweigh(run.x):
-            run.factor, run.energy = None, self._energy(run.x, run.m)
+            run.energy, run.promised = self._energy(run.x, run.m), np.inf
+        elif predicted < _EARLY * enough and 4 * abs(1 - ratio) * predicted < enough:
+            return True if self._updated(run.x, run.m)[1] <= allowed else None
         return None
+
+    def _polish(self, run: _Run, step: Array) -> None:
+        """Take the last step, too small to be needed, if it lowers the energy and keeps the limits."""
+        candidate = self.problem.retract(run.x, step)
+        after = self._energy(candidate, run.m)
+        if after < run.energy:
+            run.x, run.energy = candidate, after
 
     def _factorise(self, run: _Run) -> Factor | None:
         """Factorise the Hessian; if it is not positive definite, increase the damping and return None."""
@@ -209,19 +224,22 @@ class LevenbergMarquardt:
 
     # --- limits ----------------------------------------------------------------------------------
 
-    def _pushed(self, x: Array, m: Array) -> Array:
-        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts."""
-        assert self.limits is not None
-        if self._angles is None or self._angles[0] is not x:
-            self._angles = x, self.limits.values(x)
-        return self.limits.excess(self._angles[1] + m / STIFFNESS)
+    def _pushed(self, x: Array, m: Array) -> Array | None:
+        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts; None
+        where nothing is beyond its limit.
+        """
+        if self.limits is None:
+            return None
+        if self._known is None or self._known[0] is not x or self._known[1] is not m:
+            pushed = self.limits.excess(self.limits.values(x) + m / STIFFNESS)
+            self._known = x, m, pushed if pushed.any() else None
+        return self._known[2]
 
     def _energy(self, x: Array, m: Array) -> float:
-        energy = self.problem.total(x)
-        if self.limits is None:
-            return energy
-        pushed = self._pushed(x, m)
-        return energy + float(0.5 * STIFFNESS * np.sum(pushed**2) - 0.5 / STIFFNESS * np.sum(m**2))
+        energy, pushed = float(self.problem.total(x)), self._pushed(x, m)
+        if pushed is not None:
+            energy += 0.5 * STIFFNESS * float(np.vdot(pushed, pushed))
+        return energy - 0.5 / STIFFNESS * float(np.vdot(m, m))
 
     def linearise(self, x: Array, m: Array) -> Array:
         """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.
@@ -230,16 +248,18 @@ class LevenbergMarquardt:
             x: (N, ...) state. m: (N, M) multipliers.
         """
         _, gradient = self.problem.linearise(x)
-        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+        if (pushed := self._pushed(x, m)) is None:
             return gradient
+        assert self.limits is not None
         frames, rows, columns, squares = self.limits.curvature(x, pushed != 0)
         cast(LimitedProblem, self.problem).add_to_diagonal(frames, rows, columns, STIFFNESS * squares)
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _gradient(self, x: Array, m: Array) -> Array:
-        gradient = self.problem.gradient(x)
-        if self.limits is None or not (pushed := self._pushed(x, m)).any():
+        gradient, pushed = self.problem.gradient(x), self._pushed(x, m)
+        if pushed is None:
             return gradient
+        assert self.limits is not None
         return np.asarray(gradient + STIFFNESS * self.limits.force(x, pushed))
 
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
@@ -248,9 +268,8 @@ class LevenbergMarquardt:
         A multiplier changes by the stiffness times the violation of its limit, or times the slack of an
         inactive limit with a multiplier.
         """
-        if self.limits is None:
-            return m, 0.0
-        new = STIFFNESS * self._pushed(x, m)
+        pushed = self._pushed(x, m)
+        new = np.zeros_like(m) if pushed is None else STIFFNESS * pushed
         return new, float(np.abs(new - m).max(initial=0.0)) / STIFFNESS
 
 

@@ -85,7 +85,7 @@ class CartesianSolver:
         reports: list[FragmentReport] = []
         for done, first in enumerate(firsts, start=1):
             with self._one_at_a_time:  # the buffers are shared by all threads
-                X, report = self._solve_fragment(first, start, data)
+                X, report = self._solve_fragment(first, start, data, previous)
             reports.append(report)
             if progress is not None:
                 progress(done, len(firsts))
@@ -106,13 +106,15 @@ class CartesianSolver:
         return np.asarray(np.minimum(i + 0.5, self.frames - i - 0.5) ** 2)
 
     def _solve_fragment(
-        self, first: int, start: PoseSequence, data: dict[str, Array]
+        self, first: int, start: PoseSequence, data: dict[str, Array], previous: Array | None = None
     ) -> tuple[Array, FragmentReport]:
-        """(N, J, 3) optimised positions, and the report."""
+        """(N, J, 3) optimised positions, and the report; from the solution of the fragment before."""
         frame = np.arange(first, first + self.frames)
         inside = (frame >= 0) & (frame < len(start))
         index = np.clip(frame, 0, len(start) - 1)
         x = start.p_world_joint[index].ravel()
+        if previous is not None:
+            x = self._continued(x.reshape(previous.shape), previous).ravel()
         values = self._fragment_values(index, inside, start, data)
         sigma = self.settings.sigma_reprojection or self.settings.sigma_reprojection_first
         x, report = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
@@ -125,6 +127,14 @@ class CartesianSolver:
         if not (values["w_visual"].any() or values["w_bone"].any() or values["w_acceleration"].any()):
             report = replace(report, status=SolverStatus.UNOBSERVED)
         return x.reshape(self.frames, -1, 3), report
+
+    def _continued(self, guess: Array, previous: Array) -> Array:
+        """(N, J, 3) the solution of the fragment before, continued by the initial guess with the mean
+        offset between the two.
+        """
+        half = self.frames // 2
+        offset = (previous[half:] - guess[:half]).mean(axis=0)
+        return np.concatenate([previous[half:], guess[half:] + offset])
 
     def _call(self, x0: Array, values: dict[str, Array], first: int) -> tuple[Array, FragmentReport]:
         """One solution, with a report measured at the returned point."""

@@ -78,7 +78,7 @@ class Ipopt:
                 "ipopt": {
                     "print_level": 0, "sb": "yes", "linear_solver": "mumps",
                     "tol": _GRADIENT * tolerance,
-                    "max_iter": max_iterations, "nlp_scaling_method": "none", "mu_init": 1e-3,
+                    "max_iter": max_iterations, "nlp_scaling_method": "none", "mu_init": 1e-5,
                     "mumps_scaling": 0, "mumps_permuting_scaling": 0, "mumps_pivot_order": _METIS,
                 },
             }  # fmt: skip
