@@ -65,7 +65,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             seed=options.seed,
             save=options.save and options.save / name,
         )
-        with _job_progress() as update:
+        with job_progress("measuring") as update:
             outcome = run(
                 protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=update
             )
@@ -101,7 +101,7 @@ def _human36m(options: argparse.Namespace) -> None:
         modes=_names(options.modes),
         save=options.save,
     )
-    with _job_progress() as update:
+    with job_progress("measuring") as update:
         outcome = human36m.run(
             protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update
         )
@@ -138,10 +138,14 @@ def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
 
 
 @contextmanager
-def _job_progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar over jobs with the time that remains, and a line for each that fails."""
+def job_progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
+    """Show a bar over jobs with the time that remains, and a line for each that fails.
+
+    Args:
+        what: stands before the bar.
+    """
     columns = (
-        TextColumn("measuring"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
     )  # fmt: skip
     progress = Progress(*columns, console=err)

@@ -1,8 +1,8 @@
 """Engines of jobs: what they have in common, and the one that runs jobs in this process.
 
-A job is a key and an argument; all jobs of a run have one function. An engine yields what each job gave as soon
-as it ends, in any order. It never raises for a job: one that raised, or whose process or machine was lost,
-has no answer but a reason.
+A job is a key and an argument; all jobs of a run have one function. An engine yields what each job gave as
+soon as it ends, in any order. It never raises for a job: one that raised, or whose process or machine was
+lost, has no answer but a reason.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Engine of worker processes on this machine: one thread each, warm, and no more than the memory holds.
 
-A worker that is killed loses its own job only. The job is tried once more when all others are done, alone, since
-most processes are killed for want of memory. Workers end with the process that started them, even if that is
-killed.
+A worker that is killed loses its own job only. The job is tried once more when all others are done, alone,
+since most processes are killed for want of memory. Workers end with the process that started them, even if
+that is killed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Processes:
     workers: int | None = None
     """Most of them; None: one per core that this process may use."""
     memory_per_job: float = 0.0
-    """[bytes] that one job needs with its process. No job starts while less is available; 0: not looked at."""
+    """[bytes] that one job needs with its process. None starts while less is available; 0: not looked at."""
     jobs_per_worker: int = 200
     """A worker that has done as many is replaced by a new one."""
 
@@ -166,7 +166,7 @@ class _Pool:
         worker.give(job)
 
     def _memory_is_enough(self) -> bool:
-        """Return whether the memory is enough for one more job, when those that run have had all they need."""
+        """Return whether the memory is enough for one more job when those that run have all they need."""
         need, available = self.settings.memory_per_job, available_memory()
         if not need or available is None:
             return True

@@ -1,8 +1,8 @@
 """Engine of a Ray cluster: jobs go to the nodes that have a free core and the memory stated per job.
 
-Ray schedules, retries a job whose worker or node is lost, and has a dashboard. It is an extra of the package and
-imported when a run begins. Jobs write their files themselves, to a folder that all nodes share; only what they
-return goes to this process.
+Ray schedules, retries a job whose worker or node is lost, and has a dashboard. It is an extra of the
+package, imported when a run begins. Jobs write their files themselves, to a folder that all nodes share;
+only what they return goes to this process.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class RayCluster:
             ray.init(address=self.address, log_to_driver=False, configure_logging=False)
         except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
             raise RtofError(
-                f"ray: no cluster at {self.address or 'this machine'} ({str(error).splitlines()[0]}); start one "
-                "by ray start --head, and name its address"
+                f"ray: no cluster at {self.address or 'this machine'} ({str(error).splitlines()[0]}); "
+                "start one by ray start --head, and name its address"
             ) from error
         try:
             yield
