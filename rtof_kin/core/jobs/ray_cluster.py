@@ -108,6 +108,5 @@ def _answer(ray: Any, one: Any, key: str) -> Ended:
         return answer
     except ray.exceptions.RayError as error:
         _log.debug("%s", key, exc_info=True)
-        return Ended(
-            key, lost=f"ray gave it up: {type(error).__name__}: {str(error).strip().splitlines()[0]}"
-        )
+        last = str(error).strip().splitlines()[-1]  # of a traceback
+        return Ended(key, lost=f"ray gave it up: {last} ({type(error).__name__})")
