@@ -37,8 +37,6 @@ from rtof_kin.core.jobs.engine import Engine
 from rtof_kin.core.jobs.results import Progress
 
 TABLE: Final = "batch.csv"
-_PAUSE, _SHARE = 10.0, 0.05
-"""[s] between two writings of the table, and the share of the time that they may take at most."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,8 @@ def run_batch(
         rows = RowFile(place.rows_file, place.run, before)
         ended = {name for name, (_, row) in before.items() if row.verdict != ERROR}
         own.sort(key=lambda entry: entry.name in ended)  # what is new comes first
-        tables = _Tables(batch, place)
+        title = batch.source.resolve().name
+        tables = Tables(batch.out, title, frozenset(entry.name for entry in batch.entries), place)
         tables.write()
         report(0, len(own), f"{len(ended)} of {len(own)} have a result; it is checked" if ended else "")
         done = 0
@@ -126,13 +125,18 @@ def _tasks(
         )
 
 
-class _Tables:
+class Tables:
     """The table and the index, which are written now and then and at the end."""
 
-    def __init__(self, batch: Batch, place: Place):
-        self.batch, self.place = batch, place
-        self.names = {entry.name for entry in batch.entries}
-        self._next = time.monotonic() + _PAUSE
+    PAUSE: Final = 10.0
+    """[s] between two writings."""
+    SHARE: Final = 0.05
+    """Share of the time that writing may take at most, so that long tables are written less often."""
+
+    def __init__(self, out: Path, title: str, names: frozenset[str], place: Place):
+        """Take the folder of the batch, the names of its source and of all its recordings, and its books."""
+        self.out, self.title, self.names, self.place = out, title, names, place
+        self._next = time.monotonic() + self.PAUSE
 
     def write_if_due(self) -> None:
         """Write them unless they were written a moment ago."""
@@ -145,11 +149,11 @@ class _Tables:
         with self.place.table_lock():
             found = self.place.rows()
             rows = [row for name, (_, row) in sorted(found.items()) if name in self.names]
-            write_text(self.batch.out / TABLE, _csv(rows), overwrite=True)
+            write_text(self.out / TABLE, _csv(rows), overwrite=True)
             worst_first = sorted(rows, key=lambda row: row.severity)
-            write_index(self.batch.out, worst_first, len(self.names), self.batch.source.resolve().name)
+            write_index(self.out, worst_first, len(self.names), self.title)
         took = time.monotonic() - began
-        self._next = time.monotonic() + max(_PAUSE, took / _SHARE)
+        self._next = time.monotonic() + max(self.PAUSE, took / self.SHARE)
 
 
 def _csv(rows: Iterable[Row]) -> str:

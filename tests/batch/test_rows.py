@@ -12,7 +12,7 @@ from rtof_kin.batch.rows import Row, RowFile, read_rows
 
 def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     rows = RowFile(tmp_path / "a.jsonl", 1, {})
-    kept = [Row("s/ü \u2028", "warn", "\"quoted\"\nline", frames=3, seconds=1.5), Row("b", error="x")]
+    kept = [Row("s/ü \u2028", "warn", '"quoted"\nline', frames=3, seconds=1.5), Row("b", error="x")]
     for row in kept:
         rows.add(row)
     assert read_rows([rows.path]) == {row.recording: (1, row) for row in kept}

@@ -1,4 +1,4 @@
-"""Batches: what is done is kept, what fails is in the table, and faults leave neither half results nor gaps."""
+"""Batches: what is done is kept, what fails is in the table, faults leave neither half results nor gaps."""
 
 from __future__ import annotations
 
@@ -219,7 +219,11 @@ def test_a_killed_driver_is_resumed_and_its_table_is_that_of_an_undisturbed_run(
     environment = {**os.environ, "PYTHONPATH": path}
     driver = subprocess.Popen(command, env=environment)
     try:
-        until(lambda: (log / "endless").is_file() and (log / "endless").read_text() and calls(log)["s1/b report"])
+        until(
+            lambda: (
+                (log / "endless").is_file() and (log / "endless").read_text() and calls(log)["s1/b report"]
+            )
+        )
         driver.send_signal(signal.SIGKILL)
         driver.wait()
     finally:
@@ -313,7 +317,9 @@ def test_an_unreadable_recording_is_an_error_in_the_table(root: Path, out: Path,
 
 def test_two_drivers_do_not_share_a_folder(root: Path, out: Path, log: Path) -> None:
     with claim(out, root, Shard(), False):
-        with pytest.raises(OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"):
+        with pytest.raises(
+            OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"
+        ):
             run(batch_of(root, out))
         with pytest.raises(OutputExistsError, match="divide by the same number"):
             run(batch_of(root, out, shard="1/2"))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -122,9 +123,11 @@ def test_no_job_starts_while_the_memory_is_promised_to_others(monkeypatch: pytes
     monkeypatch.setattr(module, "total_memory", lambda: 4_000_000_000)
     found = answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("abcd", 0.1))
     periods = sorted(found.values())
-    assert all(end <= begin for (_, end), (begin, _) in zip(periods, periods[1:], strict=False))
+    assert all(end <= begin for (_, end), (begin, _) in pairwise(periods))
     monkeypatch.setattr(module, "available_memory", lambda: 4_000_000_000)
-    periods = sorted(answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("ab", 3.0)).values())
+    periods = sorted(
+        answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("ab", 3.0)).values()
+    )
     assert periods[1][0] < periods[0][1]
 
 
@@ -160,7 +163,9 @@ def test_limit_of_a_control_group_is_the_memory(version: int, tmp_path: Path) ->
     (proc / "self").mkdir(parents=True)
     (proc / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable:   8000000 kB\n")
     assert available_memory(proc, groups) == 8_000_000 * 1024
-    (proc / "self" / "cgroup").write_text("0::/job/step\n" if version == 2 else "3:cpu:/\n4:memory:/job/step\n")
+    (proc / "self" / "cgroup").write_text(
+        "0::/job/step\n" if version == 2 else "3:cpu:/\n4:memory:/job/step\n"
+    )
     top = groups if version == 2 else groups / "memory"
     names = ("max", "current") if version == 2 else ("limit_in_bytes", "usage_in_bytes")
     for folder, limit in (("job", "3000000000"), ("job/step", "max" if version == 2 else str(2**63 - 4096))):
