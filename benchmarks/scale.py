@@ -3,8 +3,8 @@
     python -m benchmarks.scale [--measured OUT/batch.csv] [--jobs 10000] [--minutes 1 10]
 
 Measured are: what the commands cost per recording and per recorded minute (a batch on cuts of the demo, or
-the table of a batch of yours); what the driver costs per recording (a batch of as many recordings whose command
-does nothing); time and size of the table and the index. All else is computed from these and from the prices.
+the table of a batch of yours); what the driver costs per recording (a batch of as many recordings whose
+command does nothing); time and size of table and index. All else is computed from these and the prices.
 """
 
 from __future__ import annotations
@@ -207,11 +207,12 @@ def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[st
     for count in SIZES:
         for minutes in options.minutes:
             hours = count * (cost.cpu_s[0] + cost.cpu_s[1] * minutes) / 3600
-            gb = count * (cost.output_mb[0] + cost.output_mb[1] * minutes) / 1e3
+            tb = count * (cost.output_mb[0] + cost.output_mb[1] * minutes) / 1e6
             own = count * driver.driver_cpu_s / driver.jobs / 3600
+            days = hours / options.cores / 24
             lines.append(
                 f"| {count:,} | {minutes:g} | {hours:,.0f} | {hours * options.core_hour:,.0f} | "
-                f"{gb / 1e3:.2f} | {gb * options.gb_month:,.0f} | {hours / options.cores / 24:.2f} | {own:.2f} |"
+                f"{tb:.2f} | {1e3 * tb * options.gb_month:,.0f} | {days:.2f} | {own:.2f} |"
             )
     return [*lines, ""]
 
@@ -223,19 +224,19 @@ def limits(cost: Cost, driver: Driver, table: TableCost, minutes: float) -> list
     return [
         "## What saturates first",
         "",
-        f"- The cores. A recording of {minutes:g} min takes {core:.0f} s of one, and {1e3 * own:.1f} ms of the "
-        f"driver, which so keeps about {core / own:,.0f} cores busy.",
-        f"- Then the table. For 10^6 rows, in proportion, it takes {seconds:.0f} s and {gb:.1f} GB each time it "
-        f"is written, and so is renewed every {seconds / Tables.SHARE / 60:.0f} min (at most "
-        f"{100 * Tables.SHARE:.0f} % of the time goes there); batch.csv has {table.csv_mb * scale:.0f} MB, the "
-        f"index {table.index_mb * scale:.0f} MB on {SIZES[1] // ROWS_PER_PAGE} pages. Shards keep their rows "
-        "apart, but the table is one: above some 10^5 recordings give each study an OUT of its own.",
+        f"- The cores. A recording of {minutes:g} min takes {core:.0f} s of one and {1e3 * own:.1f} ms of "
+        f"the driver, which so keeps about {core / own:,.0f} cores busy.",
+        f"- Then the table. For 10^6 rows, in proportion, it takes {seconds:.0f} s and {gb:.1f} GB each time "
+        f"it is written, and so is renewed every {seconds / Tables.SHARE / 60:.0f} min (at most "
+        f"{100 * Tables.SHARE:.0f} % of the time goes there); batch.csv has {table.csv_mb * scale:.0f} MB, "
+        f"the index {table.index_mb * scale:.0f} MB on {SIZES[1] // ROWS_PER_PAGE} pages. Shards keep their "
+        "rows apart, but the table is one: above some 10^5 recordings give each study an OUT of its own.",
         f"- Files. {SIZES[1]:,} recordings are as many folders of about 25 files: the metadata server of a "
-        "shared file system, and its number of inodes, are the limit, not the bytes. `--no-figures` and a chain "
-        "without `export` write the fewest. Recordings in one folder for each person or day, as "
+        "shared file system, and its number of inodes, are the limit, not the bytes. `--no-figures` and a "
+        "chain without `export` write the fewest. Recordings in one folder for each person or day, as "
         "`study/person/take`, keep folders small; OUT has the same.",
-        "- Reading. To go on, workers read all recordings once to compare their contents: their size divided by "
-        "the bandwidth of the file system, whatever the number of cores.",
+        "- Reading. To go on, workers read all recordings once to compare their contents: their size divided "
+        "by the bandwidth of the file system, whatever the number of cores.",
     ]
 
 

@@ -1,7 +1,7 @@
 """What a worker does with one recording: the steps of the chain that are not done, and its row.
 
 ``batch.json`` in the recording's output says what each finished step was made from and what it wrote. It is
-written after every step, so a run that was killed goes on with the step it was in.
+written before every step and at the end, so a run that was killed goes on with the step it was in.
 """
 
 from __future__ import annotations
@@ -72,8 +72,9 @@ def process(command: Command, task: Task) -> dict[str, Any]:
             made_from = fingerprint(mark, content)
             if not state.is_done(step, made_from):
                 _run_step(command, task, state, step, made_from)
-        row = _verdict(task, state)
+        row = _with_figures(_verdict(task, state), task, state)
         state.keep(row)
+        return row.plain()
     except _StepError as error:
         row = Row(task.name, step=error.step.command, error=str(error), log=_log_name(error.step))
     except (RtofError, OSError) as error:
@@ -92,21 +93,22 @@ class _StepError(Exception):
 class _State:
     """Contents of `STATE`."""
 
-    def __init__(self, task: Task, steps: dict[str, Any]):
-        self.folder, self.steps = task.out / task.name, steps
+    def __init__(self, task: Task, steps: dict[str, Any], row: Any = None):
+        self.folder, self.steps, self.row = task.out / task.name, steps, row
 
     @classmethod
     def read(cls, task: Task) -> _State:
-        """Read what earlier runs did, or begin the folder of the output.
+        """Read what earlier runs did, if any.
 
         Raises:
             OutputExistsError: there are files that no batch wrote.
         """
         folder = task.out / task.name
         try:
-            steps = json.loads((folder / STATE).read_text(encoding="utf-8"))["steps"]
+            found = json.loads((folder / STATE).read_text(encoding="utf-8"))
+            steps = found["steps"]
             if isinstance(steps, dict) and all(isinstance(step, dict) for step in steps.values()):
-                return cls(task, steps)
+                return cls(task, steps, found.get("row"))
         except FileNotFoundError:
             if folder.is_symlink() or (folder.exists() and any(_visible(folder))):
                 raise OutputExistsError(
@@ -114,12 +116,10 @@ class _State:
                 ) from None
         except (ValueError, KeyError, TypeError):
             pass  # damaged: nothing counts as done
-        state = cls(task, {})
-        state.write()
-        return state
+        return cls(task, {})
 
-    def write(self, row: Row | None = None) -> None:
-        content = {"steps": self.steps} | ({} if row is None else {"row": row.plain()})
+    def write(self) -> None:
+        content = {"steps": self.steps, "row": self.row}
         write_text(self.folder / STATE, json.dumps(content, indent=1) + "\n", overwrite=True)
 
     def is_done(self, step: Step, made_from: str) -> bool:
@@ -143,21 +143,22 @@ class _State:
         own = found.get("begun") or self.is_own(step, found) or path.is_dir()  # a folder has its manifest
         if step.output and path.exists() and not own:
             raise OutputExistsError(f"{path}: no batch wrote it, or it was changed; move it elsewhere")
-        self.steps[output_name(step)] = {"begun": True}
+        self.steps[output_name(step)], self.row = {"begun": True}, None
         self.write()
 
     def finish(self, step: Step, made_from: str, seconds: float, cpu_seconds: float) -> None:
-        """Note the result of a step."""
+        """Note the result of a step, which is written with the next one or with the row."""
         output = _digest(self.folder / (step.output or _log_name(step)))
         self.steps[output_name(step)] = {
             "made_from": made_from, "output": output, "seconds": round(seconds, 3),
             "cpu_seconds": round(cpu_seconds, 3), "peak_memory_mb": round((peak_memory() or 0) / _MB, 1),
         }  # fmt: skip
-        self.write()
 
     def keep(self, row: Row) -> None:
-        """Write the row of a recording all of whose steps are done."""
-        self.write(row)
+        """Write the row of a recording all of whose steps are done, unless it is there."""
+        if self.row != row.plain():
+            self.row = row.plain()
+            self.write()
 
 
 def _check_shared(task: Task) -> None:
@@ -269,7 +270,9 @@ def _with_figures(row: Row, task: Task, state: _State | None) -> Row:
 
 
 def _size(folder: Path) -> int:
-    return sum(os.path.getsize(Path(place, name)) for place, _, names in os.walk(folder) for name in names)
+    """Return the size of the results and logs, bytes."""
+    paths = (Path(place, name) for place, _, names in os.walk(folder) for name in names if name != STATE)
+    return sum(path.stat().st_size for path in paths)
 
 
 def _visible(folder: Path) -> Iterator[Path]:
