@@ -91,7 +91,7 @@ def _check_own(out: Path) -> None:
     """Raise unless the folder is new, empty or that of a batch."""
     if out.exists() and not out.is_dir():
         raise OutputExistsError(f"{out}: is a file; name a folder")
-    if out.is_dir() and not (out / BOOKS).is_dir() and any(out.iterdir()):
+    if out.is_dir() and not mark_of(out).is_file() and {path.name for path in out.iterdir()} - {BOOKS}:
         raise OutputExistsError(f"{out}: contains files that no batch wrote; name a new folder")
 
 

@@ -60,7 +60,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from rtof_kin import __version__
+    import rtof_kin
     from rtof_kin.batch.chain import read_chain
     from rtof_kin.batch.recordings import Shard, find_recordings
     from rtof_kin.batch.run import Batch, check_chain, run_batch
@@ -70,7 +70,9 @@ def _batch(options: argparse.Namespace) -> int:
     engine = _engine(options)
     chain = read_chain(options.chain, command_names() - {"batch"})
     entries = find_recordings(options.source, options.output)
-    batch = Batch(options.source, entries, chain, options.output, __version__, Shard.of(options.shard))
+    batch = Batch(
+        options.source, entries, chain, options.output, rtof_kin.__version__, Shard.of(options.shard)
+    )
     check_chain(batch, _check)
     try:
         with _stopped_by_sigterm(), job_progress("recordings") as update:

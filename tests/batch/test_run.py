@@ -23,7 +23,7 @@ from batch_support import batch_of, calls, facts, obey, write_recordings
 from rtof_kin.batch.place import claim
 from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Row
-from rtof_kin.batch.run import Batch, check_chain, run_batch
+from rtof_kin.batch.run import Batch, Tables, check_chain, run_batch
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, WritingError
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes
 
@@ -165,6 +165,29 @@ def test_another_source_is_not_mixed_with_the_first(root: Path, out: Path, log: 
     assert table(out)["s1/a"]["verdict"] == "pass"
     assert facts(run(batch_of(other, out), overwrite=True)) == {"s1/a": "fail"}
     assert list(table(out)) == ["s1/a"]
+
+
+def test_table_and_index_are_renewed_while_it_runs_but_not_for_every_row(
+    root: Path, out: Path, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[int] = []
+    plain = Tables.write
+
+    def write(self: Tables) -> None:
+        plain(self)
+        written.append(len(table(out)))
+
+    monkeypatch.setattr(Tables, "write", write)
+    run(batch_of(root, out))
+    assert written == [0, 5]
+    written.clear()
+    write_recordings(root, f="pass", g="pass")
+    monkeypatch.setattr(Tables, "PAUSE", 0.0)
+    monkeypatch.setattr(Tables, "SHARE", 1e9)
+    run(batch_of(root, out))
+    assert written == [5, 5, 6, 7, 7, 7, 7, 7, 7]  # new ones and those that failed come first
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert page.index(">error<") < page.index(">fail<") < page.index(">warn<") < page.index(">pass<")
 
 
 # --- files of the user ---------------------------------------------------------------------------
