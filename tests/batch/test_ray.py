@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,10 +22,13 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # of Ray's own
 @pytest.fixture
 def cluster(log: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A head and a node of one core each, whose workers can import the tests' commands."""
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'rtof_kin[cluster]'")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
     path = [str(Path(batch_support.__file__).parent), *sys.path]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
+    # Ray reads the token when it is imported.
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'rtof_kin[cluster]'")
     from ray.cluster_utils import Cluster
 
     size = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": 80 * 2**20}
