@@ -31,6 +31,7 @@ FOLDERS = {
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",
+    "batch": "many recordings",
     "cli": "the command line",
 }
 """The folders of `rtof_kin`; each imports only from itself and from those above it here."""

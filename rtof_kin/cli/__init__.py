@@ -1,7 +1,7 @@
 """The command line ``rtof-kin``: the only place that prints.
 
-Exit codes: 0 done, 1 a check does not hold (inspect), 2 wrong input (one line says what, where and what
-to do), 130 interrupted.
+Exit codes: 0 done, 1 a check does not hold (inspect) or a recording failed (batch), 2 wrong input (one line
+says what, where and what to do), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -28,24 +28,55 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(arguments: list[str] | None) -> int:
-    import logging
-
     from rtof_kin.cli.terminal import err
     from rtof_kin.core.errors import RtofError
 
-    options = _parser().parse_args(arguments)
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
-        return int(options.run(options) or 0)
+        return dispatch(arguments)
     except RtofError as error:
         err.print(f"error: {error}", style="bold red", soft_wrap=True)
         return 2
 
 
-def _parser() -> argparse.ArgumentParser:
+def dispatch(arguments: list[str] | None) -> int:
+    """Run one command and return its exit code; errors are raised.
+
+    Args:
+        arguments: of the command line; None: sys.argv.
+
+    Raises:
+        RtofError: of the command. SystemExit: the arguments are wrong, or ask for help.
+    """
+    import logging
+
+    options = parse(arguments)
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    return int(options.run(options) or 0)
+
+
+def parse(arguments: list[str] | None) -> argparse.Namespace:
+    """Return the options of a command line.
+
+    Args:
+        arguments: see `dispatch`.
+
+    Raises:
+        SystemExit: they are wrong, or ask for help.
+    """
+    return _parser()[0].parse_args(arguments)
+
+
+def command_names() -> set[str]:
+    """Return the names of all commands."""
+    return set(_parser()[1].choices)
+
+
+def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]:
+    """Return the parser and its commands."""
     import argparse
 
     from rtof_kin.cli import (
+        batch,
         clinical,
         compare,
         detection,
@@ -80,8 +111,9 @@ def _parser() -> argparse.ArgumentParser:
         live,
         training,
         lifters,
+        batch,
         protocols,
         view,
     ):
         module.add_commands(commands)
-    return parser
+    return parser, commands

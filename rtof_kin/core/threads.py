@@ -11,14 +11,14 @@ import sys
 
 from rtof_kin.core.errors import InvalidInputError
 
-_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 USUAL = 1
 """Default number of threads."""
 
 
 def threads() -> int | None:
     """Return the number of threads set in the environment; None if unset."""
-    text = os.environ.get(_VARIABLES[0], "")
+    text = os.environ.get(VARIABLES[0], "")
     return int(text) if text.isdecimal() else None
 
 
@@ -36,9 +36,9 @@ def limit_threads(count: int | None) -> None:
     if "numpy" in sys.modules:
         if count not in (None, threads()):
             raise InvalidInputError(
-                f"threads: numerical libraries are loaded already; set {_VARIABLES[0]}={count} before "
+                f"threads: numerical libraries are loaded already; set {VARIABLES[0]}={count} before "
                 "Python starts"
             )
         return
-    for name in _VARIABLES:
+    for name in VARIABLES:
         os.environ[name] = str(count or threads() or USUAL)

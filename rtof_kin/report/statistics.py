@@ -161,14 +161,14 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
     """Yield name, times (T,) and values (T, ...) of every quantity."""
     motion, poses, imus = part.motion, part.motion.poses, part.bone_imus
     yield "invalid", motion.times, ~poses.valid
-    yield "unobserved", motion.times, poses.provenance <= Provenance.BRIDGED
+    yield "unobserved", motion.times, np.asarray(poses.provenance <= Provenance.BRIDGED)
     for one in Provenance:
-        yield f"provenance {one.name.lower()}", motion.times, poses.provenance == one
+        yield f"provenance {one.name.lower()}", motion.times, np.asarray(poses.provenance == one)
     yield "singular", motion.times, motion.report.singular
     yield "limit excess", motion.times, np.nan_to_num(motion.report.limit_excess)
     masks = MotionSource.of(motion).masks
     inside = outside_gaps(masks)
-    yield "from prior", motion.times[inside], ~root_and_dofs_observed(masks)[inside]
+    yield "from prior", motion.times[inside], np.logical_not(root_and_dofs_observed(masks)[inside])
     if part.keypoints is not None:
         landmarks = part.keypoints.landmarks
         depth = part.keypoints.camera.to_camera(poses.p_world_joint[:, 0])[:, 2]
@@ -188,7 +188,7 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
         yield "position sigma", motion.times, motion.confidence.position_sigma
         yield "orientation sigma", motion.times, motion.confidence.orientation_sigma
     if (raw := part.recording.imus) is not None:
-        yield "sensor unknown", raw.times, ~np.isfinite(raw.R_inertial_sensor).all(axis=(2, 3))
+        yield "sensor unknown", raw.times, np.isnan(raw.R_inertial_sensor).any(axis=(2, 3))
         yield "specific force", raw.times, _largest(np.abs(raw.f_sensor))
 
 

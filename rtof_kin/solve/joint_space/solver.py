@@ -32,7 +32,7 @@ from rtof_kin.vision.image_points import measurements
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
 outliers change it by less."""
-_CHAIN: Final = 8
+CHAIN: Final = 8
 """Fragments of which only the first starts from the initial guess, the others from the one before."""
 _PENDING: Final = 8
 """Fragments that may still be solved again from a later neighbour."""
@@ -162,16 +162,18 @@ class _Fragments:
     def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
         """Yield the fragments; one that fits much worse than an overlapping one is solved again from it.
 
-        Fragments start from the solution of the one before, the first of every `_CHAIN` from the initial
+        Fragments start from the solution of the one before, the first of every `CHAIN` from the initial
         guess: chains depend on each other only where they are solved again.
         """
         pending: list[_Piece] = []
         for done, first in enumerate(firsts, start=1):
             last = pending[-1] if pending else None
-            warm = last is not None and (done - 1) % _CHAIN > 0 and last.is_solved
-            piece = self._solve(first, self._continued(first, last) if warm else None)
+            start = None
+            if last is not None and (done - 1) % CHAIN > 0 and last.is_solved:
+                start = self._continued(first, last)
+            piece = self._solve(first, start)
             if last is not None and piece.fits_worse(last):
-                piece = self._better(piece, self._solve(first)) if warm else self._retried(piece, last)
+                piece = self._better(piece, self._solve(first)) if start else self._retried(piece, last)
             pending.append(piece)
             for i in range(len(pending) - 1, 0, -1):
                 if not pending[i - 1].fits_worse(pending[i]):

@@ -1,4 +1,4 @@
-"""Independent measurements in parallel processes, each kept as soon as it is done.
+"""Results of jobs in a folder, each kept as soon as it is done.
 
 A job's result is a pair of files, ``KEY.npz`` (arrays) and then ``KEY.json`` (facts, written atomically). A
 job whose facts exist is not run again, so an interrupted run resumes. A job that fails, even one that kills
@@ -10,29 +10,25 @@ from __future__ import annotations
 import json
 import logging
 import math
-import multiprocessing
-import os
-import signal
-from collections.abc import Callable, Generator, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError
+from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs.engine import Engine, InThisProcess
+from rtof_kin.core.jobs.processes import Processes
 
 SETTINGS: Final = "settings.json"
 _MADE_BY: Final = {"made_by": "rtof_kin.protocols"}
 """Entry of the settings that marks a folder of results."""
-_KILLED: Final = "its process was killed, also when it ran alone: is there too little memory for it?"
-_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _log = logging.getLogger(__name__)
 
 
@@ -150,6 +146,7 @@ def run_jobs(
     folder: Path,
     workers: int | None = None,
     progress: Progress | None = None,
+    engine: Engine | None = None,
 ) -> Outcome:
     """Run the jobs that have no result yet in parallel processes.
 
@@ -158,63 +155,35 @@ def run_jobs(
         jobs: argument of each job by its key. folder: for the results, see `open_runs`.
         workers: number of processes, the number of cores by default; 1 runs in this process.
         progress: called after every job; without it, failures are logged.
+        engine: instead of processes of this machine; its workers write to `folder`.
 
     Raises:
         InvalidInputError: fewer than one worker.
     """
-    if workers is not None and workers < 1:
-        raise InvalidInputError(f"workers: {workers}; give 1 or more")
+    if engine is None:
+        engine = InThisProcess() if workers == 1 else Processes(workers)
     report = progress or (lambda done, total, text: None)
     waiting = {k: v for k, v in jobs.items() if _facts(folder, k) is None}
     failed: dict[str, str] = {}
     done = len(jobs) - len(waiting)
     report(done, len(jobs), f"{done} of {len(jobs)} were done before" if done else "")
-    run = _in_this_process if workers == 1 else _in_processes
-    with closing(run(function, waiting, folder, workers or os.cpu_count() or 1)) as results:
-        for key, problem in results:
+    keyed = ((key, (key, argument)) for key, argument in waiting.items())
+    with closing(engine.run(partial(_work, function, folder), keyed)) as results:
+        for ended in results:
             done += 1
+            problem = ended.lost or ended.answer
             if problem is not None:
-                failed[key] = problem
+                failed[ended.key] = problem
                 if progress is None:
-                    _log.warning("%s: %s", key, problem)
-            report(done, len(jobs), key if problem is None else f"{key} failed: {problem}")
+                    _log.warning("%s: %s", ended.key, problem)
+            report(done, len(jobs), ended.key if problem is None else f"{ended.key} failed: {problem}")
     facts = {key: _facts(folder, key) for key in jobs if key not in failed}
     return Outcome(folder, {k: v for k, v in facts.items() if v is not None}, failed)
 
 
-_Ended = tuple[str, str | None]
-"""A job's key and the reason of its failure or None."""
-
-
-def _in_this_process(
-    function: Callable[[Any], JobResult], jobs: Mapping[str, Any], folder: Path, _: int
-) -> Generator[_Ended]:
-    for key, argument in jobs.items():
-        yield key, _work(function, key, argument, folder)
-
-
-def _in_processes(
-    function: Callable[[Any], JobResult], jobs: Mapping[str, Any], folder: Path, workers: int
-) -> Generator[_Ended]:
-    """Run jobs in a pool; those that were lost with a killed process run again, one pool each."""
-    broken = []
-    if jobs:
-        with _pool(min(workers, len(jobs))) as pool:
-            futures = {pool.submit(_work, function, key, jobs[key], folder): key for key in jobs}
-            for future in as_completed(futures):
-                try:
-                    yield futures[future], future.result()
-                except BrokenProcessPool:
-                    broken.append(futures[future])
-    for key in broken:
-        if len(jobs) == 1:
-            yield key, _KILLED
-        else:
-            yield from _in_processes(function, {key: jobs[key]}, folder, 1)
-
-
-def _work(function: Callable[[Any], JobResult], key: str, argument: Any, folder: Path) -> str | None:
+def _work(function: Callable[[Any], JobResult], folder: Path, job: tuple[str, Any]) -> str | None:
     """Run one job and write its files; return the reason of a failure or None."""
+    key, argument = job
     try:
         result = function(argument)
         np.savez_compressed(folder / f"{key}.npz", **result.arrays)  # type: ignore[arg-type]
@@ -236,27 +205,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Start new processes of one thread each; an exception in this process terminates them."""
-    others = set(multiprocessing.active_children())
-    before = dict(os.environ)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    # Only the parent handles Ctrl-C.
-    ignore_interrupt = signal.SIGINT, signal.SIG_IGN
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, signal.signal, ignore_interrupt)
-    try:
-        yield pool
-        pool.shutdown()
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
-    finally:
-        for name in _THREADS:
-            del os.environ[name]
-        os.environ.update({name: before[name] for name in _THREADS if name in before})

@@ -1,0 +1,1 @@
+"""Batches: a chain of commands on many recordings, one row of a table for each."""

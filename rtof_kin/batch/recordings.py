@@ -1,0 +1,162 @@
+"""Recordings of a batch: all below a folder, or those that a manifest lists.
+
+A manifest is a CSV file with a header. Column ``recording`` has the folder of each, relative to the
+manifest's own. Optional: ``name``, its folder in the output (default: its path below the manifest's
+folder), and columns named like commands of the chain, with more options of that command for this recording.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import os
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.folder import path_inside
+from rtof_kin.core.files.text import read_text
+
+INDEX: Final = "recording.toml"
+"""File that makes a folder a recording."""
+_OWN_COLUMNS: Final = ("recording", "name")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording of a batch."""
+
+    name: str
+    """Its folder in the output: a relative path with slashes."""
+    folder: Path
+    options: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """More options by command."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several parts of a batch, which are disjoint whatever recordings each of them finds."""
+
+    number: int = 1
+    """From 1."""
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise InvalidInputError(f"shard {self}: the first number is from 1 to the second, as 3/10")
+
+    @classmethod
+    def of(cls, text: str) -> Shard:
+        """Read a shard from a text.
+
+        Args:
+            text: such as 3/10.
+
+        Raises:
+            InvalidInputError: it is none.
+        """
+        if not (found := re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())):
+            raise InvalidInputError(f"shard {text!r}: write its number and how many there are, as 3/10")
+        return cls(int(found.group(1)), int(found.group(2)))
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    def has(self, name: str) -> bool:
+        """Return whether a recording belongs to this shard.
+
+        Args:
+            name: of the recording.
+        """
+        digest = hashlib.sha256(name.encode()).digest()
+        return int.from_bytes(digest[:8], "big") % self.count == self.number - 1
+
+
+def find_recordings(source: Path, out: Path) -> list[Entry]:
+    """Return the recordings of a folder or a manifest, sorted by name.
+
+    Args:
+        source: folder, or CSV file. out: folder of the output, in which none are looked for.
+
+    Raises:
+        FileFormatError: there is no such source, or the manifest has an error.
+        InvalidInputError: there are no recordings, or the outputs of two would mix.
+    """
+    if not source.exists():
+        raise FileFormatError(source, "there is no such folder or manifest")
+    entries = list(_below(source, out.resolve()) if source.is_dir() else _listed(source))
+    if not entries:
+        raise InvalidInputError(f"{source}: no recordings; each is a folder with {INDEX}")
+    entries.sort(key=lambda entry: entry.name.split("/"))
+    _check_names(source, entries)
+    return entries
+
+
+def _below(root: Path, out: Path) -> Iterator[Entry]:
+    """Find recordings; folders in a recording and hidden ones are not searched."""
+    if (root / INDEX).is_file():
+        yield Entry(root.resolve().name, root)
+        return
+    for place, folders, _ in os.walk(root):
+        for name in sorted(folders):
+            folder = Path(place, name)
+            own = not name.startswith(".") and folder.resolve() != out
+            found = own and (folder / INDEX).is_file()
+            if found:
+                yield Entry(folder.relative_to(root).as_posix(), folder)
+            if found or not own:
+                folders.remove(name)
+
+
+def _listed(manifest: Path) -> Iterator[Entry]:
+    text = read_text(manifest, "a manifest; its first line names the columns")
+    try:
+        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+        header = [name.strip() for name in next(lines)]
+        if "recording" not in header or len(set(header)) < len(header):
+            raise FileFormatError(manifest, "one column is named recording, and each name stands once", 1)
+        for cells in lines:
+            if any(cell.strip() for cell in cells):
+                yield _entry(manifest, lines.line_num, header, [cell.strip() for cell in cells])
+    except csv.Error as error:
+        raise FileFormatError(manifest, f"not a readable CSV file: {error}") from error
+
+
+def _entry(manifest: Path, line: int, header: list[str], cells: list[str]) -> Entry:
+    if len(cells) != len(header):
+        problem = f"{len(cells)} cells where the header names {len(header)} columns"
+        raise FileFormatError(manifest, problem, line)
+    row = dict(zip(header, cells, strict=True))
+    if not row["recording"]:
+        raise FileFormatError(manifest, "no recording in this line", line)
+    folder = manifest.parent / row["recording"]
+    name = row.get("name") or (
+        Path(row["recording"]).as_posix() if path_inside(manifest.parent, row["recording"]) else folder.name
+    )
+    try:
+        options = {c: tuple(shlex.split(t)) for c, t in row.items() if t and c not in _OWN_COLUMNS}
+    except ValueError as error:
+        raise FileFormatError(manifest, f"options: {error}", line) from error
+    return Entry(Path(name).as_posix(), folder, options)
+
+
+def _check_names(source: Path, entries: Iterable[Entry]) -> None:
+    """Raise unless every recording has an output folder of its own."""
+    before = ""
+    for entry in entries:
+        path = Path(entry.name)
+        if path.is_absolute() or any(part.startswith(".") for part in path.parts) or not path.parts:
+            raise InvalidInputError(
+                f"{source}: {entry.name!r} is no name of an output folder; a name is a relative path without "
+                "parts that begin with a point"
+            )
+        if entry.name == before:
+            raise InvalidInputError(f"{source}: two recordings are named {before}; give names of their own")
+        if before and entry.name.startswith(before + "/"):
+            raise InvalidInputError(f"{source}: {entry.name} would lie in the output of {before}; rename one")
+        before = entry.name

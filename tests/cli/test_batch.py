@@ -1,0 +1,120 @@
+"""The command batch on real recordings: table, index, exit codes, resuming."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHAIN = "reconstruct --no-figures, analyse --no-figures, report --subject 'A, B'"
+
+
+@pytest.fixture(scope="module")
+def takes(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One good recording and two that cannot be read."""
+    root = tmp_path_factory.mktemp("takes")
+    shutil.copytree(short, root / "s1" / "good")
+    shutil.copytree(short, root / "s1" / "cut")
+    whole = (root / "s1/cut/keypoints.npz").read_bytes()
+    (root / "s1/cut/keypoints.npz").write_bytes(whole[: len(whole) // 2])
+    (root / "garbage").mkdir()
+    (root / "garbage" / "recording.toml").write_text("camera = [[[")
+    return root
+
+
+def table(out: Path) -> dict[str, dict[str, str]]:
+    with (out / "batch.csv").open(encoding="utf-8", newline="") as stream:
+        return {row["recording"]: row for row in csv.DictReader(stream)}
+
+
+def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = cli("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 2, "--memory-per-job", 0)
+    assert done.code == 1
+    assert "2 error" in done.out
+    assert f"wrote {out}/batch.csv and {out}/index.html" in done.out
+    assert "2 failed; the same command tries them again" in done.err
+    rows = table(out)
+    assert list(rows) == ["garbage", "s1/cut", "s1/good"]
+    assert "recording.toml: not readable as TOML" in rows["garbage"]["error"]
+    assert "keypoints.npz: damaged, or no NPZ archive" in rows["s1/cut"]["error"]
+    good = rows["s1/good"]
+    assert (good["frames"], good["duration_s"], good["error"]) == ("120", "2.0", "")
+    assert good["verdict"] in ("pass", "warn", "fail")
+    assert float(good["cpu_seconds"]) > 0.5
+    assert float(good["peak_memory_mb"]) > 100
+    assert "A, B" in (out / "s1/good/report.html").read_text(encoding="utf-8")
+    assert 's1/good/report.html"' in (out / "index.html").read_text(encoding="utf-8")
+    assert "accuracy" in (out / "s1/good/log/reconstruct.txt").read_text(encoding="utf-8")
+
+    shutil.rmtree(takes / "garbage")
+    shutil.rmtree(takes / "s1" / "cut")
+    inode = (out / "s1/good/motion/motion.npz").stat().st_ino
+    again = cli("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 1)
+    assert again.code == 0
+    assert "1/1" in again.err
+    assert table(out) == {"s1/good": good}
+    assert (out / "s1/good/motion/motion.npz").stat().st_ino == inode
+
+
+@pytest.mark.parametrize("arguments, named", [
+    (["--chain", "reconstruct --framez 3"], "s1/good, reconstruct: unrecognized arguments: --framez 3"),
+    (["--chain", "reconstruct --help"], "asks for help"),
+    (["--chain", "batch"], "batch is no command"),
+    (["--chain", "view"], "what view reads and writes is not known"),
+    (["--address", "host:6379"], "add --engine ray"),
+    (["--shard", "2/1"], "shard 2/1"),
+    (["--workers", "0"], "workers: 0"),
+    (["--memory-per-job", "100000"], "this machine has"),
+])  # fmt: skip
+def test_wrong_options_are_refused_before_anything_is_written(
+    arguments: list[str], named: str, cli: Any, short: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "takes"
+    (root / "s1").mkdir(parents=True)
+    (root / "s1" / "good").symlink_to(short)
+    done = cli("batch", root, "-o", tmp_path / "out", *arguments)
+    assert done.code == 2
+    assert named in done.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_batch_says_how_to_go_on(sent: signal.Signals, short: Path, tmp_path: Path) -> None:
+    for k in range(4):
+        shutil.copytree(short, tmp_path / "takes" / str(k))
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "rtof_kin.cli", "batch", str(tmp_path / "takes"), "-o", str(out)]
+    batch = subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True)
+    for _ in range(6000):
+        if list(out.glob("*/log/reconstruct.txt")) or batch.poll() is not None:
+            break
+        time.sleep(0.02)
+    batch.send_signal(sent)
+    _, said = batch.communicate(timeout=60)
+    assert batch.returncode == 130
+    assert "the same command goes on from here" in " ".join(said.split())
+    assert "Traceback" not in said
+    assert (out / "index.html").is_file()
+    assert not list(out.rglob("motion"))
+
+
+def test_the_driver_loads_no_torch(short: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys; from rtof_kin.cli import main; "
+        f"main(['batch', {str(short)!r}, '-o', {str(tmp_path / 'out')!r}, '--chain', 'inspect']); "
+        "print('LOADED', *[m for m in ('torch', 'matplotlib', 'casadi', 'pinocchio') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
+    )
+    assert done.stdout.splitlines()[-1].strip() == "LOADED"
+    assert table(tmp_path / "out")["short"]["verdict"] == "done"

@@ -1,0 +1,47 @@
+"""Small jobs for the engines, which run them in other processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def whereabouts(_: int) -> tuple[int, str | None]:
+    """Process and its number of threads."""
+    return os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
+def period(seconds: float) -> tuple[float, float]:
+    """Begin and end on the clock that all processes share."""
+    began = time.monotonic()
+    time.sleep(seconds)
+    return began, time.monotonic()
+
+
+def die(tries: tuple[Path, int]) -> int:
+    """Be killed the first so many times."""
+    log, times = tries
+    count = len(list(log.parent.glob(f"{log.name}-*")))
+    log.with_name(f"{log.name}-{count}").touch()
+    if count < times:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return count
+
+
+def fail(kind: str) -> object:
+    if kind == "exit":
+        os._exit(7)
+    if kind == "raise":
+        raise ZeroDivisionError("by nothing")
+    return lambda: None  # cannot be sent back
+
+
+def sleep_and_tell(folder: Path) -> None:
+    (folder / f"{os.getpid()}.pid").touch()
+    time.sleep(120)
