@@ -33,7 +33,7 @@ _EARLY: Final = 10.0
 """Multipliers are updated if the predicted decrease is below this many tolerances."""
 
 _CAUTION: Final = 4.0
-"""Factor on the decrease expected after a step: that of the step times the relative error of its prediction."""
+"""Factor on the decrease expected after a step: its own times the relative error of the prediction."""
 
 
 class Factor(Protocol):
@@ -204,7 +204,7 @@ class LevenbergMarquardt:
         if fresh and ratio > 0.5:
             run.damping = max(run.damping / 10, _LEAST_DAMPING)
         if reweigh is not None and reweigh(run.x):
-            run.energy, run.promised = self._energy(run.x, run.m), np.inf
+            run.factor, run.energy = None, self._energy(run.x, run.m)
         elif predicted < _EARLY * enough and _CAUTION * abs(1 - ratio) * predicted < enough:
             return True if self._updated(run.x, run.m)[1] <= allowed else None
         return None
