@@ -33,7 +33,6 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
 from rtof_kin.recording.reader import RecordingSlices
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.solver import CHAIN
 
 PART_SECONDS: Final = 60.0
 """[s] Length of a part without its margins."""
@@ -107,7 +106,7 @@ def reconstruct_in_parts(
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
     times = _frame_times(source, mode, settings)
     rate_hz = float(1 / np.median(np.diff(times)))
-    parts = parts_of(len(times), rate_hz, CHAIN * settings.frames // 2, seconds)
+    parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds)
     job = Job.of(_between(source, times[: parts[0].stop]), None, lifter, settings, progress)
     once = _estimated_once(source, job, mode, calibrate, known)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None

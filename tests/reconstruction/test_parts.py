@@ -37,11 +37,11 @@ def statistics_of(parts: list[Reconstruction]) -> ReconstructionStatistics:
 
 @pytest.mark.parametrize("frames, seconds", [(216_000, 60.0), (1000, 60.0), (5000, 60.0), (3700, 10.0)])
 def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
-    found = parts_of(frames, 60.0, 200, seconds)
+    found = parts_of(frames, 60.0, 25, seconds)
     kept = np.concatenate([np.arange(part.start, part.stop) for part in found])
     np.testing.assert_array_equal(kept, np.arange(frames))
     for part in found:
-        assert part.first % 200 == 0
+        assert part.first % 25 == 0
         assert 0 <= part.first <= part.start
         assert part.stop <= part.last <= frames
         assert part.start == 0 or part.start - part.first >= 180

@@ -219,10 +219,7 @@ def test_report_has_every_term_and_counts_iterations(solution: FragmentSolution)
 
 
 @pytest.mark.parametrize("annealing, most", [(0, 0), (0, 1), (2, 0), (2, 1)])
-def test_iteration_limit_is_reported(
-    scene: Scene, annealing: int, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(solver_module, "_LOCAL_MINIMUM", np.inf)  # no fragment is solved twice
+def test_iteration_limit_is_reported(scene: Scene, annealing: int, most: int) -> None:
     out = scene.solve(replace(DEFAULT, annealing=annealing, max_iterations=most), 12)
     assert out.status is SolverStatus.ITERATION_LIMIT
     assert {f.iterations for f in out.fragments} == {annealing + most}
@@ -433,38 +430,8 @@ def test_local_minimum_is_retried(scene: Scene, frames: slice, monkeypatch: pyte
     given_: dict[str, Any] = {"start": start, "keypoints": scene.exact, "bone_imus": scene.imus}
     found = scene.solve(**given_)
     monkeypatch.setattr(solver_module, "_LOCAL_MINIMUM", np.inf)
-    monkeypatch.setattr(solver_module, "_CHAIN", 1)
     caught = scene.solve(**given_)
     assert max(f.sigma_reprojection for f in caught.fragments) > 5.0
     assert max(f.sigma_reprojection for f in found.fragments) < 2.5
     usual = scene.solve(keypoints=scene.exact, bone_imus=scene.imus)
     assert scene.mm(found.poses) < scene.mm(usual.poses) + 1.0 < scene.mm(caught.poses) - 2.0
-
-
-def test_fragments_reach_the_same_minimum_from_the_one_before_in_fewer_iterations(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fine = replace(GIVEN, tolerance=1e-7)
-    warm = scene.solve(fine)
-    monkeypatch.setattr(solver_module, "_CHAIN", 1)
-    cold = scene.solve(fine)
-    for one, two in zip(warm.fragments, cold.fragments, strict=True):
-        assert sum(one.energy.values()) == pytest.approx(sum(two.energy.values()), rel=1e-5)
-    assert_same_positions(warm, cold, atol=1e-3)
-    assert warm.iterations < cold.iterations
-
-
-def test_every_chain_of_fragments_begins_from_the_initial_guess(monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[bool] = []
-    solve = solver_module._Fragments._solve
-
-    def counted(self: Any, first: int, start: Any = None) -> Any:
-        begun.append(start is None)
-        return solve(self, first, start)
-
-    monkeypatch.setattr(solver_module._Fragments, "_solve", counted)
-    monkeypatch.setattr(solver_module, "_LOCAL_MINIMUM", np.inf)
-    monkeypatch.setattr(solver_module, "_CHAIN", 3)
-    poses = planted.human(BODY, 40).poses
-    body(QUICK).solve(poses, planted.keypoints(poses), None)
-    assert begun == [True, False, False, True, False, False]

@@ -32,6 +32,9 @@ _LIMIT_TOLERANCE: Final = np.radians(0.1)
 _EARLY: Final = 10.0
 """Multipliers are updated if the predicted decrease is below this many tolerances."""
 
+_CAUTION: Final = 4.0
+"""Factor on the decrease expected after a step: its own times the relative error of the prediction."""
+
 
 class Factor(Protocol):
     """A factorised Hessian."""
@@ -92,7 +95,7 @@ class Solved:
     """(N, 3 + 4A) state."""
     iterations: int
     converged: bool
-    """True if the last predicted decrease was below the tolerance and the limits were satisfied."""
+    """True if the predicted decrease of a next step was below the tolerance and the limits were satisfied."""
     multipliers: Array
     """(N, M) of the limits, positive at upper, negative at lower ones."""
     out_of_iterations: bool = False
@@ -176,13 +179,13 @@ class LevenbergMarquardt:
             return None
         step = factor.solve(-gradient)
         predicted = -0.5 * float(np.sum(gradient * step))
-        enough = tolerance * (1 + abs(run.energy))
+        enough = tolerance * (1 + abs(run.energy)) + 1e-300
         allowed = _LIMIT_TOLERANCE * min(1.0, np.sqrt(tolerance / _USUAL_TOLERANCE))
         if predicted < _EARLY * enough and not run.updated:
             new, outside = self._updated(run.x, run.m)
             if predicted < enough and outside <= allowed:
                 run.iterations -= 1
-                self._polish(run, step)
+                self._polish(run, step, allowed)
                 return True
             run.updated = bool(outside > allowed)
             if run.updated:
@@ -201,16 +204,16 @@ class LevenbergMarquardt:
         if fresh and ratio > 0.5:
             run.damping = max(run.damping / 10, _LEAST_DAMPING)
         if reweigh is not None and reweigh(run.x):
-            run.energy, run.promised = self._energy(run.x, run.m), np.inf
-        elif predicted < _EARLY * enough and 4 * abs(1 - ratio) * predicted < enough:
+            run.factor, run.energy = None, self._energy(run.x, run.m)
+        elif predicted < _EARLY * enough and _CAUTION * abs(1 - ratio) * predicted < enough:
             return True if self._updated(run.x, run.m)[1] <= allowed else None
         return None
 
-    def _polish(self, run: _Run, step: Array) -> None:
+    def _polish(self, run: _Run, step: Array, allowed: float) -> None:
         """Take the last step, too small to be needed, if it lowers the energy and keeps the limits."""
         candidate = self.problem.retract(run.x, step)
         after = self._energy(candidate, run.m)
-        if after < run.energy:
+        if after < run.energy and self._updated(candidate, run.m)[1] <= allowed:
             run.x, run.energy = candidate, after
 
     def _factorise(self, run: _Run) -> Factor | None:

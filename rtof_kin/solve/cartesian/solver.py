@@ -112,12 +112,13 @@ class CartesianSolver:
         frame = np.arange(first, first + self.frames)
         inside = (frame >= 0) & (frame < len(start))
         index = np.clip(frame, 0, len(start) - 1)
-        x = start.p_world_joint[index].ravel()
-        if previous is not None:
-            x = self._continued(x.reshape(previous.shape), previous).ravel()
+        guess = start.p_world_joint[index]
+        x = guess.ravel() if previous is None else self._continued(guess, previous).ravel()
         values = self._fragment_values(index, inside, start, data)
         sigma = self.settings.sigma_reprojection or self.settings.sigma_reprojection_first
         x, report = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
+        if previous is not None and report.status is SolverStatus.FAILED:
+            return self._solve_fragment(first, start, data)
         if self.settings.sigma_reprojection is None and report.status is not SolverStatus.FAILED:
             sigma = self._estimated_sigma(x, values, sigma)
             x, again = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)

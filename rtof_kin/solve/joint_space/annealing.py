@@ -28,7 +28,7 @@ class Annealing:
 
     def __init__(
         self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array, sizes: Array,
-        observation: dict[str, Array], least_px: float = 0.0, guess: Array | None = None,
+        observation: dict[str, Array], least_px: float = 0.0,
     ) -> None:  # fmt: skip
         """Set the initial weights.
 
@@ -36,8 +36,6 @@ class Annealing:
             settings: bounds of the estimate. problem: with the fragment bound to it.
             confidence: (N, L) of the landmarks. sizes: (L,) their errors relative to those of the others.
             observation: of the fragment. least_px: lower bound of sigma.
-            guess: (N, 3 + 4A) states for the first estimate, instead of the optimisation's first ones. An
-                estimate decreases towards the residuals' size: begun below it, it would stay there.
         """
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
@@ -51,15 +49,13 @@ class Annealing:
             for own in (self._camera == c for c in range(1 + len(shape.further)))
         ]
         self._left = settings.annealing if given is None and shape.landmarks else 0
-        self._guess = guess
         self._weigh(False)
 
     def __call__(self, x: Array) -> bool:
         """Estimate the weights at states x (N, 3 + 4A); return whether they were changed."""
         if self._left == 0:
             return False
-        changed = self._left == self._settings.annealing
-        residuals = self._problem.value(self._guess if changed and self._guess is not None else x)[1]
+        residuals, changed = self._problem.value(x)[1], self._left == self._settings.annealing
         for c, picture in enumerate(self._pictures):
             changed |= picture.estimate(residuals[:, self._camera == c])
         if not changed:

@@ -128,10 +128,6 @@ class Observations:
             contacts = detect_contacts(smooth, at_frames, skeleton, from_poses=True)
             self.rows["w_floor"] = contacts.standing / settings.sigma_floor**2
 
-    def frames_of(self, first: int) -> Index:
-        """Return the indices of a fragment's frames; those in the padding are the nearest ones."""
-        return np.clip(np.arange(first, first + self.frames), 0, len(self.a_world) - 1)
-
     def fragment(self, first: int) -> tuple[Index, Mask, FragmentData]:
         """Return the indices of a fragment's frames, which of them exist, and their data.
 

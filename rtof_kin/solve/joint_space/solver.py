@@ -32,9 +32,7 @@ from rtof_kin.vision.image_points import measurements
 _LOCAL_MINIMUM: Final = 1.8
 """Ratio of reprojection sigmas of neighbouring fragments that indicates a local minimum; biases and
 outliers change it by less."""
-CHAIN: Final = 8
-"""Fragments of which only the first starts from the initial guess, the others from the one before."""
-_PENDING: Final = 8
+_PENDING: Final = 4
 """Fragments that may still be solved again from a later neighbour."""
 
 
@@ -120,33 +118,16 @@ class _Piece:
     report: FragmentReport
     covariance: Array | None
     """(N, D, D) of their tangents, where asked for; NaN where unobserved."""
-    multipliers: Array
-    """(N, M) of the limits."""
 
     @property
     def first(self) -> int:
         return self.report.first_frame
 
-    @property
-    def is_solved(self) -> bool:
-        return self.report.status not in (SolverStatus.FAILED, SolverStatus.UNOBSERVED)
-
     def fits_worse(self, other: _Piece) -> bool:
         """Whether its reprojection errors are much larger than another's, as in a local minimum."""
-        a, b, solved = self.report, other.report, self.is_solved and other.is_solved
+        a, b = self.report, other.report
+        solved = {a.status, b.status}.isdisjoint((SolverStatus.FAILED, SolverStatus.UNOBSERVED))
         return solved and a.sees_enough and a.sigma_reprojection > _LOCAL_MINIMUM * b.sigma_reprojection
-
-
-@dataclass(frozen=True)
-class _Start:
-    """Where the optimisation of a fragment starts."""
-
-    x: Array
-    """(N, 3 + 4A) states."""
-    multipliers: Array | None = None
-    """(N, M) of the limits."""
-    guess: Array | None = None
-    """(N, 3 + 4A) states for the first estimate of the landmarks' weights; None: `x`."""
 
 
 class _Fragments:
@@ -160,20 +141,12 @@ class _Fragments:
         self._ipopt = Ipopt(problem, data.limits) if settings.backend == "ipopt" else None
 
     def settled(self, firsts: Sequence[int], progress: Callable[[int, int], None] | None) -> Iterator[_Piece]:
-        """Yield the fragments; one that fits much worse than an overlapping one is solved again from it.
-
-        Fragments start from the solution of the one before, the first of every `CHAIN` from the initial
-        guess: chains depend on each other only where they are solved again.
-        """
+        """Yield the fragments; one that fits much worse than an overlapping one is solved again from it."""
         pending: list[_Piece] = []
         for done, first in enumerate(firsts, start=1):
-            last = pending[-1] if pending else None
-            start = None
-            if last is not None and (done - 1) % CHAIN > 0 and last.is_solved:
-                start = self._continued(first, last)
-            piece = self._solve(first, start)
-            if last is not None and piece.fits_worse(last):
-                piece = self._better(piece, self._solve(first)) if start else self._retried(piece, last)
+            piece = self._solve(first)
+            if pending and piece.fits_worse(pending[-1]):
+                piece = self._retried(piece, pending[-1])
             pending.append(piece)
             for i in range(len(pending) - 1, 0, -1):
                 if not pending[i - 1].fits_worse(pending[i]):
@@ -189,55 +162,42 @@ class _Fragments:
         """The fragment solved from a neighbour's states, continued by its own initial guess; as it was
         where that is no better.
         """
-        index = self.data.frames_of(piece.first)
+        index, _, _ = self.data.fragment(piece.first)
         shared = max(piece.first, other.first) + np.arange(self.data.frames // 2)
         own, theirs = shared - piece.first, shared - other.first
         edge = -1 if other.first < piece.first else 0
         x = self.data.space.carried_on(self.data.start[index], own[edge], other.x[theirs[edge]])
         x[own] = other.x[theirs]
-        return self._better(piece, self._solve(piece.first, _Start(x)))
-
-    def _better(self, piece: _Piece, again: _Piece) -> _Piece:
-        """A fragment, or what it was when solved again where that fits better."""
+        again = self._solve(piece.first, x)
         kept = again if piece.fits_worse(again) else piece
         a, b = piece.report, again.report
         both = replace(kept.report, iterations=a.iterations + b.iterations, seconds=a.seconds + b.seconds)
         return replace(kept, report=both)
 
-    def _continued(self, first: int, last: _Piece) -> _Start:
-        """Start from the solution of the fragment before, and the initial guess of the new frames."""
-        half, guess = self.data.frames // 2, self.data.start[self.data.frames_of(first)]
-        x = np.concatenate([last.x[half:], guess[half:]])
-        multipliers = np.zeros_like(last.multipliers)
-        multipliers[:half] = last.multipliers[half:]
-        return _Start(x, multipliers, guess)
-
-    def _solve(self, first: int, start: _Start | None = None) -> _Piece:
-        """The frames from `first`, from the initial guess or elsewhere."""
+    def _solve(self, first: int, start: Array | None = None) -> _Piece:
+        """The frames from `first`, from the initial guess or other states (N, 3 + 4A)."""
         data = self.data
         index, inside, values = data.fragment(first)
-        start = start or _Start(data.start[index])
         began = perf_counter()
         data.problem.bind(values)
         annealing = Annealing(
             self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation,
-            self.least_px.get(first, 0.0), start.guess,
+            self.least_px.get(first, 0.0),
         )  # fmt: skip
-        failed = True
+        x, failed = data.start[index] if start is None else start, True
         try:
-            solved = self._minimised(start, annealing)
+            solved = self._minimised(x, annealing)
             failed = not np.isfinite(solved.x).all()
         except SolverError:
             pass  # the report has the status FAILED
         if failed:
             M = len(data.limits.names) if data.limits else 0
-            solved = Solved(data.start[index], 0, False, np.zeros((len(index), M)))
+            solved = Solved(x, 0, False, np.zeros((len(x), M)))
         seconds = perf_counter() - began
         report = self._report(solved, first, annealing.sigma, seconds, inside)
         if failed:
             report = replace(report, status=SolverStatus.FAILED)
-        covariance = self._covariance(solved, report) if self._confidence else None
-        return _Piece(solved.x, report, covariance, solved.multipliers)
+        return _Piece(solved.x, report, self._covariance(solved, report) if self._confidence else None)
 
     def _covariance(self, solved: Solved, report: FragmentReport) -> Array:
         """(N, D, D) of the states' tangents."""
@@ -246,12 +206,12 @@ class _Fragments:
             return np.full((len(solved.x), D, D), np.nan)
         return state_covariances(self.data.problem, self._real_time, solved)
 
-    def _minimised(self, start: _Start, annealing: Annealing) -> Solved:
-        s, solver, x, m = self.settings, self._real_time, start.x, start.multipliers
+    def _minimised(self, x: Array, annealing: Annealing) -> Solved:
+        s, solver = self.settings, self._real_time
         anneals = s.annealing if s.sigma_reprojection is None else 0
         if self._ipopt is None:
-            return solver.solve(x, anneals + s.max_iterations, s.tolerance, m, annealing)
-        annealed = solver.solve(x, anneals, s.tolerance, m, annealing)
+            return solver.solve(x, anneals + s.max_iterations, s.tolerance, None, annealing)
+        annealed = solver.solve(x, anneals, s.tolerance, None, annealing)
         solved = self._ipopt.solve(annealed.x, s.max_iterations, s.tolerance)
         return replace(solved, iterations=annealed.iterations + solved.iterations)
 
