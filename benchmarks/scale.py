@@ -205,9 +205,9 @@ def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[st
     lines = [
         "## Computed",
         "",
-        f"Prices, which are assumptions: {prices}. Recordings longer than {cost.longest_min:.2f} min, the longest "
-        "measured, are extrapolated. Times that are not of the processor depend on the disk and on what else the "
-        "machine does.",
+        f"Prices, which are assumptions: {prices}. Recordings longer than {cost.longest_min:.2f} min, the "
+        "longest measured, are extrapolated. Times that are not of the processor depend on the disk and on "
+        "what else the machine does.",
         "",
     ]
     lines += [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
