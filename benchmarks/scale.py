@@ -202,7 +202,14 @@ def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[st
         "recordings", "minutes each", "core-hours", "price", "output [TB]", "price per month",
         f"days on {options.cores} cores", "hours of the driver",
     )  # fmt: skip
-    lines = ["## Computed", "", f"Prices, which are assumptions: {prices}.", ""]
+    lines = [
+        "## Computed",
+        "",
+        f"Prices, which are assumptions: {prices}. Recordings longer than {cost.longest_min:.2f} min, the "
+        "longest measured, are extrapolated. Times that are not of the processor depend on the disk and on "
+        "what else the machine does.",
+        "",
+    ]
     lines += [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     for count in SIZES:
         for minutes in options.minutes:
