@@ -179,7 +179,7 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
         yield "body height px", motion.times, part.keypoints.camera.K[1, 1] * motion.skeleton.height / depth
     if imus is not None:
         swing, twist = orientation_residuals(part)
-        yield "missing", imus.times, np.isnan(imus.R_world_bone[..., 0, 0])
+        yield "missing", imus.times, np.asarray(np.isnan(imus.R_world_bone[..., 0, 0]))
         yield "swing", imus.times, swing
         yield "twist", imus.times, twist
         yield "acceleration", imus.times, acceleration_residuals(part)
@@ -188,7 +188,7 @@ def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
         yield "position sigma", motion.times, motion.confidence.position_sigma
         yield "orientation sigma", motion.times, motion.confidence.orientation_sigma
     if (raw := part.recording.imus) is not None:
-        yield "sensor unknown", raw.times, np.isnan(raw.R_inertial_sensor).any(axis=(2, 3))
+        yield "sensor unknown", raw.times, np.asarray(np.isnan(raw.R_inertial_sensor).any(axis=(2, 3)))
         yield "specific force", raw.times, _largest(np.abs(raw.f_sensor))
 
 
