@@ -22,6 +22,7 @@ from benchmarks import harness
 from benchmarks.calibration.planted_rows import ALL, SESSIONS, Job, Row, recorded, session, truths
 from lifting.predict import Lifter
 from rtof_kin.calibration.estimate import shared_fragments
+from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.prepare import prepare
@@ -37,8 +38,10 @@ def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lift
     prepared = prepare(given, given.skeleton, "sf2", lifter, settings, lambda *_: None)
     solver = JointSpaceSettings(floor_height=given.floor_height)
     guess = initial_guess(prepared.start, prepared.recording.video, prepared.bone_imus, given.skeleton)
+    assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
+    whole = Slice(prepared.recording, guess, prepared.bone_imus)
     own, again = (  # each with a prior of its own to learn
-        shared_fragments(prepared.recording, guess, priors, solver, settings.frames) for _ in range(2)
+        shared_fragments([whole], priors, solver, settings.frames) for _ in range(2)
     )
     sigma, truth = np.sqrt(np.diag(np.linalg.inv(own.prior))), values(own, known)
     found = own.estimate(priors.rounds, overcount=priors.overcount)
