@@ -165,7 +165,7 @@ def test_outputs_motions_and_coordinates_are_read(tmp_path: Path) -> None:
         found[0], found[1], (out, out / "motion.npz")
     )[1]  # fmt: skip
     exported = compare(found[0], found[3], "time")
-    assert max(abs(c.difference) for angle in exported.angles for c in angle.changes) < 1e-9
+    assert max(abs(c.difference) for angle in exported.angles for c in angle.changes) < 1e-6
     with pytest.raises(FileFormatError, match=r"motion\.npz"):
         read_compared(tmp_path)
 
