@@ -239,10 +239,10 @@ class LevenbergMarquardt:
         return self._known[2]
 
     def _energy(self, x: Array, m: Array) -> float:
-        energy, pushed = float(self.problem.total(x)), self._pushed(x, m)
+        energy, pushed = self.problem.total(x), self._pushed(x, m)
         if pushed is not None:
             energy += 0.5 * STIFFNESS * float(np.vdot(pushed, pushed))
-        return float(energy - 0.5 / STIFFNESS * float(np.vdot(m, m)))
+        return float(energy - 0.5 / STIFFNESS * np.vdot(m, m))
 
     def linearise(self, x: Array, m: Array) -> Array:
         """Return the gradient (N, D) with the force of the limits; the problem stores the whole Hessian.

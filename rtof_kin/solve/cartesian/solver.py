@@ -108,12 +108,13 @@ class CartesianSolver:
     def _solve_fragment(
         self, first: int, start: PoseSequence, data: dict[str, Array], previous: Array | None = None
     ) -> tuple[Array, FragmentReport]:
-        """(N, J, 3) optimised positions, and the report; from the solution of the fragment before."""
+        """(N, J, 3) optimised positions, and the report; shared frames start from the fragment before."""
         frame = np.arange(first, first + self.frames)
         inside = (frame >= 0) & (frame < len(start))
         index = np.clip(frame, 0, len(start) - 1)
-        guess = start.p_world_joint[index]
-        x = guess.ravel() if previous is None else self._continued(guess, previous).ravel()
+        x, half = start.p_world_joint[index].ravel(), self.frames // 2
+        if previous is not None:
+            x = np.concatenate([previous[half:].ravel(), x[previous[half:].size :]])
         values = self._fragment_values(index, inside, start, data)
         sigma = self.settings.sigma_reprojection or self.settings.sigma_reprojection_first
         x, report = self._call(x, values | {"sigma_reprojection": np.array([sigma])}, first)
@@ -128,14 +129,6 @@ class CartesianSolver:
         if not (values["w_visual"].any() or values["w_bone"].any() or values["w_acceleration"].any()):
             report = replace(report, status=SolverStatus.UNOBSERVED)
         return x.reshape(self.frames, -1, 3), report
-
-    def _continued(self, guess: Array, previous: Array) -> Array:
-        """(N, J, 3) the solution of the fragment before, continued by the initial guess with the mean
-        offset between the two.
-        """
-        half = self.frames // 2
-        offset = (previous[half:] - guess[:half]).mean(axis=0)
-        return np.concatenate([previous[half:], guess[half:] + offset])
 
     def _call(self, x0: Array, values: dict[str, Array], first: int) -> tuple[Array, FragmentReport]:
         """One solution, with a report measured at the returned point."""
