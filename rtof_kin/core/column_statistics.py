@@ -20,12 +20,13 @@ class ColumnStatistics:
     Medians are exact up to `KEPT_ROWS` rows, then those of evenly spaced rows.
     """
 
-    def __init__(self, columns: int) -> None:
+    def __init__(self, columns: int, medians: bool = True) -> None:
         """Begin without rows.
 
         Args:
-            columns: K.
+            columns: K. medians: whether rows are kept for them.
         """
+        self._medians = medians
         self.known = np.zeros(columns, dtype=np.int64)
         """(K,) number of finite values."""
         self.largest, self.largest_at = np.full(columns, np.nan), np.full(columns, np.nan)
@@ -55,10 +56,12 @@ class ColumnStatistics:
             top = values[rows, np.arange(values.shape[1])]
             better = np.isfinite(top) & ~(top <= self.largest)
             self.largest[better], self.largest_at[better] = top[better], times[rows[better]]
-        self._kept.append(np.asarray(values[-self._rows % self._step :: self._step], dtype=float))
+        if not self._medians:
+            return
+        self._kept.append(np.array(values[-self._rows % self._step :: self._step], dtype=float))
         self._rows += len(times)
         while -(-self._rows // self._step) > KEPT_ROWS:
-            self._kept = [np.concatenate(self._kept)[::2]]
+            self._kept = [np.concatenate(self._kept)[::2].copy()]
             self._step *= 2
 
     @property

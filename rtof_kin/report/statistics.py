@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ from rtof_kin.reconstruction.part_results import sample
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
+
+
+_WITH_MEDIANS: Final = ("reprojection", "depth", "body height px")
+"""Quantities of which medians are used."""
 
 
 class ReconstructionStatistics:
@@ -67,7 +71,9 @@ class ReconstructionStatistics:
         """
         for name, times, values in _blocks(part):
             values = values.reshape(len(times), math.prod(values.shape[1:]))
-            self._statistics.setdefault(name, ColumnStatistics(values.shape[1])).add(times, values)
+            if name not in self._statistics:
+                self._statistics[name] = ColumnStatistics(values.shape[1], name in _WITH_MEDIANS)
+            self._statistics[name].add(times, values)
         if part.solution is not None:
             self.fragments += part.solution.fragments
         self._faults += part.faults
