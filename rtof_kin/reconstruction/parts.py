@@ -34,11 +34,11 @@ from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
 from rtof_kin.recording.reader import RecordingSlices
 from rtof_kin.recording.recording import Recording
 
-PART_SECONDS: Final = 60.0
+PART_SECONDS: Final = 40.0
 """[s] Length of a part without its margins."""
-MARGIN_SECONDS: Final = 3.0
-"""[s] by which a part is longer at either end."""
-LONG_SECONDS: Final = 2 * PART_SECONDS
+MARGIN_SECONDS: Final = 2.0
+"""[s] by which a part is longer at either end, or two fragments where these are longer."""
+LONG_SECONDS: Final = 120.0
 """[s] Recordings beyond this are reconstructed in parts."""
 _STEP_SECONDS: Final = 2.0
 """[s] by which video and sensors may be out of step."""
@@ -74,7 +74,7 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
         seconds: length of a part; the last one has half of it at least.
     """
     length = max(round(seconds * rate_hz / step), 1) * step
-    margin = -(-round(MARGIN_SECONDS * rate_hz) // step) * step
+    margin = max(-(-round(MARGIN_SECONDS * rate_hz) // step), 4) * step
     borders = [*range(0, max(frames - length // 2, 1), length), frames]
     return [Part(a, b, max(a - margin, 0), min(b + margin, frames)) for a, b in pairwise(borders)]
 

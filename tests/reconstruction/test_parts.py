@@ -44,7 +44,7 @@ def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
         assert part.first % 25 == 0
         assert 0 <= part.first <= part.start
         assert part.stop <= part.last <= frames
-        assert part.start == 0 or part.start - part.first >= 180
+        assert part.start == 0 or part.start - part.first >= 120
     assert len(found) == 1 or found[-1].stop - found[-1].start >= 0.5 * seconds * 60
 
 
