@@ -9,6 +9,7 @@ estimated once, before.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -114,7 +115,8 @@ def reconstruct_in_parts(
         report("parts", number, len(parts))
         own = times[part.first : part.last]
         try:
-            found = once.run(replace(job, recording=_between(source, own), times=own), mode, number == 0)
+            recording = _with_sensors(_between(source, own), job.recording)
+            found = once.run(replace(job, recording=recording, times=own), mode, number == 0)
         except RtofError as error:
             missing.append((times[part.start : part.stop], error))
             continue
@@ -147,13 +149,27 @@ def _between(source: RecordingSlices, times: Array) -> Recording:
     return source.between(float(times[0]) - _STEP_SECONDS, float(times[-1]) + _STEP_SECONDS)
 
 
+def _with_sensors(recording: Recording, first: Recording) -> Recording:
+    """A part in which the sensors of the first one have no samples, with missing ones: the camera goes on."""
+    if recording.imus is not None or first.imus is None:
+        return recording
+    few = first.imus[:2]
+    R, f = np.full_like(few.R_inertial_sensor, np.nan), np.full_like(few.f_sensor, np.nan)
+    times = recording.video.times[[0, -1]]
+    return replace(recording, imus=replace(few, times=times, R_inertial_sensor=R, f_sensor=f))
+
+
 def _lost(
     like: Reconstruction, source: RecordingSlices, missing: Iterable[tuple[Array, RtofError]]
 ) -> Iterator[Reconstruction]:
     """Parts that could not be reconstructed."""
     for times, error in missing:
         on_clock = times if like.calibration is None else like.calibration.on_sensors_clock(times)
-        yield lost(like, _between(source, times), on_clock, str(error))
+        try:
+            recording = _between(source, times)
+        except RtofError:  # nothing was recorded
+            recording = like.recording
+        yield lost(like, recording, on_clock, str(error))
 
 
 @dataclass(frozen=True)
@@ -205,10 +221,11 @@ def _thinned(source: RecordingSlices) -> KeypointSequence:
     """The keypoints of the whole recording, at most `_FEW_HZ` frames a second."""
     every, begin, found = max(1, round(source.rate_hz / _FEW_HZ)), source.start_s, list[KeypointSequence]()
     while begin <= source.stop_s:
-        seen = source.between(begin, begin + PART_SECONDS).keypoints
-        begin = np.nextafter(begin + PART_SECONDS, np.inf)
-        if seen is not None:
-            found.append(replace(seen[::every], own_times=None, turning=None))
+        stop = begin + PART_SECONDS
+        with suppress(InvalidInputError):  # nothing was recorded
+            if (seen := source.between(begin, stop).keypoints) is not None:
+                found.append(replace(seen[::every], own_times=None, turning=None))
+        begin = np.nextafter(stop, np.inf)
     return replace(
         found[0],
         times=np.concatenate([few.times for few in found]),

@@ -28,7 +28,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.report.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution
 
-
 _WITH_MEDIANS: Final = ("reprojection", "depth", "body height px")
 """Quantities of which medians are used."""
 
