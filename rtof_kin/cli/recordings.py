@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
@@ -70,18 +72,29 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _reconstruct(options: argparse.Namespace) -> None:
     use_threads(options)
+    from rtof_kin.recording.recording import Recording
+
+    with opened(options.recording) as recording:
+        found = _reconstruct_to(recording, options.mode, options)
+    if found.stage_metrics:
+        zero = with_zero_motion(recording) if isinstance(recording, Recording) else {}
+        print_scores(zero | found.stage_metrics)
+
+
+@contextmanager
+def opened(folder: str | Path) -> Iterator[RecordingSlices]:
+    """Yield the recording in a folder, a long one as a reader of its parts.
+
+    Args:
+        folder: of the recording.
+    """
     from rtof_kin.reconstruction.parts import LONG_SECONDS
     from rtof_kin.recording.reader import RecordingReader
     from rtof_kin.recording.recording import Recording
 
-    with RecordingReader.open(options.recording) as slices:
-        whole = None
-        if slices.stop_s - slices.start_s <= LONG_SECONDS:
-            whole = Recording.load(options.recording)
-        found = _reconstruct_to(whole or slices, options.mode, options)
-    if found.stage_metrics:
-        zero = {} if whole is None else with_zero_motion(whole)
-        print_scores(zero | found.stage_metrics)
+    with RecordingReader.open(folder) as reader:
+        is_long = reader.stop_s - reader.start_s > LONG_SECONDS
+        yield reader if is_long else Recording.load(folder)
 
 
 def _calibrate(options: argparse.Namespace) -> None:

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from rtof_kin.cli.clinical import add_analysis, analyse_and_write
 from rtof_kin.cli.detection import add_detector, detector_of
-from rtof_kin.cli.recordings import add_reconstruction, lifter_of, reconstruct_and_export
+from rtof_kin.cli.recordings import add_reconstruction, lifter_of, opened, reconstruct_and_export
 from rtof_kin.cli.solver_options import use_threads
 from rtof_kin.cli.terminal import (
     accuracy,
@@ -176,9 +176,12 @@ def _run(options: argparse.Namespace) -> None:
     with warnings_in_summary(_OF_KEYPOINTS):
         recording = Recording.load(own)
     mode: Mode = "rto" if recording.imus is None else "rtof"
+    notes, source = recording.notes, own
+    del recording  # a long one is read in parts
 
     def reconstruct(own: argparse.Namespace, inputs: Mapping[str, str]) -> None:
-        reconstruct_and_export(recording, mode, own, inputs)
+        with warnings_in_summary(_OF_KEYPOINTS), opened(source) as recording:
+            reconstruct_and_export(recording, mode, own, inputs)
 
     def analyse(own: argparse.Namespace, inputs: Mapping[str, str]) -> None:
         own.motion, own.height = folder / MOTION, None
@@ -188,7 +191,7 @@ def _run(options: argparse.Namespace) -> None:
     _step(options, ANGLES, (folder / MOTION, *_values(options, _OF_ANGLES)), analyse)
     _write_page(folder, options)
     _print_findings(found)
-    for kind, _, sentence in (note.partition(": ") for note in recording.notes.splitlines()):
+    for kind, _, sentence in (note.partition(": ") for note in notes.splitlines()):
         if options.second and sentence.startswith(ABOUT):
             _line(kind, sentence, _KINDS.get(kind, ""))
     summary = read_summary(folder / MOTION / SUMMARY)
