@@ -142,7 +142,9 @@ def report(found_rows: Sequence[Row]) -> str:
     for seconds in sorted({own[None]["seconds"] for own in recordings}):
         some = [own for own in recordings if own[None]["seconds"] == seconds]
         parts.append(f"{len(some)} recordings of {seconds:g} s:\n\n{motion(some, settings)}\n")
-    parts.append(f"Estimates of all recordings:\n\n{estimates(recordings, settings)}\n")
+    if len(parts) > 1:
+        parts.append(f"{len(recordings)} recordings, all:\n\n{motion(recordings, settings)}\n")
+    parts.append(f"Estimates, all recordings:\n\n{estimates(recordings, settings)}\n")
     return "\n".join(parts)
 
 
@@ -155,8 +157,7 @@ def motion(recordings: Sequence[dict[float | None, Row]], settings: Sequence[flo
         own = _values(recordings, setting)
         off, name = own - last, "not calibrated" if setting is None else f"{setting:g}"
         rr, absolute, flexion = own.mean(axis=0)
-        error = off.std(axis=0, ddof=1) / np.sqrt(len(off)) if len(off) > 1 else np.full(3, np.nan)
-        cells = [f"{m:+.2f} ± {e:.2f}" for m, e in zip(off.mean(axis=0), error, strict=True)]
+        cells = _with_error(off)
         worse = " / ".join(str(n) for n in (off > 0).sum(axis=0))
         cost = "" if setting is None else f"{np.mean([r[setting]['cpu_s'] for r in recordings]):.1f}"
         paired = ["", ""] if setting == settings[-1] else [", ".join(cells), worse]
@@ -170,20 +171,33 @@ def _values(recordings: Sequence[dict[float | None, Row]], setting: float | None
 
 
 def estimates(recordings: Sequence[dict[float | None, Row]], settings: Sequence[float]) -> str:
-    """Root mean square error in standard deviations of the prior, and shares within one and two claimed."""
-    lines = ["| quantity | numbers | " + " | ".join(f"{s:g} s" for s in settings) + " |",
+    """Errors in standard deviations of the prior and shares within two claimed, means over recordings, each
+    with its paired difference from the largest setting."""
+    lines = ["| quantity | recordings | " + " | ".join(f"{s:g} s" for s in settings) + " |",
              "|---|---|" + "---|" * len(settings)]  # fmt: skip
-    names = dict.fromkeys(name for own in recordings for name in own[settings[0]]["found"])
-    for name in names:
-        cells, count = [], 0
+    for name in dict.fromkeys(name for own in recordings for name in own[settings[0]]["found"]):
+        some = [own for own in recordings if name in own[settings[0]]["found"]]
+        made = {s: np.array([_quality(own[s], name) for own in some]) for s in settings}
+        cells = []
         for setting in settings:
-            n: dict[str, Any] = numbers([own[setting] for own in recordings], name)
-            off, count = n["value"] - n["truth"], len(n["truth"])
-            z = np.abs(off / n["sigma"])
-            size = np.sqrt(np.mean((off / n["prior"]) ** 2))
-            cells.append(f"{size:.2f}; {np.mean(z < 1):.2f}, {np.mean(z < 2):.2f}")
-        lines.append(f"| {name} | {count} | " + " | ".join(cells) + " |")
+            values, off = made[setting].mean(axis=0), made[setting] - made[settings[-1]]
+            paired = [""] * 2 if setting == settings[-1] else [f" ({text})" for text in _with_error(off)]
+            cells.append("; ".join(f"{v:.2f}{more}" for v, more in zip(values, paired, strict=True)))
+        lines.append(f"| {name} | {len(some)} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _quality(row: Row, name: str) -> tuple[float, float]:
+    """Root mean square error of an estimate in standard deviations of its prior; share within two claimed."""
+    n: dict[str, Any] = numbers([row], name)
+    off = n["value"] - n["truth"]
+    return float(np.sqrt(np.mean((off / n["prior"]) ** 2))), float(np.mean(np.abs(off / n["sigma"]) < 2))
+
+
+def _with_error(values: Array) -> list[str]:
+    """Means of columns (R, n) with their standard errors."""
+    error = values.std(axis=0, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else values[0] * np.nan
+    return [f"{m:+.2f} ± {e:.2f}" for m, e in zip(values.mean(axis=0), error, strict=True)]
 
 
 def main(arguments: list[str] | None = None) -> int:
