@@ -167,7 +167,7 @@ def row(clip: MocapClip, job: Job, lifter: str | None = None) -> Row:
     calibration = calibrate_recording(given, None, job.priors, lifter=_lifter(lifter))
     out |= {
         "converged": calibration.converged,
-        "found": found(calibration, truths(recording, wrong)),
+        "found": found(calibration, truths(recording, wrong, calibration.middle)),
         "detector": detected(recording, calibration.detector),
     }
     if job.case not in ERRORS or job.floor:
@@ -182,11 +182,21 @@ def _figures(metrics: Mapping[str, Any] | None) -> dict[str, float]:
     return {name: round(float(metrics[name]), 3) for name in FIGURES}
 
 
-def truths(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]:
-    """Return the exact calibration, with the mean slip of sensors."""
+def truths(recording: Recording, wrong: Wrong, middle: float | None = None) -> dict[tuple[str, str], Array]:
+    """Return the exact calibration, with the mean slip of sensors.
+
+    Args:
+        recording: without errors. wrong: what is planted.
+        middle: s, at which delay and headings, which drift, are given; that of the recording by default.
+    """
     known = planting.unknowns(recording, wrong)
     for joint, slip in planting.slips(recording).items():
         known["mounting", joint] = so3.log(so3.exp(known["mounting", joint]) @ so3.exp(slip))
+    if middle is not None:
+        since = middle - planting.middle(recording.video.times)
+        for (kind, _), value in known.items():
+            if kind in ("delay", "heading"):
+                value[0] += since * value[1]
     return known
 
 

@@ -56,7 +56,7 @@ class CalibrationPriors:
     """[1] The same for the pose prior and the torso of the initial guess: postures are autocorrelated."""
     overcount: float = 3.0
     """[1] Factor by which autocorrelated errors overstate the information, in claimed standard deviations."""
-    most_seconds: float = 12.5
+    most_seconds: float = 20.0
     """[s] of the recording that are used, in fragments distributed over it."""
     rounds: int = 5
     """Largest number of Gauss-Newton steps."""

@@ -10,7 +10,14 @@ import planted as synthetic
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.calibration import optimum, planted_figure, planted_rows, planted_tables, planting
+from benchmarks.calibration import (
+    excerpt_length,
+    optimum,
+    planted_figure,
+    planted_rows,
+    planted_tables,
+    planting,
+)
 from benchmarks.calibration.planted_rows import ALL, BUT, GOOD, KNOWN, PLAIN, Job, Row
 from benchmarks.calibration.planting import ERRORS, Wrong
 from lifting.predict import Lifter
@@ -100,6 +107,16 @@ def test_estimates_are_listed_beside_planted_values() -> None:
     assert columns["clock drift"]["verdict"] == ["observed"]
 
 
+def test_what_drifts_is_compared_at_the_time_for_which_it_is_given() -> None:
+    right = recording()
+    drifting = ("delay", "clock drift", "heading drift")
+    wrong = planting.drawn(right, {name: SIZES[name] for name in drifting}, seed=0)
+    middle = planting.middle(right.video.times) + 7.0
+    for at, known in planted_rows.truths(right, wrong, middle).items():
+        drift = 7.0 * known[1] if at[0] in ("delay", "heading") else 0.0
+        assert known[0] == pytest.approx(planted_rows.truths(right, wrong)[at][0] + drift)
+
+
 def row(case: str, after: float = 20.0, **more: object) -> Row:
     """A row in which ten headings of 10 degrees were found to 1 degree, and said to be so."""
     sizes = {name: np.radians([value] * 10).tolist() for name, value in
@@ -149,3 +166,28 @@ def test_a_calibration_from_nothing_and_one_from_the_truth_are_compared() -> Non
     line = optimum.report([row]).splitlines()[-1]
     assert line.startswith("| synthetic, camera 0 | ")
     assert line.count(" / ") == 2 + 3
+
+
+def of_setting(setting: float | None, camera: int, rr: float) -> Row:
+    """A row of `excerpt_length`: the heading is found to 1 degree of 10, and 0.75 is claimed."""
+    about = {"session": "walking", "camera": camera, "seconds": 20.0, "case": "all", "setting": setting}
+    figures = dict.fromkeys(planted_rows.FIGURES, rr)
+    found = {} if setting is None else {"found": row("heading")["found"], "cpu_s": setting / 2}
+    return {**about, **figures, **found}
+
+
+def test_settings_are_compared_on_the_same_recordings() -> None:
+    rows = [
+        of_setting(s, c, 10.0 * c + (30.0 if s is None else 60 / s))
+        for c in (1, 2)
+        for s in (None, 10.0, 30.0)
+    ]
+    rows += [of_setting(60.0, 2, 20.0)]  # of the other, 30 s were all
+    lines = excerpt_length.report(rows).splitlines()
+    assert lines[0] == "2 recordings of 20 s:"
+    assert lines[4].startswith("| not calibrated | 45.00 / 45.0, 45.00 | +29.00 ± 1.00, ")
+    assert lines[5].startswith("| 10 | 21.00 / 21.0, 21.00 | ")
+    assert " +5.00 ± 1.00, +5.00 ± 1.00, +5.00 ± 1.00 | 2 / 2 / 2 | 5.0 |" in lines[5]
+    assert lines[7] == "| 60 | 16.00 / 16.0, 16.00 |  |  | 22.5 |"
+    same = "0.10 (+0.00 ± 0.00); 1.00 (+0.00 ± 0.00)"
+    assert lines[-1] == f"| heading | 2 | {same} | {same} | 0.10; 1.00 |"
