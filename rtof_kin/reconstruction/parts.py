@@ -21,6 +21,7 @@ from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.memory import return_free_memory
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
@@ -125,7 +126,8 @@ def reconstruct_in_parts(
         missing, kept = [], seam.continued(found, part.kept, part.first)
         del found
         yield kept
-        del kept  # before the next part
+        del kept
+        return_free_memory()  # before the next part
     if like is None:
         raise missing[0][1]
     yield from _lost(like, source, missing)
