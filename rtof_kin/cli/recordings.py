@@ -288,8 +288,9 @@ def _add_reconstruct(commands: Any) -> None:
     parser = command(
         commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
         "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; "
-        "docs/recording.md describes it. OUT gets motion.npz, the URDF and its trajectory as "
-        "CSV and for ROS, a summary and figures.",
+        "docs/recording.md describes it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, its "
+        "trajectory as CSV and for ROS; of recordings up to two minutes figures. Longer ones are "
+        "reconstructed in parts, in bounded memory.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, None, "folder to write")
