@@ -288,8 +288,8 @@ def _add_reconstruct(commands: Any) -> None:
     parser = command(
         commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
         "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; "
-        "docs/recording.md describes it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, its "
-        "trajectory as CSV and for ROS; of recordings up to two minutes figures. Longer ones are "
+        "docs/recording.md describes it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, "
+        "the trajectory as CSV and for ROS; of recordings up to two minutes figures. Longer ones are "
         "reconstructed in parts, in bounded memory.",
     )  # fmt: skip
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
