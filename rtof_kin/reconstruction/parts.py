@@ -36,7 +36,7 @@ from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
 from rtof_kin.recording.reader import RecordingSlices
 from rtof_kin.recording.recording import Recording
 
-PART_SECONDS: Final = 40.0
+PART_SECONDS: Final = 30.0
 """[s] Length of a part without its margins."""
 MARGIN_SECONDS: Final = 2.0
 """[s] by which a part is longer at either end, or two fragments where these are longer."""
