@@ -20,6 +20,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
 from rtof_kin.report.page.quality import camera_table
 from rtof_kin.report.provenance import input_provenance
+from rtof_kin.report.statistics import ReconstructionStatistics
 
 PLANTED = np.array([0.0, np.radians(-5.0), np.radians(5.0), 0.0, 0.0])
 UNSURE = CameraUncertainty(focal=0.1, tilt=np.radians(5.0), height=0.02)
@@ -82,7 +83,7 @@ def test_what_remains_is_in_the_covariances(mode: str) -> None:
 def test_it_is_told_what_was_assumed_found_and_remains() -> None:
     _, found = results("rtof")
     assert any("the camera is not calibrated (focal length" in text for text in found.warnings)
-    table = input_provenance(found)["camera_estimate"]
+    table = input_provenance(ReconstructionStatistics(found))["camera_estimate"]
     assert [row[0] for row in table["rows"]][:3] == ["focal length", "pitch", "roll"]
     assert all(len(row) == len(table["columns"]) for row in table["rows"])
     assert found.recording.video.camera.uncertainty.tilt < UNSURE.tilt
@@ -102,7 +103,7 @@ def test_a_known_camera_is_not_touched() -> None:
     true, _ = results("rtof")
     assert true.camera is None
     assert true.recording.video.camera is demo().video.camera
-    assert input_provenance(true)["camera_estimate"] is None
+    assert input_provenance(ReconstructionStatistics(true))["camera_estimate"] is None
 
 
 def test_covariances_are_those_of_solutions_with_other_cameras() -> None:
@@ -148,7 +149,7 @@ def test_the_audit_lists_the_unknowns_of_the_camera() -> None:
 
 
 def test_the_report_shows_the_camera() -> None:
-    page = camera_table(input_provenance(results("rtof")[1])["camera_estimate"])
+    page = camera_table(input_provenance(ReconstructionStatistics(results("rtof")[1]))["camera_estimate"])
     assert "not calibrated" in page
     assert "focal length" in page
     assert camera_table(None) == ""
