@@ -30,7 +30,7 @@ class PartFindings:
 
 def joined_checks(parts: Sequence[PartFindings]) -> tuple[Check, ...]:
     """Return one check in place of those of the parts: it fails where at least half of the parts in which
-    it was possible fail, and is the one of median value among those that agree with that.
+    it was possible fail, and two at least. It is the one of median value among those that agree with that.
 
     Args:
         parts: in the order of time.
@@ -58,7 +58,8 @@ def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
     for own in _alike(parts):
         wrong = [(start, check) for start, check in own if check.failed]
         runs = (len(list(run)) for fails, run in groupby(own, lambda one: one[1].failed) if fails)
-        explained = len(wrong) <= binom.ppf(_CHANCE, len(own), _FALSE_ALARMS)
+        possible = sum(check.passed or check.failed for _, check in own)
+        explained = len(wrong) <= binom.ppf(_CHANCE, possible, _FALSE_ALARMS)
         if _joined(own).failed or (explained and max(runs, default=0) < 2):
             continue
         start, check = wrong[0]
@@ -85,8 +86,12 @@ def _joined(own: _Own) -> Check:
     if not known:
         return own[0][1]
     wrong = [check for check in known if check.failed]
-    if 2 * len(wrong) < len(known):
-        right = [check for check in known if check.passed]
+    right = [check for check in known if check.passed]
+    if len(wrong) >= max(2, len(right)):
+        typical = wrong[len(wrong) // 2]
+        return replace(typical, advice=f"{typical.advice} (in {len(wrong)} of {len(own)} parts)".strip())
+    if right:
         return right[len(right) // 2]
-    typical = wrong[len(wrong) // 2]
-    return replace(typical, advice=f"{typical.advice} (in {len(wrong)} of {len(own)} parts)".strip())
+    (lone,) = wrong
+    why = f"possible in 1 of {len(own)} parts only, where it fails: too little to tell"
+    return Check.unknown(lone.name, lone.subject, lone.unit, why)

@@ -45,10 +45,15 @@ def test_failures_beyond_chance_are_named_though_apart() -> None:
     assert len(joined_warnings(parts(*[5.0, 0.1, 0.1, 0.1, 0.1] * 4))) == 1
 
 
-def test_unknown_parts_do_not_vote() -> None:
+def test_unknown_parts_do_not_vote_and_a_single_one_does_not_decide() -> None:
     nan = float("nan")
-    (check,) = joined_checks(parts(nan, nan, 2.0))
+    (check,) = joined_checks(parts(nan, 3.0, 2.0))
     assert check.failed
+    alone = parts(nan, nan, 2.0)
+    (check,) = joined_checks(alone)
+    assert not check.failed
+    assert "1 of 3 parts only" in check.advice
+    assert "it fell" in joined_warnings(alone)[0]
     (check,) = joined_checks(parts(nan, nan))
     assert not check.failed
     assert not check.passed
