@@ -23,6 +23,7 @@ from rtof_kin.batch.chain import MOTION, PAGE, Step, output_name
 from rtof_kin.batch.rows import DONE, ERROR, Row
 from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.files.manifest import MANIFEST, fingerprint
+from rtof_kin.core.files.temporary import remove_leftovers
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak
 
@@ -66,6 +67,7 @@ def process(command: Command, task: Task) -> dict[str, Any]:
     state = None
     try:
         _check_shared(task)
+        remove_leftovers(task.out / task.name)
         content = fingerprint(task.recording)
         state = _State.read(task)
         for step, mark in zip(task.steps, task.marks, strict=True):

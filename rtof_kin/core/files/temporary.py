@@ -38,7 +38,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be created.
     """
-    _remove_leftovers(parent)
+    remove_leftovers(parent)
     while True:
         folder = parent / f"{_PREFIX}{secrets.token_hex(6)}"
         folder.mkdir()
@@ -85,7 +85,12 @@ def clear(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _remove_leftovers(parent: Path) -> None:
+def remove_leftovers(parent: Path) -> None:
+    """Remove temporary folders of killed processes.
+
+    Args:
+        parent: their parent folder, which need not exist.
+    """
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             if _OWN.fullmatch(entry.name) and entry.is_dir(follow_symlinks=False):
