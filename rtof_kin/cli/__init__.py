@@ -79,6 +79,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         batch,
         clinical,
         compare,
+        conversion,
         detection,
         inspection,
         lifters,
@@ -102,6 +103,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
     for module in (
         start,
         recordings,
+        conversion,
         inspection,
         clinical,
         compare,

@@ -139,9 +139,12 @@ class KeypointSequence:
         uv = signals.interpolate(self.times, self.uv_px, at, max_gap)
         confidence = signals.interpolate(self.times, self.confidence, at, max_gap)
         turning = None if self.turning is None else self.turning.resample(self.times, at)
+        own = self.own_times
+        if own is not None:
+            own = at + np.interp(at, self.times, own - self.times)
         return replace(
             self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1), turning=turning,
-            own_times=None if self.own_times is None else np.interp(at, self.times, self.own_times),
+            own_times=own,
         )  # fmt: skip
 
     def project(self, p_world: Array, frames: Any) -> Array:

@@ -15,6 +15,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.reconstruction.quality import misfit_warnings
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
@@ -89,8 +90,8 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
     """Return a part that could not be reconstructed: poses are NaN, nothing is observed.
 
     Args:
-        like: of another part. recording: of this one, as declared. times: (T,) s of its frames.
-        why: sentence about the cause.
+        like: of another part. recording: of this one, corrected as that of the other; the other's where
+            nothing was recorded. times: (T,) s of its frames. why: sentence about the cause.
     """
     skeleton, T = like.motion.skeleton, len(times)
     q = np.full((T, skeleton.nq), np.nan)
@@ -99,11 +100,7 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
     motion = MotionSequence(skeleton, q, poses, skeleton.check(q), _unknown(like.motion.confidence, times))
     keypoints, imus = like.keypoints, like.bone_imus
     if keypoints is not None:
-        L = len(keypoints.names)
-        uv_px, confidence = np.full((T, L, 2), np.nan), np.zeros((T, L))
-        keypoints = replace(
-            keypoints, times=times, uv_px=uv_px, confidence=confidence, own_times=None, turning=None
-        )
+        keypoints = evenly_spaced(recording.keypoints or keypoints, times)
     if imus is not None:
         S = len(imus.joints)
         R, a = np.full((T, S, 3, 3), np.nan), np.full((T, S, 3), np.nan)

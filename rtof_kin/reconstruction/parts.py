@@ -41,7 +41,7 @@ PART_SECONDS: Final = 30.0
 MARGIN_SECONDS: Final = 2.0
 """[s] by which a part is longer at either end, or two fragments where these are longer."""
 LONG_SECONDS: Final = 120.0
-"""[s] Recordings beyond this are reconstructed in parts."""
+"""[s] Recordings beyond this are reconstructed in parts, see `is_long`."""
 _STEP_SECONDS: Final = 2.0
 """[s] by which video and sensors may be out of step."""
 _SLICES: Final = 12
@@ -79,6 +79,19 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
     margin = max(-(-round(MARGIN_SECONDS * rate_hz) // step), 4) * step
     borders = [*range(0, max(frames - length // 2, 1), length), frames]
     return [Part(a, b, max(a - margin, 0), min(b + margin, frames)) for a, b in pairwise(borders)]
+
+
+def is_long(source: RecordingSlices) -> bool:
+    """Return whether a recording is reconstructed in parts: if longer than `LONG_SECONDS`, unless of a camera
+    in the hand whose heading drifts, which is known only relative to the mean over what is solved.
+
+    Args:
+        source: the recording.
+    """
+    if source.stop_s - source.start_s <= LONG_SECONDS:
+        return False
+    seen = source.between(source.start_s, source.start_s).keypoints
+    return seen is None or not seen.camera.heading_drift
 
 
 def reconstruct_in_parts(
@@ -122,7 +135,7 @@ def reconstruct_in_parts(
             missing.append((times[part.start : part.stop], error))
             continue
         like = like or sample(found)
-        yield from _lost(like, source, missing)
+        yield from _lost(like, source, job, once, missing)
         missing, kept = [], seam.continued(found, part.kept, part.first)
         del found
         yield kept
@@ -130,7 +143,7 @@ def reconstruct_in_parts(
         return_free_memory()  # before the next part
     if like is None:
         raise missing[0][1]
-    yield from _lost(like, source, missing)
+    yield from _lost(like, source, job, once, missing)
     report("parts", len(parts), len(parts))
 
 
@@ -161,19 +174,6 @@ def _with_sensors(recording: Recording, first: Recording) -> Recording:
     return replace(recording, imus=replace(few, times=times, R_inertial_sensor=R, f_sensor=f))
 
 
-def _lost(
-    like: Reconstruction, source: RecordingSlices, missing: Iterable[tuple[Array, RtofError]]
-) -> Iterator[Reconstruction]:
-    """Parts that could not be reconstructed."""
-    for times, error in missing:
-        on_clock = times if like.calibration is None else like.calibration.on_sensors_clock(times)
-        try:
-            recording = _between(source, times)
-        except RtofError:  # nothing was recorded
-            recording = like.recording
-        yield lost(like, recording, on_clock, str(error))
-
-
 @dataclass(frozen=True)
 class _Once:
     """What is estimated once for all parts."""
@@ -189,6 +189,25 @@ class _Once:
         choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
         warnings = (*self.warnings, *found.warnings) if first else found.warnings
         return replace(found, choices=choices, warnings=warnings)
+
+    def corrected(self, recording: Recording) -> Recording:
+        """Return a part with this camera and calibration."""
+        if self.camera is not None:
+            recording = with_camera(recording, self.camera.found)
+        return recording if self.calibration is None else self.calibration.apply(recording)
+
+
+def _lost(
+    like: Reconstruction, source: RecordingSlices, job: Job, once: _Once,
+    missing: Iterable[tuple[Array, RtofError]],
+) -> Iterator[Reconstruction]:  # fmt: skip
+    """Parts that could not be reconstructed."""
+    for times, error in missing:
+        on_clock = times if like.calibration is None else like.calibration.on_sensors_clock(times)
+        recording = like.recording
+        with suppress(RtofError):  # nothing was recorded
+            recording = once.corrected(_with_sensors(_between(source, times), job.recording))
+        yield lost(like, recording, on_clock, str(error))
 
 
 def _estimated_once(

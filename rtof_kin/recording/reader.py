@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
+
+import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
@@ -126,3 +129,7 @@ class RecordingReader(TimeAxis):
             FileFormatError: the files have changed or cannot be read any more.
         """
         return self._first.cut(self._streams, start_s, stop_s)
+
+    def whole(self) -> Recording:
+        """Return all of it, as `Recording.load` does."""
+        return replace(self.between(-np.inf, np.inf), is_part=False)

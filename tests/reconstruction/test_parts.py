@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
-from rtof_kin.reconstruction.parts import parts_of, reconstruct_in_parts
+from rtof_kin.formats.measurements_npz import read_measurements_npz
+from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.reconstruction import parts
+from rtof_kin.reconstruction.parts import is_long, parts_of, reconstruct_in_parts
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
+from rtof_kin.report.export import export_parts
 from rtof_kin.report.statistics import ReconstructionStatistics
 
 SECONDS = 4.0
@@ -109,3 +115,43 @@ def test_where_the_sensors_stop_the_camera_goes_on(demo: Recording) -> None:
     assert last.bone_imus is not None
     assert not np.isfinite(last.bone_imus.R_world_bone).any()
     assert any("no sensor has samples" in text for text in statistics_of(parts).warnings)
+
+
+def test_a_lost_part_of_a_calibrated_recording_is_written_like_the_others(
+    demo: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def quantity(kind: str, item: str, value: list[float]) -> Quantity:
+        return Quantity(
+            kind, item, np.array(value), np.full(len(value), 0.01), np.full(len(value), 0.1), 0.99
+        )
+
+    found = SelfCalibration((
+        quantity("delay", "video", [0.02]), quantity("mounting", "LeftLeg", [0.05, 0.0, 0.0]),
+        quantity("camera tilt", "camera", [0.01, 0.0, 0.0]),
+    ))  # fmt: skip
+    once = parts._Once(found, None, Choices("yes"), ())
+    monkeypatch.setattr(parts, "_estimated_once", lambda *_: once)
+    seen = demo.video
+    absent = (seen.times > 2.0) & (seen.times < 12.0)
+    uv = np.where(absent[:, None, None], np.nan, seen.uv_px)
+    confidence = np.where(absent[:, None], 0.0, seen.confidence)
+    away = replace(demo, keypoints=replace(seen, uv_px=uv, confidence=confidence))
+    statistics = export_parts(reconstruct_in_parts(away, "rtof", seconds=2.0), tmp_path / "out")
+    assert any("not reconstructed" in text for text in statistics.warnings)
+    measured = read_measurements_npz(tmp_path / "out" / "measurements.npz")
+    times = read_motion_npz(tmp_path / "out" / "motion.npz").poses.times
+    np.testing.assert_allclose(times, seen.times - 0.02, atol=1e-9)
+    np.testing.assert_allclose(measured.views[0].video_times, seen.times, atol=1e-9)
+    np.testing.assert_array_equal(measured.views[0].seen.any(axis=1), ~absent)
+
+
+@pytest.mark.parametrize(("seconds", "drift", "expected"), [
+    (119.0, 0.0, False), (121.0, 0.0, True), (121.0, 1e-3, False),
+])  # fmt: skip
+def test_long_recordings_are_in_parts_but_for_a_camera_whose_heading_drifts(
+    demo: Recording, seconds: float, drift: float, expected: bool
+) -> None:
+    video = demo.video
+    times = video.times * (seconds / (video.times[-1] - video.times[0]))
+    keypoints = replace(video, times=times, camera=replace(video.camera, heading_drift=drift))
+    assert is_long(replace(demo, keypoints=keypoints, imus=None, calibration=None, truth=None)) == expected
