@@ -25,18 +25,18 @@ In version 1 confidences are 0 to 1, orientations are quaternions, ``quat_wxyz_w
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
+from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.camera import Camera
@@ -44,6 +44,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.formats.frame_reader import FrameReader
 from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, with_video
 
 MEASUREMENTS: Final = "measurements.npz"
@@ -58,7 +59,7 @@ _CONSTANT: Final = (
 _HEADER_BYTES: Final = 16 * 2**20
 
 
-class MeasurementsReader:
+class MeasurementsReader(FrameReader[Measurements]):
     """Frames of a ``measurements.npz``, however long it is; a context that closes the file.
 
     Attributes:
@@ -96,18 +97,9 @@ class MeasurementsReader:
                 raise FileFormatError(self.path, f"its header is not readable ({error})") from error
             failed.pop_all()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Close the file."""
         self._rows.close()
-
-    def __len__(self) -> int:
-        return len(self.times)
 
     @property
     def available(self) -> int:
@@ -115,29 +107,12 @@ class MeasurementsReader:
         return self._rows.available
 
     def scan(self, stop: Event | None = None, until: int | None = None) -> None:
-        """Pass over the file, on from where the last pass ended; see `NpzBlocks.scan`.
-
-        Args:
-            stop: ends the pass early when set. until: number of frames that are wanted; default: all.
-
-        Raises:
-            FileFormatError: the file is damaged.
-        """
+        """Pass over the file; see `FrameReader.scan`."""
         self._rows.scan(stop, until)
 
     def block(self, start: int, stop: int) -> Measurements:
-        """Return frames, with the faults of all.
-
-        Args:
-            start, stop: frames; those before `available`, or a little after, are found fast.
-
-        Raises:
-            FileFormatError: the file is damaged, or something in these frames is missing or invalid.
-            InvalidInputError: there are no such frames.
-        """
-        if not 0 <= start < stop <= len(self):
-            raise InvalidInputError(f"{self.path}: no frames {start} to {stop}; it has {len(self)}")
-        self.scan(until=stop)
+        """Return frames, with the faults of all; see `FrameReader.block`."""
+        self._find(start, stop)
         arrays = dict(self._constant)
         try:
             for name in self._names:
@@ -149,19 +124,6 @@ class MeasurementsReader:
             if isinstance(error, FileFormatError):
                 raise
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
-
-    def blocks(self, frames: int = 3600, overlap: int = 0) -> Iterator[Measurements]:
-        """Yield all frames in order.
-
-        Args:
-            frames: of a block, without the overlap; the last one may be shorter.
-            overlap: number of frames before a block that are repeated at its beginning.
-
-        Raises:
-            FileFormatError: see `block`.
-        """
-        for start in range(0, len(self), frames):
-            yield self.block(max(start - overlap, 0), min(start + frames, len(self)))
 
 
 def read_measurements_npz(path: str | Path) -> Measurements:

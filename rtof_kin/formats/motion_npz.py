@@ -26,13 +26,13 @@ Version 1 has `p_world_joint`, `R_world_bone` and whole covariances of every fra
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Event
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,12 +42,13 @@ from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
+from rtof_kin.core.errors import FileFormatError, RtofError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats import covariance_nodes
+from rtof_kin.formats.frame_reader import FrameReader
 
 MOTION: Final = "motion.npz"
 SCHEMA_VERSION: Final = 2
@@ -136,7 +137,7 @@ def motion_folder(path: str | Path) -> Path:
     return found.parent
 
 
-class MotionReader:
+class MotionReader(FrameReader[MotionFile]):
     """Frames of a ``motion.npz``, however long it is; a context that closes the file.
 
     Attributes:
@@ -211,20 +212,11 @@ class MotionReader:
             if self._nodes.length != len(self._node_frames):
                 raise ShapeError(f"covariance_frames: {len(self._node_frames)} for {self._nodes.length} rows")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Close the file."""
         self._rows.close()
         if self._nodes is not None:
             self._nodes.close()
-
-    def __len__(self) -> int:
-        return len(self.times)
 
     @property
     def rate_hz(self) -> float:
@@ -240,14 +232,7 @@ class MotionReader:
         return min(self._rows.available, int(self._node_frames[passed - 1]) + 1 if passed else 0)
 
     def scan(self, stop: Event | None = None, until: int | None = None) -> None:
-        """Pass over the file, on from where the last pass ended; see `NpzBlocks.scan`.
-
-        Args:
-            stop: ends the pass early when set. until: number of frames that are wanted; default: all.
-
-        Raises:
-            FileFormatError: the file is damaged.
-        """
+        """Pass over the file; see `FrameReader.scan`."""
         wanted = len(self) if until is None else until
         while (done := self.available) < wanted and not (stop is not None and stop.is_set()):
             ahead = min(done + _AHEAD, wanted)
@@ -256,19 +241,12 @@ class MotionReader:
                 self._nodes.scan(stop, int(np.searchsorted(self._node_frames, ahead - 1)) + 1)
 
     def block(self, start: int, stop: int, confidence: bool = True) -> MotionFile:
-        """Return frames.
+        """Return frames; see `FrameReader.block`.
 
         Args:
-            start, stop: frames; those before `available`, or a little after, are found fast.
-            confidence: whether to read it if there is one, which takes longest.
-
-        Raises:
-            FileFormatError: the file is damaged, or a value in these frames is invalid.
-            InvalidInputError: there are no such frames.
+            start, stop: frames. confidence: whether to read it if there is one, which takes longest.
         """
-        if not 0 <= start < stop <= len(self):
-            raise InvalidInputError(f"{self.path}: no frames {start} to {stop}; it has {len(self)}")
-        self.scan(until=stop)
+        self._find(start, stop)
         try:
             q = readonly("q", self._rows.rows("q", start, stop), (stop - start, 7 + len(self.dof_names)))
             masks: dict[str, Any] = {
@@ -283,19 +261,6 @@ class MotionReader:
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
         about = (self.dof_names, self._offsets, self.first_frame, self.mode, self.skeleton.name)
         return MotionFile(q, poses, *about, known)
-
-    def blocks(self, frames: int = 3600, overlap: int = 0) -> Iterator[MotionFile]:
-        """Yield all frames in order.
-
-        Args:
-            frames: of a block, without the overlap; the last one may be shorter.
-            overlap: number of frames before a block that are repeated at its beginning.
-
-        Raises:
-            FileFormatError: see `block`.
-        """
-        for start in range(0, len(self), frames):
-            yield self.block(max(start - overlap, 0), min(start + frames, len(self)))
 
     def source(self) -> MotionSource:
         """Return the motion, to be read while the file is open."""
