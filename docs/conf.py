@@ -4,9 +4,14 @@ The source is the whole repository, so that pages link to each other, to README.
 by the same relative links here and on a repository page. Tutorials run while the site is built.
 """
 
+import sys
+from pathlib import Path
+
 from pygments.lexers.special import TextLexer
 
-from rtof_kin import __version__
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for docs.extensions
+
+from rtof_kin import __version__  # noqa: E402
 
 project = "rtof_kin"
 author = "The rtof_kin authors"
@@ -14,7 +19,10 @@ copyright = "The rtof_kin authors, BSD-3-Clause"
 version = release = __version__
 language = "en"
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
+extensions = [
+    "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton",
+    "docs.extensions.commands", "docs.extensions.docstrings", "docs.extensions.mathml",
+]  # fmt: skip
 root_doc = "docs/index"
 include_patterns = [
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**.md", "benchmarks/README.md",
@@ -25,6 +33,14 @@ exclude_patterns = ["docs/_build"]
 html_theme = "furo"
 html_title = "rtof_kin"
 html_extra_path = ["_static/index.html"]  # the address without a page leads to docs/index.html
+
+autoclass_content = "both"
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_preserve_defaults = True
+default_role = "py:obj"
+html_math_renderer = "mathml"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
