@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench harness accuracy pictures clean
+.PHONY: demo test lint bench harness accuracy pictures docs docs-links clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -42,5 +42,17 @@ accuracy: $(STAMP)
 pictures: $(STAMP)
 	$(BIN)/python -m docs.pictures $(if $(DATA),--data $(DATA))
 
+$(VENV)/.installed-docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[docs]"
+	touch $@
+
+# The documentation site: docs/_build/html/index.html. The tutorials run. docs-links looks up the addresses on the web.
+SPHINX = OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -q -E -c docs -d docs/_build/doctrees --fail-on-warning --keep-going
+docs: $(VENV)/.installed-docs
+	$(SPHINX) -b html . docs/_build/html
+
+docs-links: $(VENV)/.installed-docs
+	$(SPHINX) -b linkcheck . docs/_build/links
+
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) out build dist docs/_build

@@ -1,0 +1,66 @@
+"""The documentation site: ``make docs``.
+
+The source is the whole repository, so that pages link to each other, to README.md and to benchmarks/results
+by the same relative links here and on a repository page. Tutorials run while the site is built.
+"""
+
+import sys
+from pathlib import Path
+
+from pygments.lexers.special import TextLexer
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for docs.extensions
+
+from rtof_kin import __version__  # noqa: E402
+
+project = "rtof_kin"
+author = "The rtof_kin authors"
+copyright = "The rtof_kin authors, BSD-3-Clause"
+version = release = __version__
+language = "en"
+
+extensions = [
+    "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton",
+    "docs.extensions.commands", "docs.extensions.docstrings", "docs.extensions.mathml",
+]  # fmt: skip
+root_doc = "docs/index"
+include_patterns = [
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**.md", "benchmarks/README.md",
+    "benchmarks/results/*.md", "models/lifter.md",
+]  # fmt: skip
+exclude_patterns = ["docs/_build"]
+
+html_theme = "furo"
+html_title = "rtof_kin"
+html_extra_path = ["_static/index.html"]  # the address without a page leads to docs/index.html
+
+autoclass_content = "both"
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_preserve_defaults = True
+default_role = "py:obj"
+html_math_renderer = "mathml"
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+
+nb_execution_mode = "cache"
+nb_execution_cache_path = "docs/_build/notebooks"
+nb_execution_timeout = 120
+nb_execution_raise_on_error = True
+nb_execution_in_temp = True
+nb_execution_show_tb = True
+nb_merge_streams = True
+
+
+def _printed_tables(app, docname, source):
+    """Give what benchmarks print a title, and headings that follow it."""
+    if docname.startswith("benchmarks/results/"):
+        text = source[0] if source[0].startswith("# ") else f"# {docname.split('/')[-1]}\n\n{source[0]}"
+        source[0] = text if "\n## " in text else text.replace("\n### ", "\n## ")
+
+
+def setup(app):
+    app.add_lexer("csv", TextLexer)
+    app.connect("source-read", _printed_tables)

@@ -1,0 +1,83 @@
+"""Docstrings of this package for autodoc: several arguments in a line, names in single backticks."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+from docutils import nodes
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.util.nodes import make_refnode
+
+SECTION = re.compile(r"^(Args|Raises|Yields|Returns|Attributes):$")
+ERROR = re.compile(r"(?<=[.:;]) (?=[A-Z]\w+: )")
+
+
+def split_arguments(app: Sphinx, what: str, name: str, subject: Any, options: Any, lines: list[str]) -> None:
+    """Give each argument and each error of a Google-style docstring a line of its own."""
+    try:
+        parameters = list(inspect.signature(subject).parameters) if callable(subject) else []
+    except (TypeError, ValueError):
+        parameters = []
+    starts = re.compile(rf"(?<=[.;]) (?=(?:{'|'.join(map(re.escape, parameters))}): )") if parameters else None
+    section, changed = "", list[str]()
+    for line in _joined(lines):
+        if found := SECTION.match(line):
+            section = found[1]
+        elif line and not line.startswith(" "):
+            section = ""
+        pattern = {"Args": starts, "Raises": ERROR}.get(section)
+        indent = line[: len(line) - len(line.lstrip())]
+        parts = pattern.split(line.strip()) if pattern and line.startswith(" ") else [line.strip()]
+        changed += [f"{indent}{part}" if part else "" for part in parts]
+    lines[:] = [_escaped(line) for line in changed]
+
+
+def _joined(lines: list[str]) -> list[str]:
+    """Return the lines with each entry of Args and Raises, which may be wrapped, in one."""
+    joined, section = list[str](), ""
+    for line in lines:
+        if found := SECTION.match(line):
+            section = found[1]
+        elif line and not line.startswith(" "):
+            section = ""
+        if section in ("Args", "Raises") and line.startswith("     ") and joined[-1].strip():
+            joined[-1] += " " + line.strip()
+        else:
+            joined.append(line)
+    return joined
+
+
+def _escaped(line: str) -> str:
+    """Return a line without accidental substitutions and references outside of code."""
+    parts = re.split(r"(``?[^`]+``?)", line)
+    return "".join(
+        part if i % 2 else re.sub(r"(?<=\w)_(?!\w)", r"\\_", re.sub(r"([|*])", r"\\\1", part))
+        for i, part in enumerate(parts)
+    )
+
+
+def resolve_by_name(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, contnode: nodes.TextElement
+) -> nodes.Element | None:
+    """Link a name of this package that is documented under another module, such as the front door's."""
+    if node.get("refdomain") != "py":
+        return None
+    objects = env.domains["py"].objects
+    parts = node["reftarget"].split(".")
+    for start in range(len(parts)):
+        tail = ".".join(parts[start:])
+        found = [name for name in objects if name == tail or name.endswith(f".{tail}")]
+        if len(found) == 1 and (start == 0 or parts[start][0].isupper() or len(parts) - start == 1):
+            entry = objects[found[0]]
+            return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, contnode, found[0])
+    return None
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    app.connect("autodoc-process-docstring", split_arguments, priority=400)  # before napoleon
+    app.connect("missing-reference", resolve_by_name)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
