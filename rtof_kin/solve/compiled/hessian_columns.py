@@ -16,7 +16,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Index
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
-from rtof_kin.solve.compiled.stencils import OPTION, Neighbours, balls, blocks, frame_inputs
+from rtof_kin.solve.compiled.stencils import Neighbours, balls, blocks, frame_inputs
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS
 
@@ -52,7 +52,7 @@ def linear(energy: FrameEnergy) -> HessianColumns:
     inputs = [*frame, *around.inputs(), *slopes, jerk.coefficients, jerk.sigma, rate]
     outputs = [ca.densify(v) for v in (gradient, changing, numbers)]
     shared = (2, len(inputs) - 2, len(inputs) - 1)
-    function = ca.Function("linear", inputs, outputs, OPTION)
+    function = ca.Function("linear", inputs, outputs)
     return HessianColumns(FrameFunction(function, shared, placed=True), groups)
 
 
@@ -75,7 +75,7 @@ def coupled(energy: FrameEnergy) -> HessianColumns:
         parts[k - 1] = parts[k - 1] + _product(A[k], weight, rate, A[0])
     groups, numbers = _grouped(parts, energy.space.size)
     inputs = [*changing, *slopes, *L, jerk.coefficients, jerk.sigma, rate]
-    function = ca.Function("coupled", inputs, [ca.densify(numbers)], OPTION)
+    function = ca.Function("coupled", inputs, [ca.densify(numbers)])
     shared = (len(inputs) - 2, len(inputs) - 1)
     return HessianColumns(FrameFunction(function, shared, placed=True), groups)
 

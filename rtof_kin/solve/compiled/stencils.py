@@ -7,7 +7,7 @@ with its inverse right Jacobian; acceleration t is that of frame t + 1, jerk t t
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import casadi as ca
 
@@ -15,8 +15,6 @@ from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.state import StateSpace
-
-OPTION: Final = {"cse": True}
 
 
 def retract(space: StateSpace) -> FrameFunction:
@@ -158,4 +156,4 @@ def _stacked(parts: list[Any]) -> Any:
 def _function(
     name: str, inputs: list[Any], outputs: list[Any], shared: tuple[int, ...] = ()
 ) -> FrameFunction:
-    return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs], OPTION), shared)
+    return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs]), shared)
