@@ -39,6 +39,7 @@ autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_preserve_defaults = True
+toc_object_entries = False
 default_role = "py:obj"
 html_math_renderer = "mathml"
 

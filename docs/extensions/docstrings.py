@@ -68,13 +68,27 @@ def resolve_by_name(
         return None
     objects = env.domains["py"].objects
     parts = node["reftarget"].split(".")
-    for start in range(len(parts)):
-        tail = ".".join(parts[start:])
-        found = [name for name in objects if name == tail or name.endswith(f".{tail}")]
-        if len(found) == 1 and (start == 0 or parts[start][0].isupper() or len(parts) - start == 1):
-            entry = objects[found[0]]
-            return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, contnode, found[0])
+    for tail in (".".join(parts[start:]) for start in range(len(parts))):
+        found = _by_tail(env).get(tail)
+        if found is not None:
+            return make_refnode(
+                app.builder, node["refdoc"], objects[found].docname, objects[found].node_id, contnode, found
+            )
     return None
+
+
+def _by_tail(env: BuildEnvironment) -> dict[str, str]:
+    """Return the full name of what is documented by each of its ends that is its own, such as `Class.method`."""
+    objects = env.domains["py"].objects
+    if len(objects) != getattr(env, "rtof_kin_documented", 0):
+        tails: dict[str, set[str]] = {}
+        for name in objects:
+            parts = name.split(".")
+            for start in range(len(parts)):
+                tails.setdefault(".".join(parts[start:]), set()).add(name)
+        env.rtof_kin_documented = len(objects)
+        env.rtof_kin_tails = {tail: next(iter(names)) for tail, names in tails.items() if len(names) == 1}
+    return env.rtof_kin_tails
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
