@@ -11,7 +11,7 @@ from pygments.lexers.special import TextLexer
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for docs.extensions
 
-from rtof_kin import __version__  # noqa: E402
+from rtof_kin import __version__
 
 project = "rtof_kin"
 author = "The rtof_kin authors"
@@ -32,6 +32,8 @@ exclude_patterns = ["docs/_build"]
 
 html_theme = "furo"
 html_title = "rtof_kin"
+html_static_path = ["_static"]
+html_css_files = ["wide.css"]
 html_extra_path = ["_static/index.html"]  # the address without a page leads to docs/index.html
 
 autoclass_content = "both"
@@ -56,12 +58,29 @@ nb_merge_streams = True
 
 
 def _printed_tables(app, docname, source):
-    """Give what benchmarks print a title, and headings that follow it."""
+    """Give what benchmarks print a title, and headings that follow it; list them on one page."""
     if docname.startswith("benchmarks/results/"):
         text = source[0] if source[0].startswith("# ") else f"# {docname.split('/')[-1]}\n\n{source[0]}"
-        source[0] = text if "\n## " in text else text.replace("\n### ", "\n## ")
+        text = text if "\n## " in text else text.replace("\n### ", "\n## ")
+        source[0] = f"---\norphan: true\n---\n{text}"
+    elif docname == "docs/measurements":
+        names = sorted(path.stem for path in (Path(__file__).parents[1] / "benchmarks/results").glob("*.md"))
+        source[0] += "\n".join(f"- [{name}](../benchmarks/results/{name}.md)" for name in names)
+
+
+def _pages_that_exist(app, docname, source):
+    """Take patterns that match nothing out of the table of contents."""
+    if docname == root_doc:
+        folder = Path(__file__).parent
+        kept = [
+            line
+            for line in source[0].splitlines()
+            if "*" not in line or " " in line or any(folder.glob(line))
+        ]
+        source[0] = "\n".join(kept)
 
 
 def setup(app):
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", _printed_tables)
+    app.connect("source-read", _pages_that_exist)

@@ -1,7 +1,7 @@
 """A page for each command, made from its parser; command lines in all pages lead to them.
 
-The pages are `docs/commands/NAME.md`, written before sources are looked for and ignored by git. Their first sentence is
-the command's row in docs/command_line.md.
+The pages are `docs/commands/NAME.md`, written before sources are looked for and ignored by git. Their first
+sentence is the command's row in docs/command_line.md.
 """
 
 from __future__ import annotations
@@ -21,14 +21,22 @@ from rtof_kin.cli import _parser
 DOCS = Path(__file__).parents[1]
 ROW = re.compile(r"^\| `rtof-kin ([a-z0-9-]+)[^`]*` \| (.*) \|$", re.MULTILINE)
 LINE = re.compile(r"rtof-kin ([a-z0-9-]+)")
+FILE = r"[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt)"
+CODE = re.compile(rf"(?<![\w-])(rtof-kin [a-z][a-z0-9-]+|--?[a-z][\w-]*|{FILE})(?![\w*])")
+MARKS = re.compile(r"([\\`*_{}\[\]<>|$#~^])")
+INSIDE = nodes.title | nodes.reference | addnodes.pending_xref
+"""Where a command line is no link."""
 
 
 def escaped(text: str) -> str:
-    """Return a help text as Markdown: options and file names as code, nothing else with a meaning."""
-    parts = re.split(r"(?<![\w-])(--?[a-z][\w-]*|[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt))(?![\w*])", text)
-    return "".join(
-        f"`{part}`" if i % 2 else re.sub(r"([\\`*_{}\[\]<>|$#~^])", r"\\\1", part) for i, part in enumerate(parts)
-    )
+    """Return a help text as Markdown: options, commands and files as code, pages as links."""
+    out = []
+    for i, part in enumerate(CODE.split(text)):
+        if i % 2 and part.startswith("docs/"):
+            out.append(f"[{Path(part).stem.replace('_', ' ')}](../{part.removeprefix('docs/')})")
+        else:
+            out.append(f"`{part}`" if i % 2 else MARKS.sub(r"\\\1", part))
+    return "".join(out)
 
 
 def page(name: str, parser: argparse.ArgumentParser, summary: str) -> str:
@@ -73,7 +81,8 @@ def write_pages(folder: Path = DOCS / "commands") -> None:
             old.unlink()
     for name, parser in commands.items():
         summary = re.sub(r"\]\((?=[\w]+\.md)", "](../", rows[name]).replace(r"\|", "|")
-        text = page(name, parser, summary[0].upper() + summary[1:] + ("" if summary.endswith(".") else "."))
+        summary = re.sub(r"[a-z]", lambda first: first[0].upper(), summary, count=1)
+        text = page(name, parser, summary.removesuffix(".") + ".")
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -87,7 +96,7 @@ def link_command_lines(app: Sphinx, document: nodes.document) -> None:
         if found is None or f"docs/commands/{found[1]}" not in app.env.found_docs:
             continue
         inside = literal.parent
-        while inside is not None and not isinstance(inside, nodes.title | nodes.reference | addnodes.pending_xref):
+        while inside is not None and not isinstance(inside, INSIDE):
             inside = inside.parent
         if inside is None and not here.endswith(f"commands/{found[1]}"):
             link = addnodes.pending_xref(

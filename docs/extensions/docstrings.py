@@ -22,7 +22,8 @@ def split_arguments(app: Sphinx, what: str, name: str, subject: Any, options: An
         parameters = list(inspect.signature(subject).parameters) if callable(subject) else []
     except (TypeError, ValueError):
         parameters = []
-    starts = re.compile(rf"(?<=[.;]) (?=(?:{'|'.join(map(re.escape, parameters))}): )") if parameters else None
+    one = "|".join(map(re.escape, parameters)) or "-"
+    starts = re.compile(rf"(?<=[.;]) (?=(?:{one})(?:, (?:{one}))*: )")
     section, changed = "", list[str]()
     for line in _joined(lines):
         if found := SECTION.match(line):
@@ -78,7 +79,7 @@ def resolve_by_name(
 
 
 def _by_tail(env: BuildEnvironment) -> dict[str, str]:
-    """Return the full name of what is documented by each of its ends that is its own, such as `Class.method`."""
+    """Return the full name of what is documented, by each of its ends that nothing else has."""
     objects = env.domains["py"].objects
     if len(objects) != getattr(env, "rtof_kin_documented", 0):
         tails: dict[str, set[str]] = {}
