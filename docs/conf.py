@@ -18,6 +18,7 @@ author = "The rtof_kin authors"
 copyright = "The rtof_kin authors, BSD-3-Clause"
 version = release = __version__
 language = "en"
+smartquotes = False
 
 extensions = [
     "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton",
@@ -41,6 +42,7 @@ autodoc_default_options = {"members": True, "member-order": "bysource"}
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "Mask", "Index", "ArrayLike")}
 toc_object_entries = False
 default_role = "py:obj"
 html_math_renderer = "mathml"

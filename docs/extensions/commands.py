@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from docutils import nodes
-from sphinx import addnodes
 from sphinx.application import Sphinx
 
 from rtof_kin.cli import _parser
@@ -24,8 +23,6 @@ LINE = re.compile(r"rtof-kin ([a-z0-9-]+)")
 FILE = r"[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt)"
 CODE = re.compile(rf"(?<![\w-])(rtof-kin [a-z][a-z0-9-]+|--?[a-z][\w-]*|{FILE})(?![\w*])")
 MARKS = re.compile(r"([\\`*_{}\[\]<>|$#~^])")
-INSIDE = nodes.title | nodes.reference | addnodes.pending_xref
-"""Where a command line is no link."""
 
 
 def escaped(text: str) -> str:
@@ -88,26 +85,25 @@ def write_pages(folder: Path = DOCS / "commands") -> None:
             path.write_text(text, encoding="utf-8")
 
 
-def link_command_lines(app: Sphinx, document: nodes.document) -> None:
+def link_command_lines(app: Sphinx, document: nodes.document, here: str) -> None:
     """Turn each `rtof-kin NAME ...` in a text into a link to the page of that command."""
-    here = app.env.docname
+    if app.builder.format != "html":
+        return
     for literal in list(document.findall(nodes.literal)):
         found = LINE.match(literal.astext())
-        if found is None or f"docs/commands/{found[1]}" not in app.env.found_docs:
+        target = f"docs/commands/{found[1]}" if found else ""
+        if target == here or target not in app.env.found_docs:
             continue
         inside = literal.parent
-        while inside is not None and not isinstance(inside, INSIDE):
+        while inside is not None and not isinstance(inside, nodes.title | nodes.reference):
             inside = inside.parent
-        if inside is None and not here.endswith(f"commands/{found[1]}"):
-            link = addnodes.pending_xref(
-                "", refdomain="std", reftype="doc", refdoc=here, reftarget=f"/docs/commands/{found[1]}",
-                refexplicit=True, refwarn=True,
-            )  # fmt: skip
+        if inside is None:
+            link = nodes.reference(internal=True, refuri=app.builder.get_relative_uri(here, target))
             literal.replace_self(link)
             link += literal
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("config-inited", lambda *_: write_pages())
-    app.connect("doctree-read", link_command_lines)
+    app.connect("doctree-resolved", link_command_lines)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

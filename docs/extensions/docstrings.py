@@ -13,6 +13,7 @@ from sphinx.environment import BuildEnvironment
 from sphinx.util.nodes import make_refnode
 
 SECTION = re.compile(r"^(Args|Raises|Yields|Returns|Attributes):$")
+DATA, COLON = ("attribute", "property", "data"), "\ufff0"
 ERROR = re.compile(r"(?<=[.:;]) (?=[A-Z]\w+: )")
 
 
@@ -35,6 +36,14 @@ def split_arguments(app: Sphinx, what: str, name: str, subject: Any, options: An
         parts = pattern.split(line.strip()) if pattern and line.startswith(" ") else [line.strip()]
         changed += [f"{indent}{part}" if part else "" for part in parts]
     lines[:] = [_escaped(line) for line in changed]
+    if what in DATA:  # else napoleon reads the words before a colon as a type
+        lines[:] = [line.replace(":", COLON) for line in lines]
+
+
+def restore_colons(app: Sphinx, what: str, name: str, subject: Any, options: Any, lines: list[str]) -> None:
+    """Undo what `split_arguments` did to the docstrings of fields, after napoleon."""
+    if what in DATA:
+        lines[:] = [line.replace(COLON, ":") for line in lines]
 
 
 def _joined(lines: list[str]) -> list[str]:
@@ -94,5 +103,6 @@ def _by_tail(env: BuildEnvironment) -> dict[str, str]:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", split_arguments, priority=400)  # before napoleon
+    app.connect("autodoc-process-docstring", restore_colons, priority=600)
     app.connect("missing-reference", resolve_by_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
