@@ -50,6 +50,10 @@ html_math_renderer = "mathml"
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 
+linkcheck_ignore = [r"https?://(127\.0\.0\.1|localhost|HEAD)"]
+linkcheck_timeout, linkcheck_retries = 20, 2
+linkcheck_anchors = False
+
 nb_execution_mode = "cache"
 nb_execution_cache_path = "docs/_build/notebooks"
 nb_execution_timeout = 120

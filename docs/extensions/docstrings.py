@@ -10,6 +10,7 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.util.inspect import TypeAliasForwardRef
 from sphinx.util.nodes import make_refnode
 
 SECTION = re.compile(r"^(Args|Raises|Yields|Returns|Attributes):$")
@@ -99,6 +100,9 @@ def _by_tail(env: BuildEnvironment) -> dict[str, str]:
         env.rtof_kin_documented = len(objects)
         env.rtof_kin_tails = {tail: next(iter(names)) for tail, names in tails.items() if len(names) == 1}
     return env.rtof_kin_tails
+
+
+TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]  # of `Array | None`
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
