@@ -7,11 +7,14 @@ by the same relative links here and on a repository page. Tutorials run while th
 import sys
 from pathlib import Path
 
+import numpy as np
 from pygments.lexers.special import TextLexer
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # for docs.extensions
 
 from rtof_kin import __version__
+
+np.set_printoptions(legacy="1.25")  # defaults as 0.1, not np.float64(0.1)
 
 project = "rtof_kin"
 author = "The rtof_kin authors"

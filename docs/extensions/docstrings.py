@@ -102,11 +102,19 @@ def _by_tail(env: BuildEnvironment) -> dict[str, str]:
     return env.rtof_kin_tails
 
 
+def dashes(app: Sphinx, document: nodes.document) -> None:
+    """Write the dash before what a parameter is."""
+    for text in list(document.findall(nodes.Text)):
+        if text == " -- ":
+            text.parent.replace(text, nodes.Text(" – "))
+
+
 TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]  # of `Array | None`
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", split_arguments, priority=400)  # before napoleon
     app.connect("autodoc-process-docstring", restore_colons, priority=600)
+    app.connect("doctree-read", dashes)
     app.connect("missing-reference", resolve_by_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
