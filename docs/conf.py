@@ -29,7 +29,7 @@ extensions = [
 ]  # fmt: skip
 root_doc = "docs/index"
 include_patterns = [
-    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "docs/**.md", "benchmarks/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs/**.md", "benchmarks/README.md",
     "benchmarks/results/*.md", "models/lifter.md",
 ]  # fmt: skip
 exclude_patterns = ["docs/_build"]
