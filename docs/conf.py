@@ -77,6 +77,12 @@ def _printed_tables(app, docname, source):
         source[0] += "\n".join(f"- [{name}](../benchmarks/results/{name}.md)" for name in names)
 
 
+def _decisions(app, docname, source):
+    """Put the records of decisions below their list."""
+    if docname == "docs/decisions/index":
+        source[0] += "\n```{toctree}\n:hidden:\n:glob:\n[0-9]*\n```\n"
+
+
 def _pages_that_exist(app, docname, source):
     """Take patterns that match nothing out of the table of contents."""
     if docname == root_doc:
@@ -92,4 +98,5 @@ def _pages_that_exist(app, docname, source):
 def setup(app):
     app.add_lexer("csv", TextLexer)
     app.connect("source-read", _printed_tables)
+    app.connect("source-read", _decisions)
     app.connect("source-read", _pages_that_exist)
