@@ -1,7 +1,7 @@
 """A page for each command, made from its parser; command lines in all pages lead to them.
 
-The pages are `docs/commands/NAME.md`, written before sources are looked for and ignored by git. Their first sentence is
-the command's row in docs/command_line.md.
+The pages are `docs/commands/NAME.md`, written before sources are looked for and ignored by git. Their first
+sentence is the command's row in docs/command_line.md.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from docutils import nodes
-from sphinx import addnodes
 from sphinx.application import Sphinx
 
 from rtof_kin.cli import _parser
@@ -21,14 +20,20 @@ from rtof_kin.cli import _parser
 DOCS = Path(__file__).parents[1]
 ROW = re.compile(r"^\| `rtof-kin ([a-z0-9-]+)[^`]*` \| (.*) \|$", re.MULTILINE)
 LINE = re.compile(r"rtof-kin ([a-z0-9-]+)")
+FILE = r"[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt)"
+CODE = re.compile(rf"(?<![\w-])(rtof-kin [a-z][a-z0-9-]+|--?[a-z][\w-]*|{FILE})(?![\w*])")
+MARKS = re.compile(r"([\\`*_{}\[\]<>|$#~^])")
 
 
 def escaped(text: str) -> str:
-    """Return a help text as Markdown: options and file names as code, nothing else with a meaning."""
-    parts = re.split(r"(?<![\w-])(--?[a-z][\w-]*|[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt))(?![\w*])", text)
-    return "".join(
-        f"`{part}`" if i % 2 else re.sub(r"([\\`*_{}\[\]<>|$#~^])", r"\\\1", part) for i, part in enumerate(parts)
-    )
+    """Return a help text as Markdown: options, commands and files as code, pages as links."""
+    out = []
+    for i, part in enumerate(CODE.split(text)):
+        if i % 2 and part.startswith("docs/"):
+            out.append(f"[{Path(part).stem.replace('_', ' ')}](../{part.removeprefix('docs/')})")
+        else:
+            out.append(f"`{part}`" if i % 2 else MARKS.sub(r"\\\1", part))
+    return "".join(out)
 
 
 def page(name: str, parser: argparse.ArgumentParser, summary: str) -> str:
@@ -73,32 +78,32 @@ def write_pages(folder: Path = DOCS / "commands") -> None:
             old.unlink()
     for name, parser in commands.items():
         summary = re.sub(r"\]\((?=[\w]+\.md)", "](../", rows[name]).replace(r"\|", "|")
-        text = page(name, parser, summary[0].upper() + summary[1:] + ("" if summary.endswith(".") else "."))
+        summary = re.sub(r"[a-z]", lambda first: first[0].upper(), summary, count=1)
+        text = page(name, parser, summary.removesuffix(".") + ".")
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
 
-def link_command_lines(app: Sphinx, document: nodes.document) -> None:
+def link_command_lines(app: Sphinx, document: nodes.document, here: str) -> None:
     """Turn each `rtof-kin NAME ...` in a text into a link to the page of that command."""
-    here = app.env.docname
+    if app.builder.format != "html":
+        return
     for literal in list(document.findall(nodes.literal)):
         found = LINE.match(literal.astext())
-        if found is None or f"docs/commands/{found[1]}" not in app.env.found_docs:
+        target = f"docs/commands/{found[1]}" if found else ""
+        if target == here or target not in app.env.found_docs:
             continue
         inside = literal.parent
-        while inside is not None and not isinstance(inside, nodes.title | nodes.reference | addnodes.pending_xref):
+        while inside is not None and not isinstance(inside, nodes.title | nodes.reference):
             inside = inside.parent
-        if inside is None and not here.endswith(f"commands/{found[1]}"):
-            link = addnodes.pending_xref(
-                "", refdomain="std", reftype="doc", refdoc=here, reftarget=f"/docs/commands/{found[1]}",
-                refexplicit=True, refwarn=True,
-            )  # fmt: skip
+        if inside is None:
+            link = nodes.reference(internal=True, refuri=app.builder.get_relative_uri(here, target))
             literal.replace_self(link)
             link += literal
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("config-inited", lambda *_: write_pages())
-    app.connect("doctree-read", link_command_lines)
+    app.connect("doctree-resolved", link_command_lines)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -10,9 +10,11 @@ from docutils import nodes
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.util.inspect import TypeAliasForwardRef
 from sphinx.util.nodes import make_refnode
 
 SECTION = re.compile(r"^(Args|Raises|Yields|Returns|Attributes):$")
+DATA, COLON = ("attribute", "property", "data"), "\ufff0"
 ERROR = re.compile(r"(?<=[.:;]) (?=[A-Z]\w+: )")
 
 
@@ -22,7 +24,8 @@ def split_arguments(app: Sphinx, what: str, name: str, subject: Any, options: An
         parameters = list(inspect.signature(subject).parameters) if callable(subject) else []
     except (TypeError, ValueError):
         parameters = []
-    starts = re.compile(rf"(?<=[.;]) (?=(?:{'|'.join(map(re.escape, parameters))}): )") if parameters else None
+    one = "|".join(map(re.escape, parameters)) or "-"
+    starts = re.compile(rf"(?<=[.;]) (?=(?:{one})(?:, (?:{one}))*: )")
     section, changed = "", list[str]()
     for line in _joined(lines):
         if found := SECTION.match(line):
@@ -34,6 +37,14 @@ def split_arguments(app: Sphinx, what: str, name: str, subject: Any, options: An
         parts = pattern.split(line.strip()) if pattern and line.startswith(" ") else [line.strip()]
         changed += [f"{indent}{part}" if part else "" for part in parts]
     lines[:] = [_escaped(line) for line in changed]
+    if what in DATA:  # else napoleon reads the words before a colon as a type
+        lines[:] = [line.replace(":", COLON) for line in lines]
+
+
+def restore_colons(app: Sphinx, what: str, name: str, subject: Any, options: Any, lines: list[str]) -> None:
+    """Undo what `split_arguments` did to the docstrings of fields, after napoleon."""
+    if what in DATA:
+        lines[:] = [line.replace(COLON, ":") for line in lines]
 
 
 def _joined(lines: list[str]) -> list[str]:
@@ -68,16 +79,42 @@ def resolve_by_name(
         return None
     objects = env.domains["py"].objects
     parts = node["reftarget"].split(".")
-    for start in range(len(parts)):
-        tail = ".".join(parts[start:])
-        found = [name for name in objects if name == tail or name.endswith(f".{tail}")]
-        if len(found) == 1 and (start == 0 or parts[start][0].isupper() or len(parts) - start == 1):
-            entry = objects[found[0]]
-            return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, contnode, found[0])
+    for tail in (".".join(parts[start:]) for start in range(len(parts))):
+        found = _by_tail(env).get(tail)
+        if found is not None:
+            return make_refnode(
+                app.builder, node["refdoc"], objects[found].docname, objects[found].node_id, contnode, found
+            )
     return None
+
+
+def _by_tail(env: BuildEnvironment) -> dict[str, str]:
+    """Return the full name of what is documented, by each of its ends that nothing else has."""
+    objects = env.domains["py"].objects
+    if len(objects) != getattr(env, "rtof_kin_documented", 0):
+        tails: dict[str, set[str]] = {}
+        for name in objects:
+            parts = name.split(".")
+            for start in range(len(parts)):
+                tails.setdefault(".".join(parts[start:]), set()).add(name)
+        env.rtof_kin_documented = len(objects)
+        env.rtof_kin_tails = {tail: next(iter(names)) for tail, names in tails.items() if len(names) == 1}
+    return env.rtof_kin_tails
+
+
+def dashes(app: Sphinx, document: nodes.document) -> None:
+    """Write the dash before what a parameter is."""
+    for text in list(document.findall(nodes.Text)):
+        if text == " -- ":
+            text.parent.replace(text, nodes.Text(" – "))
+
+
+TypeAliasForwardRef.__repr__ = lambda self: self.name  # type: ignore[method-assign]  # of `Array | None`
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("autodoc-process-docstring", split_arguments, priority=400)  # before napoleon
+    app.connect("autodoc-process-docstring", restore_colons, priority=600)
+    app.connect("doctree-read", dashes)
     app.connect("missing-reference", resolve_by_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

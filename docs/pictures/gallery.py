@@ -57,7 +57,7 @@ ENTRIES = (
         "[The motion in 3D](view.md) in the browser, with camera, sensors, bands, truth and curves; `--live` "
         "shows `rtof-kin live`, `--html` writes one file.",
         "view.png",
-        "The viewer",
+        "The motion in the viewer, with its panel and curves",
     ),
     Entry(
         "rtof-kin overlay out/walk walk.mp4 -o out/walk.mp4",
@@ -76,7 +76,7 @@ ENTRIES = (
         "rtof-kin live SETUP --camera 0 --imus udp:9000 --view",
         "[Poses while a person moves](live.md), from a webcam, LSL, UDP, or recordings replayed as here.",
         "live.png",
-        "The live page",
+        "The live page: skeleton, angles and streams",
     ),
     Entry(
         "rtof-kin study models/demo -o out/study",
