@@ -310,7 +310,7 @@ def camera_names(which: int) -> tuple[str, str, str]:
 
 
 def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
-    """A CasADi function, without ``cse``: that saves a tenth of the evaluation and takes longer than the rest."""
+    """A CasADi function; ``cse`` would save a tenth of the evaluation and take longer than all the rest."""
     return ca.Function(name, inputs, [ca.densify(v) for v in outputs])
 
 
