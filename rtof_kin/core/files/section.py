@@ -116,8 +116,8 @@ class Section:
         size = " x ".join(map(str, shape))
         value = self._value(field, f"add {size} numbers")
         try:
-            if np.array(value).dtype.kind not in "iuf":  # text and truth values, which NumPy would convert
-                raise ValueError("they are of another kind")
+            if any(isinstance(one, str | bool) for one in np.array(value, dtype=object).flat):
+                raise ValueError("text and truth values are no numbers")  # NumPy would convert them
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error(field, f"not {size} numbers in brackets ({error})") from error
