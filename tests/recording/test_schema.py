@@ -190,6 +190,7 @@ DELETED = object()
 VALUES = (
     DELETED, "text", True, 3, 1.5, -1, math.nan, datetime.date(2026, 1, 31), [], ["a"], [1.0], {},
 )  # fmt: skip
+KINDS = (DELETED, "text", True, 1.5, [])
 CONTENTS = (
     "no human height", "is no person's", "the skeleton stands", "leads out of the folder", "there is no file",
     "has times of its own", "has no times", r"\[imus\] '(names|map|gravity|\w+_\w+)'",
@@ -298,19 +299,24 @@ def fields_of(node: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict
 
 
 def changed(name: str, tried: set[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The recording with one field left out or added, or, unless it was tried, of another value or kind."""
+    """The recording with one field left out or added, or, unless it was tried, of another value or kind.
+
+    Of fields that are alike in the schema, the first one is given all values, the others one of each kind.
+    """
     whole = index_of(name)
     for where, table, node in tables(whole, schema()):
         for field in list(table) if "properties" in node else list(table)[:1]:
             kept = table[field]
-            for value in (DELETED,) if f"{where}.{field}" in tried else VALUES:
+            own = dict(node.get("properties", {}).get(field, {}), description="")
+            known = {f"{where}.{field}", kind := json.dumps(own)} & tried
+            for value in (DELETED,) if f"{where}.{field}" in known else KINDS if known else VALUES:
                 if value is DELETED:
                     del table[field]
                 else:
                     table[field] = value
                 yield f"{name}{where}.{field} = {value}", copy.deepcopy(whole)
                 table[field] = kept
-            tried.add(f"{where}.{field}")
+            tried |= {f"{where}.{field}", kind}
         for field in (*node.get("properties", {}), "mispelt"):
             if field not in table:
                 table[field] = usual(node.get("properties", {}).get(field, {}))
