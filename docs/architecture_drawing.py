@@ -49,10 +49,10 @@ STYLE = """
 text { font-family: system-ui, sans-serif; fill: #1f2328; text-anchor: middle; }
 .name { font-size: 16px; font-weight: 600; } .what { font-size: 12.5px; }
 .arrow { fill: none; stroke: #59636e; stroke-width: 1.5; } .tip { fill: #59636e; }
-rect { stroke-width: 1.5; } .k0 { fill: #ddf4ff; stroke: #0969da; } .k1 { fill: #ffebd6; stroke: #bc4c00; }
+rect { stroke-width: 1.5; } .page { fill: #ffffff; } .k0 { fill: #ddf4ff; stroke: #0969da; } .k1 { fill: #ffebd6; stroke: #bc4c00; }
 .k2 { fill: #dafbe1; stroke: #1a7f37; } .k3 { fill: #eef0f2; stroke: #59636e; }
 @media (prefers-color-scheme: dark) {
-text { fill: #f0f6fc; } .arrow { stroke: #9198a1; } .tip { fill: #9198a1; }
+text { fill: #f0f6fc; } .page { fill: #0d1117; } .arrow { stroke: #9198a1; } .tip { fill: #9198a1; }
 .k0 { fill: #0c2d6b; stroke: #4493f8; } .k1 { fill: #5a2a05; stroke: #f0883e; }
 .k2 { fill: #0f3d1d; stroke: #3fb950; } .k3 { fill: #262c36; stroke: #9198a1; }
 }"""
@@ -147,6 +147,7 @@ def drawing() -> str:
 <style>{STYLE}</style>
 <defs><marker id="tip" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" orient="auto">
 <path class="tip" d="M0,0 L8,4 L0,8 z"/></marker></defs>
+<rect class="page" width="100%" height="100%" rx="8"/>
 {keys}
 <text class="what" style="text-anchor:end" x="{width - LEFT:.0f}" y="28">\
 A → B: A imports B; what follows from other arrows is not drawn</text>
