@@ -49,7 +49,8 @@ STYLE = """
 text { font-family: system-ui, sans-serif; fill: #1f2328; text-anchor: middle; }
 .name { font-size: 16px; font-weight: 600; } .what { font-size: 12.5px; }
 .arrow { fill: none; stroke: #59636e; stroke-width: 1.5; } .tip { fill: #59636e; }
-rect { stroke-width: 1.5; } .page { fill: #ffffff; } .k0 { fill: #ddf4ff; stroke: #0969da; } .k1 { fill: #ffebd6; stroke: #bc4c00; }
+rect { stroke-width: 1.5; } .page { fill: #ffffff; }
+.k0 { fill: #ddf4ff; stroke: #0969da; } .k1 { fill: #ffebd6; stroke: #bc4c00; }
 .k2 { fill: #dafbe1; stroke: #1a7f37; } .k3 { fill: #eef0f2; stroke: #59636e; }
 @media (prefers-color-scheme: dark) {
 text { fill: #f0f6fc; } .page { fill: #0d1117; } .arrow { stroke: #9198a1; } .tip { fill: #9198a1; }

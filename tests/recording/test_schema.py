@@ -6,6 +6,7 @@ import copy
 import datetime
 import json
 import math
+import pickle
 import re
 import tomllib
 from collections.abc import Callable, Iterator
@@ -13,18 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import planted
 import pytest
-from sensor_files import SERIALS, truth, write_mt
+from schema_recordings import RECORDINGS, write_files
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.section import Section
-from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu_declaration import CHOICES
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
-from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.world_axes import UP
 from rtof_kin.inertial.camera_gyroscope import HELD
 from rtof_kin.recording import index as index_module
@@ -37,155 +33,6 @@ from rtof_kin.recording.streams import ALL
 from rtof_kin.vision.layouts import detector_table
 
 DEMO = Path(__file__).parents[2] / "models/demo"
-T = 12
-LINES = """
-    width_px = 1920
-    height_px = 1080
-"""
-AIMED = f"{LINES}focal_px = 1250.0\nposition_m = [4.0, 0.6, 1.5]\ntarget_m = [0.0, 0.0, 1.0]\n"
-MATRICES = f"""{LINES}
-    K = [[1250, 0, 960.0], [0, 1250, 540], [0, 0, 1]]
-    R_camera_world = [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
-    t_camera_world_m = [0.0, 1.0, 4.0]
-"""
-SENSORS = """
-    [imus.sensors.L_UpArm]
-    quat_wxyz_world_inertial = [1, 0, 0, 0]
-    R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    [imus.sensors.strap]
-    joint = "RightLeg"
-    lever_arm_m = [0.05, 0.0, -0.16]
-    R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    quat_wxyz_sensor_bone = [1, 0, 0, 0]
-"""
-JOINTS = SkeletonModel.default().names
-OFFSETS = "\n".join(f"{name} = [0.01, 0.02, 0.2]" for name in JOINTS[1:])
-RECORDINGS = {
-    "everything": f"""
-    schema_version = 1
-    name = "walk"
-    first_frame = 3
-    [session]
-    subject = "P07"
-    operator = "A"
-    date = "2026-01-31"
-    place = "here"
-    protocol = "walk"
-    [scene]
-    floor_height_m = 0.0
-    [camera]
-    {AIMED}
-    principal_point_px = [960.0, 540.0]
-    distortion = [0, 0, 0, 0, 0]
-    assumed = ["pose"]
-    stabilised = true
-    heading_drift_deg_s = 0.01
-    uncertainty = {{focal = 0.1, tilt_deg = 5, roll_deg = 1.0, height_m = 0.02, k1 = 0.05, of_motion = true}}
-    [keypoints]
-    file = "keypoints.npz"
-    rate_hz = 60.0
-    start_s = 0.5
-    layout = "joints"
-    [[views]]
-    [views.camera]
-    {MATRICES}
-    [views.keypoints]
-    file = "keypoints.npz"
-    rate_hz = 60
-    start_s = 0.5
-    landmarks = {list(JOINTS)}
-    [imus]
-    file = "imus.npz"
-    rate_hz = 60.0
-    start_s = 0.4
-    clock_drift = 1e-5
-    names = ["L_UpArm", "strap"]
-    {SENSORS}
-    [truth]
-    file = "truth.npz"
-    [notes]
-    acknowledgement = "Data by nobody."
-    text = "-"
-    """,
-    "a person": """
-    schema_version = 1
-    [subject]
-    height_m = 1.8
-    mass_kg = 70.0
-    sex = "male"
-    [skeleton]
-    table = "total_capture"
-    bone_lengths_m = {LeftLeg = 0.41}
-    [posture.quat_wxyz]
-    Spine1 = [1.0, 0, 0, 0]
-    [imus]
-    file = "imus.npz"
-    rate_hz = 60.0
-    names = ["a", "b"]
-    """,
-    "files of others": f"""
-    schema_version = 1
-    [camera]
-    file = "cameras.toml"
-    name = "a"
-    up = "z"
-    metres_per_unit = 1.0
-    motion = {{file = "gyro.csv", sensor = "phone", held = "portrait"}}
-    [keypoints]
-    file = "keypoints.npz"
-    layout = "joints"
-    rate_hz = 60
-    person = 0
-    frame = 1
-    [imus]
-    file = "trial"
-    rate_hz = 60.0
-    first_sample_s = 0.0
-    acceleration_unit = "m/s2"
-    gravity = "included"
-    acceleration_axes = "sensor"
-    angular_unit = "rad/s"
-    quaternion_order = "wxyz"
-    orientation_maps = "sensor to inertial"
-    inertial_axes = "z up"
-    [imus.map]
-    {SERIALS[0]} = "pelvis"
-    """,
-    "sensors alone": f"""
-    schema_version = 1
-    [skeleton.joint_offsets_m]
-    {OFFSETS}
-    [imus]
-    file = "imus.csv"
-    start_s = 0.0
-    {SENSORS}
-    """,
-    "a map of sensors": """
-    schema_version = 1
-    [imus]
-    file = "trial"
-    sensor_map = "places.csv"
-    """,
-    "a camera's matrices": f"""
-    schema_version = 1
-    [camera]
-    {MATRICES}
-    motion = {{file = "turning.npz", start_s = 0.0}}
-    [keypoints]
-    file = "keypoints.npz"
-    rate_hz = 60
-    landmarks = {list(JOINTS)}
-    """,
-    "points in a .csv": f"""
-    schema_version = 1
-    [camera]
-    {AIMED}
-    [keypoints]
-    file = "keypoints.csv"
-    [imus]
-    {SENSORS}
-    """,
-}  # fmt: skip
 DELETED = object()
 VALUES = (
     DELETED, "text", True, 3, 1.5, -1, math.nan, datetime.date(2026, 1, 31), [], ["a"], [1.0], {},
@@ -205,40 +52,8 @@ CONTENTS = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files that `RECORDINGS` name."""
     folder = tmp_path_factory.mktemp("recording")
-    video = planted.recording(planted.moving(SkeletonModel.default(), T)).video
-    np.savez(folder / "keypoints.npz", uv_px=video.uv_px, confidence=np.full((T, 21), 0.9))
-    np.savez(
-        folder / "imus.npz",
-        quat_wxyz=np.tile([1.0, 0, 0, 0], (T, 2, 1)),
-        f_sensor=np.tile([0, 0, 9.81], (T, 2, 1)),
-    )
-    poses = planted.moving(SkeletonModel.default(), T).poses
-    np.savez(
-        folder / "truth.npz",
-        times=poses.times + 0.5,
-        p_world_joint=poses.p_world_joint,
-        R_world_bone=poses.R_world_bone,
-    )
-    names = [f"{s}_{end}" for s in ("L_UpArm", "strap") for end in ("qw", "qx", "qy", "qz", "fx", "fy", "fz")]
-    rows = [",".join(map(str, [t / 60, *[1, 0, 0, 0, 0, 0, 9.81] * 2])) for t in range(T)]
-    (folder / "imus.csv").write_text("\n".join([",".join(["time", *names]), *rows]))
-    rows = [f"{t / 60},500,{500 + t}" for t in range(T)]
-    (folder / "keypoints.csv").write_text("\n".join(["time,Hips_u_px,Hips_v_px", *rows]))
-    times = np.arange(-1, 3, 0.02)
-    write_camera_motion(
-        folder / "turning.npz", CameraMotion(times, so3.exp(0.1 * np.sin(times)[:, None] * [0, 1.0, 0]))
-    )
-    rows = [
-        ",".join(map(str, row))
-        for row in np.column_stack([times, np.tile([0, 0.1, 0, 0, 9.81, 0], (len(times), 1))])
-    ]
-    (folder / "gyro.csv").write_text("\n".join(["time,wx,wy,wz,fx,fy,fz", *rows]))
-    (folder / "trial").mkdir()
-    write_mt(folder / "trial", [truth(6), truth(7)])
-    (folder / "places.csv").write_text(f"{SERIALS[0]},pelvis\n")
-    write_camera_toml(folder / "cameras.toml", {"a": video.camera, "b": video.camera})
+    write_files(folder)
     return folder
 
 
@@ -270,6 +85,21 @@ def refused_by_readers(folder: Path, index: dict[str, Any]) -> str | None:
 @pytest.fixture(autouse=True)
 def _readers_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(index_module, "check_index", lambda _: None)
+    for name in ("with_height", "with_bone_lengths", "with_mass", "with_offsets", "with_posture"):
+        monkeypatch.setattr(SkeletonModel, name, remembering(getattr(SkeletonModel, name)))
+
+
+def remembering(method: Callable[..., SkeletonModel]) -> Callable[..., SkeletonModel]:
+    """The method, which makes equal bodies of the same one once: they take most of the time."""
+    made: dict[tuple[SkeletonModel, bytes], SkeletonModel] = {}
+
+    def call(skeleton: SkeletonModel, *args: object) -> SkeletonModel:
+        key = skeleton, pickle.dumps(args)
+        if key not in made:
+            made[key] = method(skeleton, *args)
+        return made[key]
+
+    return call
 
 
 # --- agreement -----------------------------------------------------------------------------------
