@@ -44,6 +44,20 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="new folder for --fix")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier PNG")
+    parser.add_argument(
+        "--schema",
+        action=_PrintSchema,
+        nargs=0,
+        help="print the path of the JSON Schema of recording.toml and exit",
+    )
+
+
+class _PrintSchema(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from rtof_kin.recording.schema import SCHEMA
+
+        out.print(SCHEMA, soft_wrap=True)
+        parser.exit()
 
 
 def _declaration(text: str) -> tuple[str, str]:

@@ -76,7 +76,7 @@ def _is_camera(file: Section, key: str) -> bool:
 
 
 def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Camera:
-    if section.has("fisheye") and section.array("fisheye", ()) != 0:
+    if section.has("fisheye") and section.data["fisheye"] not in (False, 0):
         raise section.error("fisheye", "a fisheye lens is no pinhole camera; undistort the images first")
     width, height = section.array("size", (2,))
     where = f"{section.path}: {section.where('translation')}"

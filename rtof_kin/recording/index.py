@@ -18,6 +18,7 @@ from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.recording import files
 from rtof_kin.recording.camera_motion_files import filmed_stream
+from rtof_kin.recording.schema import check_index
 from rtof_kin.recording.sensor_files import imu_stream
 from rtof_kin.recording.session import read_session
 from rtof_kin.recording.sources import Source
@@ -46,6 +47,7 @@ def read_index(index: Section, source: Source) -> tuple[dict[str, Any], Streams]
             "schema_version", f"{version} is not {SCHEMA_VERSION}, which this version of the "
             "package reads; use the version that wrote it, or a newer one"
         )  # fmt: skip
+    check_index(index)
     subject, skeleton, scene, notes = (index.table(n) for n in ("subject", "skeleton", "scene", "notes"))
     fields: dict[str, Any] = {
         "name": index.text("name", index.path.absolute().parent.name),

@@ -126,7 +126,7 @@ def test_recording_takes_its_camera_from_a_file(table: dict[str, object], tmp_pa
     unit = float(table.get("metres_per_unit", 1.0))  # type: ignore[arg-type]
     np.testing.assert_allclose(keypoints.camera.t_camera_world, TVEC * unit)
     index.write_text(tomli_w.dumps(content | {"camera": {"file": "camera.yml", "width_px": 9}}))
-    with pytest.raises(UnknownNameError, match="'width_px'"):
+    with pytest.raises(FileFormatError, match="width_px: stands beside file"):
         Recording.load(tmp_path / "take")
 
 

@@ -286,7 +286,7 @@ def test_an_uncertain_camera_is_read_and_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("focal = -0.1", r"recording.toml: camera uncertainty focal: -0.1 is no standard deviation"),
+        ("focal = -0.1", r"recording.toml: .camera.uncertainty. focal: -0.1 is no standard deviation"),
         ("tilt = 5.0", r"\[camera.uncertainty\].*tilt.*tilt_deg"),
     ],
 )

@@ -193,7 +193,7 @@ def test_an_orientation_that_is_missing_is_estimated(tmp_path: Path) -> None:
         ("", "recording.toml", FileFormatError, "no file of sensors that is known"),
         ("sensor = 1", "trial", UnknownNameError, "unknown field in .*'sensor'"),
         ('names = ["x"]', "trial", UnknownNameError, r"unknown sensor in .*\[imus\] names 'x'"),
-        ("rate_hz = -3", "trial", FileFormatError, "rate_hz is -3"),
+        ("rate_hz = -3", "trial", FileFormatError, r"\[imus\] rate_hz: -3 is not a positive"),
         ("map = 3", "trial", FileFormatError, r"\[imus\] map: not a table"),
     ],
 )

@@ -21,9 +21,9 @@ class Section:
     """
 
     def __init__(self, path: Path, data: dict[str, Any], name: str = ""):
-        """Take the file, the table and its name ('' for the top level)."""
+        """Take the file, the table and its name ('' for the top level); `data` is the table."""
         self.path, self.name = path, name
-        self._data = data
+        self.data = data
         self._asked: set[str] = set()
 
     @classmethod
@@ -49,25 +49,25 @@ class Section:
     def has(self, field: str) -> bool:
         """Return whether a field exists, and mark it as read."""
         self._asked.add(field)
-        return field in self._data
+        return field in self.data
 
     def __len__(self) -> int:
-        return len(self._data)
+        return len(self.data)
 
     def keys(self) -> list[str]:
         """Return the names of all fields, and mark them as read."""
-        self._asked.update(self._data)
-        return list(self._data)
+        self._asked.update(self.data)
+        return list(self.data)
 
     # --- values ----------------------------------------------------------------------------------
 
     def _value(self, field: str, missing: str) -> Any:
         if not self.has(field):
-            left = [name for name in self._data if name not in self._asked]
+            left = [name for name in self.data if name not in self._asked]
             for near in get_close_matches(field, left, n=1, cutoff=0.8):
                 missing = f"there is {near!r}, which may be misspelt"
             raise self.error(field, f"missing; {missing}")
-        return self._data[field]
+        return self.data[field]
 
     def text(self, field: str, default: str | None = None) -> str:
         """Return a string; required unless there is a default."""
@@ -106,7 +106,7 @@ class Section:
 
     def flag(self, field: str) -> bool:
         """Return whether a field is true; false if absent."""
-        value = self.has(field) and self._data[field]
+        value = self.has(field) and self.data[field]
         if not isinstance(value, bool):
             raise self.error(field, f"{value!r} is neither true nor false")
         return value
@@ -116,6 +116,8 @@ class Section:
         size = " x ".join(map(str, shape))
         value = self._value(field, f"add {size} numbers")
         try:
+            if any(isinstance(one, str | bool) for one in np.array(value, dtype=object).flat):
+                raise ValueError("text and truth values are no numbers")  # NumPy would convert them
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError) as error:
             raise self.error(field, f"not {size} numbers in brackets ({error})") from error
@@ -140,14 +142,14 @@ class Section:
         """Return a list of strings, or None if absent."""
         if not self.has(field):
             return None
-        value = self._data[field]
+        value = self.data[field]
         if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
             raise self.error(field, 'not a list of names; write e.g. ["Hips", "Spine"]')
         return tuple(value)
 
     def table(self, field: str) -> Section:
         """Return a table inside this one; empty if absent."""
-        value = self._data[field] if self.has(field) else {}
+        value = self.data[field] if self.has(field) else {}
         name = f"{self.name}.{field}" if self.name else field
         if not isinstance(value, dict):
             raise self.error(field, f"not a table; write its fields under [{name}]")
@@ -155,7 +157,7 @@ class Section:
 
     def tables(self, field: str) -> list[Section]:
         """Return the tables of an array of tables, written ``[[field]]``; none if absent."""
-        values = self._data[field] if self.has(field) else []
+        values = self.data[field] if self.has(field) else []
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
             raise self.error(field, f"not tables in a row; begin each with [[{field}]]")
         name = f"{self.name}.{field}" if self.name else field
@@ -167,7 +169,7 @@ class Section:
         Raises:
             UnknownNameError: names them and the nearest valid field.
         """
-        unknown = [field for field in self._data if field not in self._asked]
+        unknown = [field for field in self.data if field not in self._asked]
         if unknown:
             where = f"field in {self.path}" + (f", [{self.name}]" if self.name else "")
             raise UnknownNameError(where, unknown, sorted(self._asked))

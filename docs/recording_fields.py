@@ -1,0 +1,69 @@
+"""Writes the tables of docs/recording.md from the schema of ``recording.toml``.
+
+`python -m docs.recording_fields` writes them between the two marks of the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rtof_kin.recording.schema import schema, shape_of
+
+PAGE = Path(__file__).with_name("recording.md")
+BEGIN, END = "<!-- fields: made by python -m docs.recording_fields -->", "<!-- end of fields -->"
+
+
+def kind(node: dict[str, Any]) -> str:
+    """What a field may be, in words."""
+    if "const" in node:
+        return f"`{node['const']}`"
+    if "enum" in node:
+        return ", ".join(f'`"{one}"`' for one in node["enum"])
+    if "prefixItems" in node:
+        return " x ".join(map(str, shape_of(node))) + " numbers"
+    if node["type"] == "array":
+        return "names" if node["items"]["type"] == "string" else "tables"
+    if node["type"] == "object":
+        inner = node.get("additionalProperties")
+        return f"by name: {kind(inner)}" if inner and "properties" not in inner else "table"
+    bound = {"exclusiveMinimum": "> {}", "minimum": ">= {}"}
+    low = [text.format(node[key]) for key, text in bound.items() if node.get(key) in (0, 1)]
+    names = {"string": "text", "boolean": "`true`, `false`", "integer": "whole number"}
+    return " ".join([names.get(node["type"], "number"), *low])
+
+
+def rows(node: dict[str, Any]) -> Iterator[str]:
+    for field, one in node["properties"].items():
+        meaning = one["description"]
+        if field in node.get("required", ()):
+            meaning = f"**Required.** {meaning}"
+        if "default" in one:
+            meaning += f" Default: `{str(one['default']).lower()}`."
+        yield f"| `{field}` | {kind(one)} | {meaning} |"
+
+
+def tables(node: dict[str, Any], name: str = "") -> Iterator[str]:
+    """One Markdown table for each table of a recording, the top level first."""
+    title = f"`[{name}]`: {node['description']}" if name else "At the top, before any table:"
+    yield "\n".join([title, "", "| field | value | |", "|---|---|---|", *rows(node)])
+    for field, one in node["properties"].items():
+        inner = f"{name}.{field}" if name else field
+        if field == "views":
+            yield f"`[[views]]`: {one['description']} `[views.camera]` and `[views.keypoints]` are as above."
+        elif "properties" in one:
+            yield from tables(one, inner)
+        elif "properties" in (by_name := one.get("additionalProperties") or {}):
+            yield from tables({**by_name, "description": one["description"]}, f"{inner}.NAME")
+
+
+def page() -> str:
+    """The page with today's tables."""
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
+    return "\n\n".join([before + BEGIN, *tables(schema()), END + after])  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

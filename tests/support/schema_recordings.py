@@ -1,0 +1,201 @@
+"""Recordings that together use every field of ``recording.toml``, and the files that they name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import planted
+from sensor_files import SERIALS, truth, write_mt
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.data.camera_motion import CameraMotion
+from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.formats.camera_toml import write_camera_toml
+
+T = 12
+LINES = """
+    width_px = 1920
+    height_px = 1080
+"""
+AIMED = f"{LINES}focal_px = 1250.0\nposition_m = [4.0, 0.6, 1.5]\ntarget_m = [0.0, 0.0, 1.0]\n"
+MATRICES = f"""{LINES}
+    K = [[1250, 0, 960.0], [0, 1250, 540], [0, 0, 1]]
+    R_camera_world = [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
+    t_camera_world_m = [0.0, 1.0, 4.0]
+"""
+SENSORS = """
+    [imus.sensors.L_UpArm]
+    quat_wxyz_world_inertial = [1, 0, 0, 0]
+    R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    [imus.sensors.strap]
+    joint = "RightLeg"
+    lever_arm_m = [0.05, 0.0, -0.16]
+    R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    quat_wxyz_sensor_bone = [1, 0, 0, 0]
+"""
+JOINTS = SkeletonModel.default().names
+OFFSETS = "\n".join(f"{name} = [0.01, 0.02, 0.2]" for name in JOINTS[1:])
+RECORDINGS = {
+    "everything": f"""
+    schema_version = 1
+    name = "walk"
+    first_frame = 3
+    [session]
+    subject = "P07"
+    operator = "A"
+    date = "2026-01-31"
+    place = "here"
+    protocol = "walk"
+    [scene]
+    floor_height_m = 0.0
+    [camera]
+    {AIMED}
+    principal_point_px = [960.0, 540.0]
+    distortion = [0, 0, 0, 0, 0]
+    assumed = ["pose"]
+    stabilised = true
+    heading_drift_deg_s = 0.01
+    uncertainty = {{focal = 0.1, tilt_deg = 5, roll_deg = 1.0, height_m = 0.02, k1 = 0.05, of_motion = true}}
+    [keypoints]
+    file = "keypoints.npz"
+    rate_hz = 60.0
+    start_s = 0.5
+    layout = "joints"
+    [[views]]
+    [views.camera]
+    {MATRICES}
+    [views.keypoints]
+    file = "keypoints.npz"
+    rate_hz = 60
+    start_s = 0.5
+    landmarks = {list(JOINTS)}
+    [imus]
+    file = "imus.npz"
+    rate_hz = 60.0
+    start_s = 0.4
+    clock_drift = 1e-5
+    names = ["L_UpArm", "strap"]
+    {SENSORS}
+    [truth]
+    file = "truth.npz"
+    [notes]
+    acknowledgement = "Data by nobody."
+    text = "-"
+    """,
+    "a person": """
+    schema_version = 1
+    [subject]
+    height_m = 1.8
+    mass_kg = 70.0
+    sex = "male"
+    [skeleton]
+    table = "total_capture"
+    bone_lengths_m = {LeftLeg = 0.41}
+    [posture.quat_wxyz]
+    Spine1 = [1.0, 0, 0, 0]
+    [imus]
+    file = "imus.npz"
+    rate_hz = 60.0
+    names = ["a", "b"]
+    """,
+    "files of others": f"""
+    schema_version = 1
+    [camera]
+    file = "cameras.toml"
+    name = "a"
+    up = "z"
+    metres_per_unit = 1.0
+    motion = {{file = "gyro.csv", sensor = "phone", held = "portrait"}}
+    [keypoints]
+    file = "keypoints.npz"
+    layout = "joints"
+    rate_hz = 60
+    person = 0
+    frame = 1
+    [imus]
+    file = "trial"
+    rate_hz = 60.0
+    first_sample_s = 0.0
+    acceleration_unit = "m/s2"
+    gravity = "included"
+    acceleration_axes = "sensor"
+    angular_unit = "rad/s"
+    quaternion_order = "wxyz"
+    orientation_maps = "sensor to inertial"
+    inertial_axes = "z up"
+    [imus.map]
+    {SERIALS[0]} = "pelvis"
+    """,
+    "sensors alone": f"""
+    schema_version = 1
+    [skeleton.joint_offsets_m]
+    {OFFSETS}
+    [imus]
+    file = "imus.csv"
+    start_s = 0.0
+    {SENSORS}
+    """,
+    "a map of sensors": """
+    schema_version = 1
+    [imus]
+    file = "trial"
+    sensor_map = "places.csv"
+    """,
+    "a camera's matrices": f"""
+    schema_version = 1
+    [camera]
+    {MATRICES}
+    motion = {{file = "turning.npz", start_s = 0.0}}
+    [keypoints]
+    file = "keypoints.npz"
+    rate_hz = 60
+    landmarks = {list(JOINTS)}
+    """,
+    "points in a .csv": f"""
+    schema_version = 1
+    [camera]
+    {AIMED}
+    [keypoints]
+    file = "keypoints.csv"
+    [imus]
+    {SENSORS}
+    """,
+}  # fmt: skip
+
+
+def write_files(folder: Path) -> None:
+    """Write the files that `RECORDINGS` name."""
+    video = planted.recording(planted.moving(SkeletonModel.default(), T)).video
+    np.savez(folder / "keypoints.npz", uv_px=video.uv_px, confidence=np.full((T, 21), 0.9))
+    np.savez(
+        folder / "imus.npz",
+        quat_wxyz=np.tile([1.0, 0, 0, 0], (T, 2, 1)),
+        f_sensor=np.tile([0, 0, 9.81], (T, 2, 1)),
+    )
+    poses = planted.moving(SkeletonModel.default(), T).poses
+    np.savez(
+        folder / "truth.npz",
+        times=poses.times + 0.5,
+        p_world_joint=poses.p_world_joint,
+        R_world_bone=poses.R_world_bone,
+    )
+    names = [f"{s}_{end}" for s in ("L_UpArm", "strap") for end in ("qw", "qx", "qy", "qz", "fx", "fy", "fz")]
+    rows = [",".join(map(str, [t / 60, *[1, 0, 0, 0, 0, 0, 9.81] * 2])) for t in range(T)]
+    (folder / "imus.csv").write_text("\n".join([",".join(["time", *names]), *rows]))
+    rows = [f"{t / 60},500,{500 + t}" for t in range(T)]
+    (folder / "keypoints.csv").write_text("\n".join(["time,Hips_u_px,Hips_v_px", *rows]))
+    times = np.arange(-1, 3, 0.02)
+    write_camera_motion(
+        folder / "turning.npz", CameraMotion(times, so3.exp(0.1 * np.sin(times)[:, None] * [0, 1.0, 0]))
+    )
+    rows = [
+        ",".join(map(str, row))
+        for row in np.column_stack([times, np.tile([0, 0.1, 0, 0, 9.81, 0], (len(times), 1))])
+    ]
+    (folder / "gyro.csv").write_text("\n".join(["time,wx,wy,wz,fx,fy,fz", *rows]))
+    (folder / "trial").mkdir()
+    write_mt(folder / "trial", [truth(6), truth(7)])
+    (folder / "places.csv").write_text(f"{SERIALS[0]},pelvis\n")
+    write_camera_toml(folder / "cameras.toml", {"a": video.camera, "b": video.camera})
