@@ -29,7 +29,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from threading import Event
 from typing import Any, Final
@@ -38,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import MotionSequence, known_body
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
@@ -92,14 +91,8 @@ class MotionFile:
 
     def motion(self) -> MotionSequence:
         """Return the motion on the subject's skeleton."""
-        skeleton = _body(self.skeleton, self.joint_offsets.tobytes())
+        skeleton = known_body(self.skeleton, self.joint_offsets.tobytes())
         return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
-
-
-@lru_cache(maxsize=4)
-def _body(name: str, offsets: bytes) -> SkeletonModel:
-    """Return a subject's skeleton; it takes longer to make than a block to read."""
-    return SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
 
 
 def motion_path(path: str | Path) -> Path:
@@ -181,7 +174,7 @@ class MotionReader(FrameReader[MotionFile]):
         offsets = readonly("joint_offsets", header["joint_offsets"], (len(self.names), 3))
         self._offsets: Array = offsets
         self._skeleton_name = str(header["skeleton"])
-        self.skeleton = _body(self._skeleton_name, offsets.tobytes())
+        self.skeleton = known_body(self._skeleton_name, offsets.tobytes())
         self.skeleton.check_joints(self.names)
         self.first_frame, self.mode = int(header["first_frame"]), str(header["mode"])
         pairs = header.get("confidence_pairs", np.empty((0, 2), dtype="U1"))

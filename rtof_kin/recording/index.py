@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.neutral_posture import NeutralPosture
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton import SkeletonModel, known_body
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.files.section import Section
@@ -100,7 +100,7 @@ def body_of(
         skeleton = skeleton if height is None else skeleton.with_height(height)
         skeleton = skeleton.with_bone_lengths(bone_lengths) if bone_lengths else skeleton
     elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
-        skeleton = skeleton.with_offsets(joint_offsets)
+        skeleton = known_body(skeleton_table, np.asarray(joint_offsets, dtype=float).tobytes())
     if mass_kg is None and sex is None:
         return skeleton
     return skeleton.with_mass(skeleton.table.mass_kg if mass_kg is None else mass_kg, sex)
