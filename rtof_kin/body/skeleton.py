@@ -404,6 +404,6 @@ def known_body(name: str, offsets: bytes) -> SkeletonModel:
     """Return a shipped skeleton with other offsets; the last ones are kept, as one takes a tenth of a second.
 
     Args:
-        name: see `SkeletonModel.named`. offsets: (J, 3) float64, m, as bytes, of `SkeletonModel.with_offsets`.
+        name: see `SkeletonModel.named`. offsets: (J, 3) float64, m, as bytes.
     """
     return SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
