@@ -1,8 +1,8 @@
 """Check the distribution: contents, reproducibility, and the wheel alone in a clean environment.
 
 Run by ``make test``; not a pytest module, since it needs minutes. First the wheel without extras, which needs
-neither torch nor matplotlib; then with the extra of the lifter, the demo. Every dependency comes with the wheel,
-so one that is not declared is noticed.
+neither torch nor matplotlib; then with the extra of the lifter, the demo. Every dependency comes with the
+wheel, so one that is not declared is noticed.
 """
 
 import hashlib

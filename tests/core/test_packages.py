@@ -26,8 +26,8 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(MissingPackageError) as caught:
         optional("av", "video", "reading a video")
     assert str(caught.value) == said
-    with pytest.raises(MissingPackageError, match="this needs av, which is not installed: pip install av"):
-        optional("av.codec", "", remedy="pip install av")
+    with pytest.raises(MissingPackageError, match="this needs no_such, which is not installed: conda install x"):
+        optional("no_such.part", "", remedy="conda install x")
 
 
 def test_a_broken_package_is_told_from_a_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
