@@ -1,88 +1,111 @@
-"""Which extras of this package can be installed from wheels alone, by Python version and platform.
+"""Which dependencies have wheels, by extra, Python version and platform.
 
     python -m benchmarks.wheel_availability > benchmarks/results/wheel_availability.md
 
-Asks the package index through `uv pip compile --only-binary :all:` (`pip install uv`), so that the packages that
-the dependencies need are looked at too. Where an extra fails, its direct dependencies are asked one by one.
+Reads the index of each direct dependency once (`packaging` is needed), and looks for a wheel of any version that
+pyproject.toml allows.
 """
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import json
 import tomllib
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from urllib.request import Request, urlopen
 
-PROJECT: Final = Path(__file__).parents[1] / "pyproject.toml"
+from packaging.requirements import Requirement
+from packaging.tags import Tag, compatible_tags, cpython_tags, mac_platforms
+from packaging.utils import InvalidWheelFilename, parse_wheel_filename
+
+INDEX: Final = "https://pypi.org/simple"
 PYTHONS: Final = ("3.11", "3.12", "3.13", "3.14")
+GLIBC: Final = 35  # manylinux_2_35: Ubuntu 22.04
+MACOS: Final = (14, 0)
 PLATFORMS: Final = {
-    "Linux x86_64": "x86_64-manylinux_2_28",
-    "Linux aarch64": "aarch64-manylinux_2_28",
-    "macOS arm64": "aarch64-apple-darwin",
-    "macOS x86_64": "x86_64-apple-darwin",
-    "Windows x86_64": "x86_64-pc-windows-msvc",
-}
-MACOS: Final = "14.0"
+    "Linux x86_64": ("linux", "x86_64"), "Linux aarch64": ("linux", "aarch64"),
+    "macOS arm64": ("darwin", "arm64"), "macOS x86_64": ("darwin", "x86_64"),
+    "Windows x86_64": ("win32", "AMD64"),
+}  # fmt: skip
+"""Title -> values of the markers `sys_platform` and `platform_machine`."""
 NONE: Final = "(none)"
 
 
-def resolves(requirements: str, python: str, platform: str) -> bool:
-    """Return whether wheels satisfy requirements, with all that these need."""
-    uv = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--no-config", "--only-binary", ":all:"]
-    where = ["--python-version", python, "--python-platform", PLATFORMS[platform]]
-    done = subprocess.run(
-        [*uv, *where, "-"], input=requirements, text=True, capture_output=True, cwd=PROJECT.parent,
-        env={**os.environ, "MACOSX_DEPLOYMENT_TARGET": MACOS},
-    )  # fmt: skip
-    return done.returncode == 0
-
-
-def requirements(project: dict[str, object], extra: str) -> list[str]:
+def requirements(project: dict[str, Any], extra: str) -> list[Requirement]:
     """Return the requirements of the package, or those that an extra adds."""
     if extra == NONE:
-        return [str(one) for one in project["dependencies"]]  # type: ignore[attr-defined]
-    found: list[str] = []
-    for one in project["optional-dependencies"][extra]:  # type: ignore[index]
-        if one.startswith(f"{project['name']}["):
-            inner = one.partition("[")[2].rstrip("]").split(",")
-            found += [each for name in inner for each in requirements(project, name)]
-        else:
-            found.append(one)
+        return [Requirement(one) for one in project["dependencies"]]
+    found: list[Requirement] = []
+    for one in map(Requirement, project["optional-dependencies"][extra]):
+        own = sorted(one.extras) if one.name == project["name"] else []
+        found += [each for name in own for each in requirements(project, name)] if own else [one]
     return found
 
 
+def tags(python: str, platform: str) -> set[Tag]:
+    """Return the tags of wheels that an interpreter on a platform can use."""
+    system, machine = PLATFORMS[platform]
+    names = ["win_amd64"]
+    if system == "linux":
+        old = {"manylinux1": 5, "manylinux2010": 12, "manylinux2014": 17}
+        names = [f"manylinux_2_{minor}_{machine}" for minor in range(5, GLIBC + 1)]
+        names += [f"{name}_{machine}" for name in old]
+    elif system == "darwin":
+        names = list(mac_platforms(MACOS, machine))
+    version = tuple(map(int, python.split(".")))
+    return {*cpython_tags(version, platforms=names), *compatible_tags(version, platforms=names)}
+
+
+def wheels(name: str) -> list[tuple[Any, frozenset[Tag]]]:
+    """Return version and tags of every wheel of a package."""
+    accept = {"Accept": "application/vnd.pypi.simple.v1+json"}
+    with urlopen(Request(f"{INDEX}/{name}/", headers=accept), timeout=180) as answer:
+        files = json.load(answer)["files"]
+    return list(_read(file["filename"] for file in files if not file.get("yanked")))
+
+
+def _read(names: Iterator[str]) -> Iterator[tuple[Any, frozenset[Tag]]]:
+    for name in names:
+        try:
+            _, version, _, found = parse_wheel_filename(name)
+            yield version, found
+        except InvalidWheelFilename:  # a source distribution, or a name of old times
+            pass
+
+
 def main() -> None:
-    """Print the table: an extra a line, for each platform the Python versions."""
-    project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    extras = [NONE, *(name for name in project["optional-dependencies"] if name not in ("dev", "docs"))]
-    base = requirements(project, NONE)
-    cells = list(product(extras, PLATFORMS, PYTHONS))
-
-    def answer(cell: tuple[str, str, str]) -> list[str]:
-        extra, platform, python = cell
-        own = requirements(project, extra)
-        if resolves("\n".join({*base, *own}), python, platform):
-            return []
-        return [one for one in own if not resolves(one, python, platform)] or ["together"]
-
-    with ThreadPoolExecutor(2) as pool:
-        missing = dict(zip(cells, pool.map(answer, cells), strict=True))
+    """Print the table: an extra a line, for each platform the Python versions and what is lacking in others."""
+    path = Path(__file__).parents[1] / "pyproject.toml"
+    project = tomllib.loads(path.read_text(encoding="utf-8"))["project"]
+    composed = {"all", "dev", "docs"}
+    extras = [NONE, *(name for name in project["optional-dependencies"] if name not in composed)]
+    needed = {extra: requirements(project, extra) for extra in extras}
+    packages = sorted({one.name for own in needed.values() for one in own})
+    with ThreadPoolExecutor(6) as pool:
+        found = dict(zip(packages, pool.map(wheels, packages), strict=True))
     print(f"| extra | {' | '.join(PLATFORMS)} |\n|---{'|---' * len(PLATFORMS)}|")
     for extra in extras:
         row = []
-        for platform in PLATFORMS:
-            there = [python for python in PYTHONS if not missing[extra, platform, python]]
-            lacking = {
-                one.split(">")[0].split("[")[0] for p in PYTHONS for one in missing[extra, platform, p]
-            }
-            without = f" (no {', '.join(sorted(lacking))})" if lacking else ""
-            row.append(("all" if len(there) == len(PYTHONS) else ", ".join(there) or "none") + without)
-        print(f"| `{extra}` | {' | '.join(row)} |".replace(f"`{NONE}`", NONE))
-    print(f"\nPython {PYTHONS[0]} to {PYTHONS[-1]}; macOS {MACOS.removesuffix('.0')}")
+        for platform, (system, machine) in PLATFORMS.items():
+            lacking: dict[str, list[str]] = {}
+            for python in PYTHONS:
+                usable = tags(python, platform)
+                marks = {"sys_platform": system, "platform_machine": machine, "python_version": python}
+                for one in needed[extra]:
+                    there = (v in one.specifier and usable & tag for v, tag in found[one.name])
+                    if not any(there):
+                        wanted = one.marker is None or one.marker.evaluate(marks)
+                        lacking.setdefault(one.name if wanted else f"({one.name})", []).append(python)
+            every = len(PYTHONS)
+            said = [n if len(on) == every else f"{n} on {', '.join(on)}" for n, on in lacking.items()]
+            row.append(f"no {', no '.join(said)}" if said else "yes")
+        print(f"| {extra} | {' | '.join(row)} |")
+    print(
+        f"\nPython {PYTHONS[0]} to {PYTHONS[-1]}, glibc 2.{GLIBC}, macOS {MACOS[0]}. *yes*: wheels for all. "
+        "In brackets: a marker excludes it there."
+    )
 
 
 if __name__ == "__main__":

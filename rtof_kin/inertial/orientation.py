@@ -123,9 +123,7 @@ def _estimated(
     if m is not None:
         seen = np.isfinite(m).all(axis=1)  # of the whole stream: the field changes slowly
         m = _interpolated(stream.times[seen], m[seen], even)
-    vqf = optional(
-        "vqf", "", "the orientation of a raw sensor", _INSTALL_VQF
-    )
+    vqf = optional("vqf", "", "the orientation of a raw sensor", _INSTALL_VQF)
     out = vqf.VQF(step).updateBatch(w, f, m) if causal else vqf.offlineVQF(w, f, m, step)
     R = so3.from_quat_wxyz(out["quat6D" if m is None else "quat9D"])
     return signals.interpolate_rotations(even, R[:, None], times)[:, 0]

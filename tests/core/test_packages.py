@@ -26,7 +26,7 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(MissingPackageError) as caught:
         optional("av", "video", "reading a video")
     assert str(caught.value) == said
-    with pytest.raises(MissingPackageError, match="this needs no_such, which is not installed: conda install x"):
+    with pytest.raises(MissingPackageError, match="no_such, which is not installed: conda install x"):
         optional("no_such.part", "", remedy="conda install x")
 
 
