@@ -31,12 +31,12 @@ test: lint
 
 # The tests that need no extra, with the lowest versions that pyproject.toml allows.
 LOWEST := .venv-lowest
-PLAIN_TESTS := tests/body tests/clinical tests/core tests/data tests/formats tests/inertial tests/recording tests/solve
+PLAIN_TESTS := tests/body tests/clinical tests/data tests/formats tests/inertial
 test-lowest: $(STAMP)
 	$(BIN)/uv venv --quiet --clear --python $(BIN)/python $(LOWEST)
-	$(BIN)/uv pip install --quiet --python $(LOWEST) --resolution lowest-direct -e ".[figures,parquet]"
+	$(BIN)/uv pip install --quiet --python $(LOWEST) --resolution lowest-direct -e ".[figures,parquet,live]"
 	$(BIN)/uv pip install --quiet --python $(LOWEST) "pytest>=8.2" pytest-xdist hypothesis
-	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -m "not extras" $(PLAIN_TESTS)
+	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning $(PLAIN_TESTS)
 
 # Source distribution and wheel in dist/, the same bytes from the same commit.
 dist: $(STAMP)

@@ -2,8 +2,8 @@
 
     python -m benchmarks.wheel_availability > benchmarks/results/wheel_availability.md
 
-Reads the index of each direct dependency once (`packaging` is needed), and looks for a wheel of any version that
-pyproject.toml allows.
+Reads the index of each direct dependency once (`packaging` is needed), and looks for a wheel of any version
+that pyproject.toml allows.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _read(names: Iterator[str]) -> Iterator[tuple[Any, frozenset[Tag]]]:
 
 
 def main() -> None:
-    """Print the table: an extra a line, for each platform the Python versions and what is lacking in others."""
+    """Print the table: for each extra and platform what has no wheel."""
     path = Path(__file__).parents[1] / "pyproject.toml"
     project = tomllib.loads(path.read_text(encoding="utf-8"))["project"]
     composed = {"all", "dev", "docs"}
@@ -102,10 +102,8 @@ def main() -> None:
             said = [n if len(on) == every else f"{n} on {', '.join(on)}" for n, on in lacking.items()]
             row.append(f"no {', no '.join(said)}" if said else "yes")
         print(f"| {extra} | {' | '.join(row)} |")
-    print(
-        f"\nPython {PYTHONS[0]} to {PYTHONS[-1]}, glibc 2.{GLIBC}, macOS {MACOS[0]}. *yes*: wheels for all. "
-        "In brackets: a marker excludes it there."
-    )
+    where = f"Python {PYTHONS[0]} to {PYTHONS[-1]}, glibc 2.{GLIBC}, macOS {MACOS[0]}"
+    print(f"\n{where}. *yes*: wheels for all. In brackets: a marker excludes it there.")
 
 
 if __name__ == "__main__":
