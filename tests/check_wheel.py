@@ -21,7 +21,7 @@ NEEDED = {
     "rtof_kin/models/lifter.pt", "rtof_kin/models/lifter.md", "rtof_kin/models/demo/recording.toml",
     "rtof_kin/core/numerics/banded.c", "rtof_kin/core/numerics/simd.h", "rtof_kin/py.typed",
 }  # fmt: skip
-LICENCES = {"LICENSE", "NOTICE"}
+LICENCES = {"LICENSE", "NOTICE", "LICENSES/LicenseRef-CMU-Mocap.txt"}
 
 
 def run(*command: str | Path, cwd: Path) -> None:
