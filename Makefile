@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench harness accuracy pictures docs docs-links clean
+.PHONY: demo test test-lowest lint dist sbom bench harness accuracy pictures docs docs-links clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -19,6 +19,8 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
+	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
 	$(BIN)/python models/build_urdf.py --check
 
 test: lint
@@ -26,6 +28,29 @@ test: lint
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 	$(BIN)/python tests/check_real_video.py
+
+# The tests that need no extra, with the lowest versions that pyproject.toml allows.
+LOWEST := .venv-lowest
+PLAIN_TESTS := tests/body tests/clinical tests/data tests/formats tests/inertial
+test-lowest: $(STAMP)
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python $(LOWEST)
+	$(BIN)/uv pip install --quiet --python $(LOWEST) --resolution lowest-direct -e ".[figures,parquet,live]"
+	$(BIN)/uv pip install --quiet --python $(LOWEST) "pytest>=8.2" pytest-xdist hypothesis
+	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning $(PLAIN_TESTS)
+
+# Source distribution and wheel in dist/, the same bytes from the same commit.
+dist: $(STAMP)
+	rm -rf dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation -o dist .
+	$(BIN)/twine check --strict dist/*.whl dist/*.tar.gz
+
+# Bill of materials of an installation with all extras, in CycloneDX: dist/rtof-kin.cdx.json.
+sbom: $(STAMP)
+	mkdir -p dist
+	$(PYTHON) -m venv $(VENV)-sbom
+	$(VENV)-sbom/bin/python -m pip install --quiet -c constraints.txt ".[all]"
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
+		--spec-version 1.6 --output-format JSON -o dist/rtof-kin.cdx.json $(VENV)-sbom/bin/python
 
 # Solvers side by side: time, energy, gradient, frames per second. About ten minutes.
 bench: $(STAMP)
@@ -55,4 +80,4 @@ docs-links: $(VENV)/.installed-docs
 	$(SPHINX) -b linkcheck . docs/_build/links
 
 clean:
-	rm -rf $(VENV) out build dist docs/_build
+	rm -rf $(VENV) $(VENV)-sbom $(LOWEST) out build dist docs/_build

@@ -2,4 +2,10 @@
 
 Only this package imports torch; arrays are float32 inside it. `predict.Lifter` is the way in for
 users, `train.train` makes a new lifter from motion capture.
+
+Importing it without torch raises `MissingPackageError`, which says what to install.
 """
+
+from rtof_kin.core.packages import optional
+
+optional("torch", "lift", "the lifter, which takes keypoints to 3D,")

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
-
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from typing import TYPE_CHECKING, Any, Final
 
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.packages import can_draw
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Row = Mapping[str, Any]
 """A report with a validation, see `train.Progress`."""
@@ -40,7 +40,9 @@ def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> Non
     """
     text = json.dumps({"recipe": recipe, "history": history}, indent=1)
     write_text(data_file(lifter), text, overwrite=True)
-    if history:
+    if history and can_draw():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
         figure = draw(history, Path(lifter).name)
         figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
         with new_file(figure_file(lifter), overwrite=True) as whole:
@@ -53,6 +55,8 @@ def draw(history: Sequence[Row], title: str) -> Figure:
     Args:
         history: reports with validations. title: of the figure.
     """
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(15, 5))
     figure.subplots_adjust(left=0.05, right=0.99, bottom=0.11, top=0.9)
     loss, *panels = figure.subplots(1, 1 + len(PANELS))
@@ -77,6 +81,8 @@ def draw(history: Sequence[Row], title: str) -> Figure:
 
 def windows_axis(ax: Axes, label: str) -> None:
     """Format the horizontal axis as a logarithmic number of windows, in millions."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_minor_locator(NullLocator())

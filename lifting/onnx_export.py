@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import json
 import warnings
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -22,8 +21,9 @@ from lifting.model import TemporalNetwork
 from lifting.models import RAYS
 from lifting.predict import MIN_JOINTS, Lifter
 from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
-from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.packages import optional
 
 INPUTS: Final = ("rays_world", "seen", "bones", "camera_height", "R_world_sensed", "sensed", "R_bone_shared")
 OUTPUTS: Final = ("p_root_joint", "p_camera_root", "sigma_m", "R_world_bone", "sigma_rad")
@@ -102,10 +102,7 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
     path, description = Path(path), lifter.description
     if description.network.model != RAYS:
         raise InvalidInputError(f"a lifter of kind {description.network.model} has no ONNX form")
-    try:
-        onnx: Any = import_module("onnx")
-    except ImportError as error:
-        raise RtofError("ONNX needs its package; install it: pip install rtof_kin[onnx]") from error
+    onnx = optional("onnx", "onnx", "writing ONNX")
     body = description.body
     inputs, outputs = (INPUTS, OUTPUTS) if body.sensors else (INPUTS[:4], OUTPUTS[:3])
     with new_file(path, overwrite) as whole:

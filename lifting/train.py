@@ -15,6 +15,7 @@ from typing import Any
 import torch
 
 from lifting.corpus import Corpus, read_corpus
+from lifting.curves import write_curves
 from lifting.distributed import workers
 from lifting.model import torch_threads
 from lifting.run import Run
@@ -74,7 +75,7 @@ def train(
         finally:
             if team.first:
                 run.save(state_file)
-                _write_curves(out, run)
+                write_curves(out, run.facts(), run.history)
         return team.from_first(lambda: run.save_lifter(out, overwrite))
 
 
@@ -89,12 +90,6 @@ def _learn(run: Run, state_file: Path, progress: Progress | None) -> None:
                 run.save(state_file)
             if progress:
                 progress(report)
-
-
-def _write_curves(out: Path, run: Run) -> None:
-    from lifting.curves import write_curves  # imports matplotlib only here
-
-    write_curves(out, run.facts(), run.history)
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
@@ -21,6 +20,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.configuration_report import ConfigurationReport
 from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.body.urdf import read_urdf, to_urdf
 from rtof_kin.core import rotations as so3

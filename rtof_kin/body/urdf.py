@@ -12,9 +12,9 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-import pinocchio as pin
 
 from rtof_kin.body.body_mass import inertia, mass_fraction
+from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array

@@ -7,7 +7,7 @@ says what, where and what to do), 130 interrupted.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import argparse
@@ -99,6 +99,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         "machine. Start with: rtof-kin demo",
         epilog="Each command explains itself: rtof-kin reconstruct --help",
     )
+    parser.add_argument("--version", action=_version_action(), help="show the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for module in (
         start,
@@ -119,3 +120,17 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
     ):
         module.add_commands(commands)
     return parser, commands
+
+
+def _version_action() -> type[argparse.Action]:
+    """Return an action that finds the version only where it is asked for."""
+    import argparse
+
+    class Version(argparse._VersionAction):
+        def __call__(self, parser: argparse.ArgumentParser, *rest: Any) -> None:
+            import rtof_kin
+
+            self.version = f"rtof-kin {rtof_kin.__version__}"
+            super().__call__(parser, *rest)
+
+    return Version

@@ -75,6 +75,7 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.core.packages import can_draw
     from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     check_replaceable(options.output, MARKER, options.overwrite)
@@ -87,7 +88,7 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
         )  # fmt: skip
     with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)
-        if not options.no_figures:
+        if not options.no_figures and can_draw():
             from rtof_kin.report.clinical_figures import write_clinical_figures
 
             write_clinical_figures(analysis, folder / "figures")

@@ -22,7 +22,7 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "detect", _detect, "detect keypoints of people in a video or webcam",
         "Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; "
-        "needs the extra: pip install 'rtof_kin[video]'. Images are neither kept nor sent. OUT can be a "
+        "needs the extra: pip install 'rtof-kin[video]'. Images are neither kept nor sent. OUT can be a "
         "recording's keypoints.",
     )  # fmt: skip
     parser.add_argument("video", metavar="VIDEO", help="video file, or the number of a webcam")

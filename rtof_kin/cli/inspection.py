@@ -202,16 +202,17 @@ def _figure(check: Any, shown: list[Any], checks: Any) -> str:
 
 
 def _draw(found: Any, target: Path, overwrite: bool) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     from rtof_kin.core.files.folder import new_file
+    from rtof_kin.core.packages import optional
+
+    canvas = optional("matplotlib.backends.backend_agg", "figures", "a picture")
     from rtof_kin.report.inspection_figures import picture
 
     figure = picture(found)
     if figure is None:
         out.print("nothing of this file can be drawn")
         return
-    FigureCanvasAgg(figure)
+    canvas.FigureCanvasAgg(figure)
     with new_file(target, overwrite) as whole:
         figure.savefig(whole)
     out.print(f"wrote {target}", soft_wrap=True)

@@ -67,7 +67,7 @@ def add_commands(commands: Any) -> None:
         commands, "live", _live, "poses while a person moves, from cameras and sensors, recorded on request",
         "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
         "the sensors; its streams are not used. Ctrl-C ends and finishes the recording. Nothing leaves this "
-        "machine unless an output says so. Needs the extra: pip install 'rtof_kin[live]'.",
+        "machine unless an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
     )  # fmt: skip
     parser.formatter_class = _Help
     parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES

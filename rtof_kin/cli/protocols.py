@@ -32,8 +32,8 @@ def add_commands(commands: Any) -> None:
 
 def _total_capture(options: argparse.Namespace) -> None:
     from rtof_kin.body.skeleton import SkeletonModel
+    from rtof_kin.core.packages import can_draw
     from rtof_kin.protocols.measures import rows_of
-    from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
     from rtof_kin.protocols.total_capture import SENSOR_SETS, TEST_TAKES, TotalCaptureProtocol, run
     from rtof_kin.protocols.total_capture_tables import all_tables
@@ -71,7 +71,10 @@ def _total_capture(options: argparse.Namespace) -> None:
         facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
         written = write_tables(folder / name, tables, facts, json_files[name], options.overwrite)
         table = SkeletonModel.default().table
-        written += write_pictures(outcome, folder / name / "figures", table, 60.0)
+        if can_draw():
+            from rtof_kin.protocols.pictures import write_pictures
+
+            written += write_pictures(outcome, folder / name / "figures", table, 60.0)
         _print_tables(tables)
         out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
         outcomes.append(outcome)
@@ -81,10 +84,10 @@ def _total_capture(options: argparse.Namespace) -> None:
 
 def _human36m(options: argparse.Namespace) -> None:
     from rtof_kin.body.skeleton import SkeletonModel
+    from rtof_kin.core.packages import can_draw
     from rtof_kin.datasets.human36m import RATE_HZ
     from rtof_kin.protocols import human36m
     from rtof_kin.protocols.measures import rows_of
-    from rtof_kin.protocols.pictures import write_pictures
     from rtof_kin.protocols.tables import write_tables
 
     folder, json_file = Path(options.output), _json_file(options)
@@ -107,7 +110,10 @@ def _human36m(options: argparse.Namespace) -> None:
     facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
     written = write_tables(folder, tables, facts, json_file, options.overwrite)
     table = SkeletonModel.human36m().table
-    written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
+    if can_draw():
+        from rtof_kin.protocols.pictures import write_pictures
+
+        written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
     _print_tables(tables)
     out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)

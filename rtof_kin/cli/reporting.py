@@ -49,6 +49,7 @@ def _study(options: argparse.Namespace) -> None:
     use_threads(options)
     from lifting.predict import Lifter
     from rtof_kin.core.jobs import open_runs
+    from rtof_kin.core.packages import can_draw
     from rtof_kin.recording.recording import Recording
     from rtof_kin.report.sensor_study.files import remove_results, unused_removed, write_study
     from rtof_kin.report.sensor_study.sentences import sentences
@@ -71,7 +72,7 @@ def _study(options: argparse.Namespace) -> None:
         )  # fmt: skip
     print_headline(study.verdict, "all sensors: ")
     written = []
-    if not options.no_figures:
+    if not options.no_figures and can_draw():
         from rtof_kin.report.sensor_study.figures import write_study_figures
 
         written += write_study_figures(study, folder / "figures")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -161,6 +162,8 @@ def _run(options: argparse.Namespace) -> None:
         raise InvalidInputError(
             "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
         )
+    if find_spec("torch") is None:
+        import lifting  # noqa: F401  # says so before the work
     folder = Path(options.output)
     started = time.monotonic()
     found, own = _set_up(options, folder / RECORDING, folder.resolve().name), folder / RECORDING

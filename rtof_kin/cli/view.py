@@ -31,7 +31,7 @@ def add_commands(commands: Any) -> None:
         commands, "view", _view, "a motion in 3D in the browser, with cameras, sensors, truth and curves",
         "OUT is the output of reconstruct or run. The page is served to this machine only; nothing leaves "
         "it. Ctrl-C ends. Keys: space plays, arrows step by a frame (left, right) or a second (up, down). "
-        "Needs the extra: pip install 'rtof_kin[view]'.",
+        "Needs the extra: pip install 'rtof-kin[view]'.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.npz")
     parser.add_argument(

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
+from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
 from rtof_kin.clinical.gait import GaitAnalysis

@@ -65,6 +65,10 @@ class OutputExistsError(RtofError, FileExistsError):
         return cls(f"{path}: is there already; {remedy}")
 
 
+class MissingPackageError(RtofError, ImportError):
+    """A package that only some features need is not installed."""
+
+
 class WritingError(RtofError):
     """Output cannot be written, for example because the disk is full."""
 

@@ -20,6 +20,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import check_file
+from rtof_kin.core.packages import optional
 from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
@@ -215,7 +216,7 @@ def write_c3d(
         InvalidInputError: unknown axis, or times that are not whole frames of one rate.
         WritingError: it cannot be written.
     """
-    import ezc3d  # slow to import and only needed here
+    ezc3d = optional("ezc3d", "", "writing C3D", "pip install ezc3d, or conda install -c conda-forge ezc3d")
 
     R_world_file, markers = world_of_file(up), MarkerBlocks.of(markers)
     rate = markers.rate_hz

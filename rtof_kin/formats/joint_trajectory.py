@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pinocchio as pin
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
+from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError

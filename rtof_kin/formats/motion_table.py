@@ -26,8 +26,8 @@ from rtof_kin.body.observability import (
     root_turn_observed,
 )
 from rtof_kin.body.skeleton import MotionSequence
-from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN
 
@@ -124,11 +124,7 @@ def write_motion_parquet(
         RtofError: pyarrow is not installed, or the file cannot be written.
         OutputExistsError: the file exists and `overwrite` is False.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise RtofError("Parquet needs pyarrow: install the extra, rtof_kin[parquet]") from error
+    pa, parquet = (optional(name, "parquet", "Parquet") for name in ("pyarrow", "pyarrow.parquet"))
     source = MotionSource.of(motion)
     skeleton = source.skeleton
     offsets = dict(zip(skeleton.names, skeleton.joint_offsets.tolist(), strict=True))

@@ -22,6 +22,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.packages import optional
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
@@ -191,10 +192,7 @@ def _load(
     path: Path, structure: XdfStructure, headers: Sequence[XdfHeader]
 ) -> tuple[list[tuple[Array, Array, list[str]]], tuple[str, ...]]:
     """Return times (T,), values (T, C) and remarks of each stream, and remarks of pyxdf."""
-    try:
-        import pyxdf
-    except ImportError as error:
-        raise FileFormatError(path, "XDF files need pyxdf: pip install rtof-kin[live]") from error
+    pyxdf = optional("pyxdf", "live", f"{path}: an XDF file")
     numbers = [header.number for header in headers]
     try:
         with path.open("rb") as stream, _remarks() as remarks, np.errstate(all="ignore"):

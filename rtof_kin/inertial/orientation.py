@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from vqf import VQF, offlineVQF
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.packages import optional
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 
 _MOST_STEPS = 100  # of the filter for each sample
@@ -38,6 +38,7 @@ class OrientationSettings:
                 raise InvalidInputError(f"orientation {name} is {value}; it must be positive")
 
 
+_INSTALL_VQF = "pip install vqf, which needs a C++ compiler on this platform"
 _DEFAULT = OrientationSettings()
 
 
@@ -122,7 +123,8 @@ def _estimated(
     if m is not None:
         seen = np.isfinite(m).all(axis=1)  # of the whole stream: the field changes slowly
         m = _interpolated(stream.times[seen], m[seen], even)
-    out = VQF(step).updateBatch(w, f, m) if causal else offlineVQF(w, f, m, step)
+    vqf = optional("vqf", "", "the orientation of a raw sensor", _INSTALL_VQF)
+    out = vqf.VQF(step).updateBatch(w, f, m) if causal else vqf.offlineVQF(w, f, m, step)
     R = so3.from_quat_wxyz(out["quat6D" if m is None else "quat9D"])
     return signals.interpolate_rotations(even, R[:, None], times)[:, 0]
 

@@ -28,6 +28,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.packages import can_draw
 from rtof_kin.formats.measurements_npz import MEASUREMENTS
 from rtof_kin.formats.measurements_writer import MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
@@ -121,7 +122,7 @@ def export_parts(
             write_motion_files(temporary, reader.source(), formats)
         text = json.dumps(summary(statistics), indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
-        if figures and whole is not None:
+        if figures and whole is not None and can_draw():
             from rtof_kin.report.figures import write_figures
 
             write_figures(whole, temporary / "figures")

@@ -21,6 +21,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import load_json, write_text
+from rtof_kin.core.packages import can_draw
 from rtof_kin.data.camera_motion import stabilised
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion_npz import write_camera_motion
@@ -138,7 +139,8 @@ def find_people(
     shown = sources.video if settings.keep_video else None
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         write_people(fresh / KEYPOINTS, people)
-        write_frames_picture(fresh / PICTURE, people, known.layout.name, video.size_px, shown)
+        if can_draw():
+            write_frames_picture(fresh / PICTURE, people, known.layout.name, video.size_px, shown)
     return people
 
 
@@ -188,7 +190,8 @@ def make_recording(
     found = _findings(tables, doubts)
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE):
-            shutil.copyfile(folder / kept, fresh / kept)
+            if kept == KEYPOINTS or (folder / kept).exists():
+                shutil.copyfile(folder / kept, fresh / kept)
         if turned is not None:
             write_camera_motion(fresh / MOTION, turned)
         if sensors is not None:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.packages import optional
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.camera_motion import CameraMotion
@@ -30,7 +31,6 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.vision.bearing_rotation import Pair, Turned, bearings, focal_factor, turn_between, with_focal
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import VideoFrame, read_video
-from rtof_kin.vision.video_file import library
 
 Gray = NDArray[np.uint8]
 MOST_TURNED_DEG: Final = 0.5
@@ -206,7 +206,7 @@ class _Follower:
         self.camera = camera
         self.links: list[_Link | None] = []
         """Of each frame; None where it could not be followed."""
-        self._cv2 = library("cv2")
+        self._cv2 = optional("cv2", "video")
         self._size = camera.width_px, camera.height_px
         self._tolerance = _TOLERANCE / float(camera.K[0, 0])
         self._keys: list[_Key] = []

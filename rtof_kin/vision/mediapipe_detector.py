@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
-from rtof_kin.vision.video_file import library
 
-INSTALL: Final = "pip install 'rtof_kin[mediapipe]'"
-"""Command that installs MediaPipe."""
 MOST_PEOPLE: Final = 4
 """People that are looked for; with more than one, MediaPipe does not smooth, which would delay the points."""
 _DOUBLE = 0.4
@@ -62,9 +60,9 @@ class MediaPipeDetector:
         Raises:
             FileFormatError: it cannot be read. RtofError: MediaPipe is not installed, or without a model.
         """
-        self._mediapipe = library("mediapipe", INSTALL)
-        tasks = library("mediapipe.tasks.python", INSTALL)
-        vision = library("mediapipe.tasks.python.vision", INSTALL)
+        self._mediapipe = optional("mediapipe", "mediapipe")
+        tasks = optional("mediapipe.tasks.python", "mediapipe")
+        vision = optional("mediapipe.tasks.python.vision", "mediapipe")
         self.name = "MediaPipe Pose Landmarker" + ("" if model is None else f" ({Path(model).name})")
         if model is not None and not Path(model).is_file():
             raise FileFormatError(model, "there is no such model")
@@ -139,7 +137,7 @@ def _bundle() -> bytes:
     files = contained_models()
     if files is None:
         raise RtofError("this version of MediaPipe contains no model: give a .task file, or fetch one")
-    writer = library(_WRITER, INSTALL).MetadataWriter
+    writer = optional(_WRITER, "mediapipe").MetadataWriter
     bundle = io.BytesIO()
     with zipfile.ZipFile(bundle, "w", zipfile.ZIP_STORED) as archive:
         for name, path in files.items():

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
-from rtof_kin.vision.video_file import library
 
 _MODELS = (
     "put an RTMPose body model (body with feet gives 26 points, body 17) and, for more than one person "
@@ -54,7 +54,7 @@ def _find_models(folder: str | Path) -> tuple[_ModelFile, _ModelFile | None]:
 
 def _described(path: Path) -> _ModelFile:
     """Return the kind and sizes of an ONNX model from its inputs and outputs."""
-    runtime = library("onnxruntime")
+    runtime = optional("onnxruntime", "video")
     try:
         session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's errors have no common base
@@ -92,7 +92,7 @@ class OnnxDetector:
             RtofError: the extra ``video`` is not installed.
         """
         pose, people = _find_models(folder)
-        rtmlib = library("rtmlib")
+        rtmlib = optional("rtmlib", "video")
         self.points = pose.points
         self._one_stage = pose.kind != "pose"
         make = rtmlib.RTMO if self._one_stage else rtmlib.RTMPose

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import write_npz
+from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
-from rtof_kin.vision.video_file import library, open_video, upright_image
+from rtof_kin.vision.video_file import open_video, upright_image
 from rtof_kin.vision.video_metadata import frame_count, frame_rate, slow_motion
 
 Progress = Callable[[str, int, int], None]
@@ -120,7 +121,7 @@ def _file(path: str | Path) -> Iterator[VideoFrame]:
 
 def _decoded(path: str | Path, container: Any, stream: Any) -> Iterator[Any]:
     """Generate the frames of PyAV; damaged packets are skipped, and the end of a damaged file is its end."""
-    av, damaged = library("av"), 0
+    av, damaged = optional("av", "video"), 0
     packets = container.demux(stream)
     while True:
         try:
@@ -156,7 +157,7 @@ class _FileClock:
 
 
 def _webcam(number: int) -> Iterator[VideoFrame]:
-    cv2 = library("cv2")
+    cv2 = optional("cv2", "video")
     capture = cv2.VideoCapture(number)
     try:
         start, index = None, 0

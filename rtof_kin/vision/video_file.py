@@ -6,37 +6,20 @@ or servers.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.packages import optional
 
-INSTALL: Final = "pip install 'rtof_kin[video]'"
-"""Command that installs what reading and detecting need."""
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,asf,ogg,flv,mxf,dv"
 _CONVERT = "convert it to MP4 (H.264) first"
 _MOST_PIXELS = 64e6  # of one image: 8K has 33 million
-
-
-def library(name: str, install: str = INSTALL) -> Any:
-    """Import a module of an optional extra.
-
-    Args:
-        name: of the module. install: command that installs it.
-
-    Raises:
-        RtofError: it is not installed; the message has the command.
-    """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise RtofError(f"{name} is not installed, which this needs ({error}): {install}") from error
 
 
 @contextmanager
@@ -50,7 +33,7 @@ def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
         FileFormatError: no such file, not a video, or with images larger than any camera's.
         RtofError: the extra is not installed.
     """
-    av = library("av")
+    av = optional("av", "video")
     path = Path(path)
     if not path.is_file():
         raise FileFormatError(path, "there is no such video")

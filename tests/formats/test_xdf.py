@@ -12,7 +12,7 @@ import planted
 import pytest
 from xdf_file import Stream, chunk, content
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.xdf import read_xdf, read_xdf_points
 from rtof_kin.report.inspection import inspect
@@ -227,5 +227,5 @@ def test_missing_file_and_missing_package(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(InvalidInputError, match="rate_hz"):
         read_xdf(path, rate_hz=-1.0)
     monkeypatch.setitem(sys.modules, "pyxdf", None)
-    with pytest.raises(FileFormatError, match=r"rtof-kin\[live\]"):
+    with pytest.raises(MissingPackageError, match=r"needs pyxdf.*rtof-kin\[live\]"):
         read_xdf(path)

@@ -12,7 +12,7 @@ import pytest
 from lsl_support import Sender, unique, until
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import SourceError
+from rtof_kin.core.errors import MissingPackageError, SourceError
 from rtof_kin.data.imu_declaration import Declaration
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
 from rtof_kin.live.sources import lsl_inlet
@@ -196,5 +196,5 @@ def test_jump_of_a_senders_clock_is_mended_and_said() -> None:
 
 def test_without_pylsl_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pylsl", None)
-    with pytest.raises(SourceError, match=r"rtof-kin\[live\]"):
+    with pytest.raises(MissingPackageError, match=r"rtof-kin\[live\]"):
         LslImuSource("any").start()

@@ -117,7 +117,7 @@ def test_a_model_that_cannot_be_used_is_named(package: Path, monkeypatch: pytest
     with pytest.raises(RtofError, match="contains no model: give a .task file, or fetch one"):
         MediaPipeDetector()
     monkeypatch.setitem(sys.modules, "mediapipe", None)
-    with pytest.raises(RtofError, match=r"mediapipe is not installed.*pip install 'rtof_kin\[mediapipe\]'"):
+    with pytest.raises(RtofError, match=r"mediapipe, which is not installed: .*rtof-kin\[mediapipe\]"):
         MediaPipeDetector()
 
 

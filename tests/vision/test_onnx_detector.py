@@ -69,7 +69,7 @@ def test_a_missing_extra_names_what_to_install(folder: Path, monkeypatch: pytest
     for name in ("rtmlib", "onnxruntime"):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, name, None)
-            with pytest.raises(RtofError, match=rf"{name} is not installed.*pip install 'rtof_kin\[video\]'"):
+            with pytest.raises(RtofError, match=rf"{name}, which is not installed: .*rtof-kin\[video\]"):
                 OnnxDetector(folder)
 
 

@@ -82,10 +82,10 @@ def test_without_a_detector_one_message_has_every_way_to_one(monkeypatch: pytest
     said = str(caught.value)
     assert "nothing is downloaded unasked" in said
     assert "1. add --fetch-models rtmpose: downloads RTMPose-m" in said
-    assert "2. pip install 'rtof_kin[mediapipe]', then add --fetch-models mediapipe" in said
+    assert '2. pip install "rtof-kin[mediapipe]", then add --fetch-models mediapipe' in said
     assert "licence Apache-2.0" in said
     assert "--model-dir DIR" in said
     assert "keypoints of another program" in said
     monkeypatch.setattr(ModelSet, "missing", property(lambda wanted: wanted.needs))
-    with pytest.raises(RtofError, match=r"1. pip install 'rtof_kin\[video\]', then add"):
+    with pytest.raises(RtofError, match=r'1. pip install "rtof-kin\[video\]", then add'):
         choose_detector()

@@ -91,7 +91,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         OutputExistsError: it may not be replaced. WritingError: its parent cannot be written.
     """
     path = Path(path)
-    if path.is_symlink() or path.is_mount():
+    if path.is_symlink() or os.path.ismount(path):
         raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
     _check_place(path, "choose another folder")
     if not path.exists():

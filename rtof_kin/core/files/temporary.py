@@ -12,16 +12,15 @@ import platform
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rtof_kin.core.files.manifest import MANIFEST, remove_written
 
-try:
+if sys.platform != "win32":
     import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 _PREFIX = f".rtof_kin-{re.sub('[^A-Za-z0-9.]', '_', platform.node())[:64]}-"
 _OWN = re.compile(re.escape(_PREFIX) + "[0-9a-f]{12}")
@@ -57,7 +56,7 @@ def _lock(folder: Path) -> Iterator[bool | None]:
     """Lock a folder: True; False if another process has it locked or removed; None without file locks."""
     descriptor, locked = None, None
     try:
-        if fcntl is not None:
+        if sys.platform != "win32":
             descriptor = os.open(folder, os.O_RDONLY)
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             locked = True

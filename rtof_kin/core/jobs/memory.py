@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -24,8 +25,9 @@ version 2 and 1.
 def total_memory() -> int | None:
     """Return the memory of this machine, or the limit of this process's control group."""
     known = [limit for limit, _ in _limits(_PROC, _GROUPS)]
-    with suppress(ValueError, OSError, AttributeError):
-        known.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    if sys.platform != "win32":
+        with suppress(ValueError, OSError):
+            known.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     return min(known, default=None)
 
 
@@ -60,11 +62,10 @@ def reset_peak() -> None:
 def peak_memory() -> int | None:
     """Return the most memory that this process had since `reset_peak`, else since it began."""
     peak = _field(_PROC / "self" / "status", "VmHWM")
-    if peak is None:
-        with suppress(ImportError):
-            import resource  # not on Windows
+    if peak is None and sys.platform != "win32":
+        import resource
 
-            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # macOS: bytes
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # macOS: bytes
     return peak
 
 

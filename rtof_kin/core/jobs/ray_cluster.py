@@ -18,6 +18,7 @@ from typing import Any, Final
 
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.jobs.engine import Ended, ended
+from rtof_kin.core.packages import optional
 
 _AHEAD: Final = 2
 """Jobs that are handed to the cluster, for each of its cores."""
@@ -46,7 +47,7 @@ class RayCluster:
         self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]
     ) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
-        ray = _ray()
+        ray = optional("ray", "cluster")
         waiting = iter(jobs)
         with self._connected(ray):
             task = ray.remote(
@@ -91,14 +92,6 @@ class RayCluster:
     def _room(self, ray: Any) -> int:
         """Return how many jobs the cluster may have at a time."""
         return self.workers or max(1, _AHEAD * int(ray.cluster_resources().get("CPU", 0)))
-
-
-def _ray() -> Any:
-    try:
-        import ray
-    except ImportError as error:
-        raise RtofError("ray is not installed: pip install 'rtof_kin[cluster]'") from error
-    return ray
 
 
 def _answer(ray: Any, one: Any, key: str) -> Ended:

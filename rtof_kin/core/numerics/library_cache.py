@@ -14,6 +14,7 @@ import logging
 import os
 import shutil
 import stat
+import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -126,7 +127,7 @@ def _own_bytes(path: Path) -> bytes:
 
 def _writable_by_others(status: os.stat_result) -> bool:
     """Return whether anyone except this user and root may write."""
-    if os.name != "posix":  # Windows: access rights are not in these bits
+    if sys.platform == "win32":  # access rights are not in these bits
         return False
     return status.st_uid not in (0, os.geteuid()) or bool(status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
 
@@ -137,14 +138,21 @@ def _doubt(folder: Path) -> str | None:
         return f"others may write to {folder} (chmod 700 it after a look at its contents, or delete it)"
     for parent in folder.parents:
         status = parent.stat()
-        sticky = status.st_mode & stat.S_ISVTX and status.st_uid in (0, os.geteuid())
-        if _writable_by_others(status) and not sticky and not _of_own_group(status):
+        if _writable_by_others(status) and not _sticky(status) and not _of_own_group(status):
             return f"others may replace folders in {parent}"
     return None
 
 
+def _sticky(status: os.stat_result) -> bool:
+    """Return whether users can replace only their own entries of a folder of this user or root."""
+    own = sys.platform == "win32" or status.st_uid in (0, os.geteuid())
+    return own and bool(status.st_mode & stat.S_ISVTX)
+
+
 def _of_own_group(status: os.stat_result) -> bool:
     """Return whether a folder belongs to this user and its group has no other member."""
+    if sys.platform == "win32":
+        return True
     import grp
     import pwd
 

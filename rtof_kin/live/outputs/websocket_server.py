@@ -31,11 +31,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.core.packages import optional
 from rtof_kin.live.outputs.joint_state import JointStates
 from rtof_kin.live.outputs.page import live_page, page_headers
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.live.sources.datagrams import INSTALL
-from rtof_kin.vision.video_file import library
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -105,8 +104,8 @@ class WebSocketServer:
             SourceError: the port is taken, or the host is not an address of this machine.
             RtofError: the extra is not installed.
         """
-        self._websockets = library("websockets.asyncio.server", INSTALL)
-        self._closed = library("websockets.exceptions", INSTALL).ConnectionClosed
+        self._websockets = optional("websockets.asyncio.server", "live")
+        self._closed = optional("websockets.exceptions", "live").ConnectionClosed
         self._skeleton, self._states = skeleton, JointStates(skeleton)
         self._hello = _text({"skeleton": self._states.description(), "floor_m": floor_height})
         self._clients: set[_Outbox] = set()
@@ -280,7 +279,7 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 def _response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
-    http, structures = (library(f"websockets.{name}", INSTALL) for name in ("http11", "datastructures"))
+    http, structures = (optional(f"websockets.{name}", "live") for name in ("http11", "datastructures"))
     body = text.encode()
     own = {"Content-Type": "text/plain; charset=utf-8"} if headers is None else headers
     whole = structures.Headers({**own, "Content-Length": str(len(body)), "Connection": "close"})

@@ -30,10 +30,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
-from rtof_kin.vision.video_file import library
+from rtof_kin.core.packages import optional
 
-INSTALL: Final = "pip install 'rtof_kin[live]'"
-"""Command that installs what OSC needs."""
 _BUNDLE: Final = b"#bundle\x00"
 _TYPES: Final = frozenset(b"ihfdstTFN[]")
 _DEEPEST: Final = 8
@@ -157,7 +155,7 @@ def _wrong(subject: str, needed: str) -> Remark:
 @cache
 def _osc() -> tuple[Any, Any]:
     """Return pythonosc's reader of one message and its reader of types."""
-    return library("pythonosc.osc_message", INSTALL), library("pythonosc.parsing.osc_types", INSTALL)
+    return optional("pythonosc.osc_message", "live"), optional("pythonosc.parsing.osc_types", "live")
 
 
 def _osc_contents(datagram: bytes) -> Iterator[Content]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SourceError
+from rtof_kin.core.packages import optional
 
 _CONNECT_S: Final = 3.0
 """[s] for the connection, the metadata and the first offset of the clock, each."""
@@ -27,13 +28,9 @@ def load_pylsl() -> Any:
     """Return the module pylsl.
 
     Raises:
-        SourceError: it is not installed, or its library does not load.
+        MissingPackageError: it is not installed, or its library does not load.
     """
-    try:
-        import pylsl
-    except (ImportError, OSError, RuntimeError) as error:
-        raise SourceError(f"LSL streams need pylsl ({error}): pip install rtof-kin[live]") from error
-    return pylsl
+    return optional("pylsl", "live", "an LSL stream")
 
 
 class Inlet:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.vision.video_file import library
+from rtof_kin.core.packages import optional
 
 _FORMATS: Final = {"linux": "v4l2", "darwin": "avfoundation", "win32": "dshow"}
 _PERMISSION: Final = {
@@ -53,7 +53,7 @@ def cameras_of(kind: str) -> list[str]:
     Args:
         kind: format of FFmpeg.
     """
-    av = library("av")
+    av = optional("av", "video")
     try:
         return [device.name for device in av.enumerate_input_devices(kind)]
     except (av.FFmpegError, ValueError, OSError, AttributeError):
@@ -70,7 +70,7 @@ def open_webcam(camera: int | str, size_px: tuple[int, int] | None = None) -> tu
         SourceError: there is no such camera, another program uses it, or it may not be used.
         RtofError: the extra is not installed.
     """
-    av = library("av")
+    av = optional("av", "video")
     name, kind = device_of(camera)
     wanted = {"framerate": "30"} | ({} if size_px is None else {"video_size": "{}x{}".format(*size_px)})
     for options in (wanted, {}):
@@ -112,7 +112,7 @@ def images_of(container: Any, stream: Any) -> Iterator[Any]:
     Args:
         container, stream: of `open_webcam`.
     """
-    av = library("av")
+    av = optional("av", "video")
     packets = container.demux(stream)
     while True:
         try:

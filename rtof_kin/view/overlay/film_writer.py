@@ -13,9 +13,8 @@ from typing import Any, Final, Protocol, Self
 import numpy as np
 
 from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
-from rtof_kin.view.install import INSTALL
+from rtof_kin.core.packages import optional
 from rtof_kin.view.overlay.canvas import Image
-from rtof_kin.vision.video_file import library
 
 SUFFIXES: Final = (".mp4", ".gif")
 GIF_WIDTH: Final = 480
@@ -68,7 +67,7 @@ class Mp4Writer:
 
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
         """Take the file, width and height of the pictures, and their mean rate."""
-        self._av = library("av", INSTALL)
+        self._av = optional("av", "view")
         known = [name for name in _ENCODERS if name in self._av.codecs_available]
         if not known:
             raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")

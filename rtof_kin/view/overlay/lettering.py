@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.core.packages import optional
 from rtof_kin.view.overlay.canvas import Coverage
 
 _CACHED: Final = 500
@@ -25,7 +26,7 @@ class Lettering:
 
     @cached_property
     def _font(self) -> Any:
-        import matplotlib
+        matplotlib = optional("matplotlib", "view", "text on a picture")
         from PIL import ImageFont
 
         path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"

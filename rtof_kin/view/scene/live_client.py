@@ -14,9 +14,8 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
+from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.view.install import INSTALL
-from rtof_kin.vision.video_file import library
 
 _PATIENCE: Final = 2.0
 """[s] for an answer."""
@@ -73,8 +72,8 @@ class LiveClient:
             SourceError: nobody answers there, or something else than rtof-kin live.
         """
         self.url = url
-        self._connect = library("websockets.sync.client", INSTALL).connect
-        self._errors = library("websockets.exceptions", INSTALL).WebSocketException
+        self._connect = optional("websockets.sync.client", "view").connect
+        self._errors = optional("websockets.exceptions", "view").WebSocketException
         self._lock = threading.Lock()
         self._latest: PoseSequence | None = None
         self._lag: float | None = None

@@ -9,8 +9,7 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from rtof_kin.core.errors import RtofError, SourceError
-from rtof_kin.view.install import INSTALL
-from rtof_kin.vision.video_file import library
+from rtof_kin.core.packages import install, optional
 
 LOOPBACK: Final = "127.0.0.1"
 _REFUSED: Final = 1008
@@ -30,7 +29,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
     Raises:
         SourceError: the port is taken. RtofError: the extra is not installed.
     """
-    viser = library("viser", INSTALL)
+    viser = optional("viser", "view")
     if not 0 <= port < 1 << 16:
         raise SourceError(f"port {port}: a port is a number from 1 to 65535, or 0 for a free one")
     with redirect_stdout(io.StringIO()):  # only the command line prints
@@ -42,7 +41,8 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
             _keep_local(server)
         except (AttributeError, AssertionError, RtofError) as error:  # viser's own names have changed
             raise RtofError(
-                f"this version of viser cannot be kept to this machine ({error}): {INSTALL} 'viser==1.1.1'"
+                f"this version of viser cannot be kept to this machine ({error}): "
+                f"{install('view')} viser==1.1.1"
             ) from error
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         yield server
@@ -62,7 +62,7 @@ def address(server: Any) -> str:
 
 def _keep_local(server: Any) -> None:
     """Take away the relay, and refuse clients that belong to another page."""
-    messages = library("viser._messages", INSTALL)
+    messages = optional("viser._messages", "view")
     connections = server._websock_server
     connections._live_connections.copy()  # raises here, not in the first client, if it has another name
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):

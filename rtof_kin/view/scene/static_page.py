@@ -13,12 +13,11 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.text import write_text
-from rtof_kin.view.install import INSTALL
+from rtof_kin.core.packages import optional
 from rtof_kin.view.scene.motion_scene import Layer, MotionScene
 from rtof_kin.view.scene.viewer import Opened
 from rtof_kin.view.scene.words import legend_html, verdict_html
 from rtof_kin.view.verdict import Verdict
-from rtof_kin.vision.video_file import library
 
 LARGEST_MB: Final = 50.0
 """[MB] Default limit of the file."""
@@ -126,7 +125,7 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
         _show(scene, frames[i])
         serializer.insert_sleep(0.02)
     size = len(serializer.serialize()) * 4 / 3 / 1e6
-    page = Path(library("viser", INSTALL).__file__).parent / "client" / "build" / "index.html"
+    page = Path(optional("viser", "view").__file__).parent / "client" / "build" / "index.html"
     return page.stat().st_size / 1e6, size / len(spread)
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
-from rtof_kin.vision.video_file import library, open_video, upright_image
+from rtof_kin.core.packages import optional
+from rtof_kin.vision.video_file import open_video, upright_image
 from rtof_kin.vision.video_metadata import slow_motion
 
 HEIGHT: Final = 360
@@ -106,7 +107,7 @@ class _Decoder:
 
     def at(self, stamp: float) -> Any:
         """Return the frame shown at a stamp, s; None if it is the one returned last."""
-        av, held = library("av"), self._held
+        av, held = optional("av", "video"), self._held
         stamp += _ROUNDING
         if held is None or not held.time <= stamp <= held.time + _AHEAD:
             self._container.seek(int(stamp / self._stream.time_base), stream=self._stream, backward=True)
