@@ -106,7 +106,10 @@ def point_rows(terms: Sequence[PointTerm], data: Mapping[str, PointData], frames
         if term.name in data:
             what = f"observations of the term {term.name}"
             values = readonly(what, data[term.name].values, (frames, term.size))
-            sigma = np.broadcast_to(np.asarray(data[term.name].sigma, dtype=float), frames)
+            sigma = np.asarray(data[term.name].sigma, dtype=float)
+            if sigma.shape not in ((), (frames,)):
+                raise InvalidInputError(f"{what}: sigma is of {len(sigma)} frames, not of {frames}")
+            sigma = np.broadcast_to(sigma, frames)
             seen = np.isfinite(values).all(axis=1)
             if not (sigma[seen] > 0).all():
                 raise InvalidInputError(f"{what}: sigma must be positive")
