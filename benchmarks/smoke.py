@@ -30,7 +30,8 @@ BOUNDS = {
     "frames_per_second": (5.0, 1e5),
 }
 """Figure -> lower and upper bound: errors of joints relative to the root and in world, share of fragments
-solved to the tolerance, frames per second of the solver alone. An error below its bound is as wrong as one above."""
+solved to the tolerance, frames per second of the solver alone. An error below its bound is as wrong as one
+above."""
 
 
 def figures(recording: Recording, mode: str, settings: ReconstructionSettings) -> dict[str, float]:

@@ -12,10 +12,16 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
+pytestmark = pytest.mark.skipif(
+    not (ROOT / ".github").exists(), reason="a source distribution has no .github"
+)
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 YAML = sorted([*(ROOT / ".github").rglob("*.yml"), ROOT / "CITATION.cff"])
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-NOTES = runpy.run_path(str(ROOT / ".github" / "release_notes.py"))
+
+
+def notes() -> dict[str, Any]:
+    return runpy.run_path(str(ROOT / ".github" / "release_notes.py"))
 
 
 def read(path: Path) -> Any:
@@ -71,10 +77,10 @@ def test_changelog_and_citation_are_of_this_version() -> None:
 
 def test_notes_of_a_release_are_its_section(capsys: pytest.CaptureFixture[str]) -> None:
     changelog = "# Changelog\n\n## [1.2.0] - 2026-01-02\n\nNew.\n\n## [1.1.0] - 2026-01-01\n\nOld.\n"
-    assert NOTES["section"](changelog, "1.2.0") == "New."
-    assert NOTES["section"](changelog + "\n[1.1.0]: https://example.org\n", "1.1.0") == "Old."
-    assert NOTES["section"](changelog, "1.2") == ""
-    assert NOTES["main"](f"v{PROJECT['version']}") == 0
+    assert notes()["section"](changelog, "1.2.0") == "New."
+    assert notes()["section"](changelog + "\n[1.1.0]: https://example.org\n", "1.1.0") == "Old."
+    assert notes()["section"](changelog, "1.2") == ""
+    assert notes()["main"](f"v{PROJECT['version']}") == 0
     assert capsys.readouterr().out.strip()
-    assert NOTES["main"]("v9.9.9") == 1
+    assert notes()["main"]("v9.9.9") == 1
     assert "the tag is v9.9.9" in capsys.readouterr().err
