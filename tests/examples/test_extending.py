@@ -6,6 +6,7 @@ import re
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -88,6 +89,24 @@ def test_a_layout_of_known_points_needs_nothing_trained(capsys: pytest.CaptureFi
     assert off is not None
     assert float(off[1]) < 12
     assert "14 points are compared with the body" in printed
+
+
+def test_a_recording_names_an_added_layout(tmp_path: Path) -> None:
+    own, demo = example("detector_layout"), Recording.load(model_path("demo"))
+    layouts.add_layout(own.CROWDPOSE)
+    replace(demo, imus=None, truth=None, calibration=None).save(tmp_path / "r")
+    own.write_detections(tmp_path / "r" / "detections.npz", demo, frames=12)
+    toml = tmp_path / "r" / "recording.toml"
+    text = re.sub(
+        r"\[keypoints\]\n.*?\n(?=\[|\Z)",
+        '[keypoints]\nfile = "detections.npz"\nlayout = "crowdpose14"\nrate_hz = 60.0\n\n',
+        toml.read_text(encoding="utf-8"),
+        flags=re.DOTALL,
+    )
+    toml.write_text(text, encoding="utf-8")
+    keypoints = Recording.load(tmp_path / "r").keypoints
+    assert keypoints is not None
+    assert "crowdpose14:UpperNeck" in keypoints.names
 
 
 def test_the_residuals_jacobian_equals_central_differences() -> None:
