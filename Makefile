@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint bench bench-smoke harness accuracy pictures docs docs-links clean
+.PHONY: demo test lint bench harness accuracy pictures docs docs-links clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -32,6 +32,7 @@ bench: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.solvers
 
 # Accuracy and speed on six seconds of the demo, within wide bounds. Under a minute.
+.PHONY: bench-smoke
 bench-smoke: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.smoke
 

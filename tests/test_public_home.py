@@ -45,6 +45,15 @@ def test_make_targets_of_a_workflow_exist(workflow: Path) -> None:
     assert called or workflow.name == "codeql.yml"
 
 
+def test_the_attested_bill_of_materials_is_the_one_that_make_writes() -> None:
+    (attested,) = (
+        step["with"]["sbom-path"]
+        for step in steps(ROOT / ".github" / "workflows" / "release.yml")
+        if "sbom-path" in step.get("with", {})
+    )
+    assert f"-o {attested} " in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)
 def test_actions_are_pinned_and_permissions_stated(workflow: Path) -> None:
     used = [step["uses"] for step in steps(workflow) if "uses" in step]
