@@ -56,6 +56,11 @@ sbom: $(STAMP)
 bench: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.solvers
 
+# Accuracy and speed on six seconds of the demo, within wide bounds. Under a minute.
+.PHONY: bench-smoke
+bench-smoke: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.smoke
+
 # Accuracy on test motions; CORPUS is the folder of free motion that benchmarks/README.md describes.
 harness: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.harness --corpus $(CORPUS)

@@ -83,3 +83,7 @@ class SolverError(RtofError, RuntimeError):
 
 class SourceError(RtofError, RuntimeError):
     """A live stream does not exist, does not exist once, or gives what cannot be used."""
+
+
+class ExtensionError(RtofError):
+    """An installed package adds to this one what cannot be used."""

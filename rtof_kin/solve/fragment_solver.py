@@ -7,7 +7,7 @@ limits) and the paper's joint positions (``cartesian``). Equal calls give equal 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +21,14 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.solve.cartesian.problem import TERMS as CARTESIAN_TERMS
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
+from rtof_kin.solve.energy.problem import TERMS as JOINT_TERMS
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
+from rtof_kin.solve.point_terms import PointData, PointTerm, check_terms
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus
 
 __all__ = ["FragmentReport", "FragmentSolution", "FragmentSolver", "SolverStatus"]
@@ -49,6 +52,7 @@ class FragmentSolver:
         settings: CartesianSettings | JointSpaceSettings | None = None,
         sensor_joints: tuple[str, ...] | None = None,
         space: Space | None = None,
+        terms: Sequence[PointTerm] = (),
     ) -> None:
         """Build the solver.
 
@@ -59,10 +63,11 @@ class FragmentSolver:
                 in joint space shares the compiled code. None: in Cartesian space every segment that
                 usually carries one, in joint space those with data.
             space: one of `SPACES`. None: that of the settings, else `usual_space`.
+            terms: further residuals, whose observations `solve` takes.
 
         Raises:
             InvalidInputError: invalid N, settings of the other space, or joint space without a pose
-                prior. UnknownNameError: unknown segment or space.
+                prior. UnknownNameError: unknown segment, space or joint of a term.
         """
         if frames < 8 or frames % 2:
             raise InvalidInputError(f"frames: N = {frames} must be even and at least 8")
@@ -81,11 +86,14 @@ class FragmentSolver:
         carriers = tuple(joint for joint, _ in skeleton.sensors.values())
         self.sensor_joints = carriers if sensor_joints is None else tuple(sensor_joints)
         skeleton.index(*self.sensor_joints)
+        self.terms = tuple(terms)
+        check_terms(self.terms, skeleton.names, JOINT_TERMS if space == "joint" else CARTESIAN_TERMS)
         self._solver: CartesianSolver | JointSpaceSolver
         if space == "joint" and isinstance(settings, JointSpaceSettings):
-            self._solver = JointSpaceSolver(skeleton, frames, settings, tuple(sensor_joints or ()))
+            places = tuple(sensor_joints or ())
+            self._solver = JointSpaceSolver(skeleton, frames, settings, places, self.terms)
         elif space == "cartesian" and isinstance(settings, CartesianSettings):
-            self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints)
+            self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints, self.terms)
         else:
             raise InvalidInputError(f"settings: {type(settings).__name__} are not those of space {space!r}")
 
@@ -98,6 +106,7 @@ class FragmentSolver:
         footholds: Footholds | None = None,
         confidence: bool = False,
         views: Sequence[KeypointSequence] = (),
+        observed: Mapping[str, PointData] | None = None,
     ) -> FragmentSolution:
         """Optimise a sequence: RTOF with sensors, RTO without, sensors only without keypoints.
 
@@ -112,6 +121,7 @@ class FragmentSolver:
             footholds: of standing feet, one row per frame; in joint space.
             confidence: whether to compute covariances of the poses, in joint space.
             views: keypoints of further cameras at the frames' times, in joint space.
+            observed: observations of the solver's `terms` by name, one per frame.
 
         Raises:
             InvalidInputError: times differ or are uneven, or a pose is not finite. ViewError: the person
@@ -120,8 +130,9 @@ class FragmentSolver:
         """
         guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds, views)
         run = self._solver.run(
-            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views
-        )
+            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views,
+            observed=observed,
+        )  # fmt: skip
         blocks = list(run)
         whole = replace(
             guess.poses,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.layouts import detector_table, mirrored
+from rtof_kin.vision.layouts import Layout, detector_table, mirrored
 
 HARMONICS: Final = 8
 """Functions of the direction to the camera (`harmonics`)."""
@@ -71,7 +71,6 @@ class DetectorPoint:
         )  # fmt: skip
 
 
-@cache
 def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
     """Return the points of a layout that are used as measurements, by name.
 
@@ -81,7 +80,12 @@ def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
     Raises:
         UnknownNameError: unknown layout.
     """
-    return read_detector_points(model_path("detector_points.toml"), layout)
+    return _shipped_points(detector_table().layout(layout))
+
+
+@lru_cache(maxsize=32)
+def _shipped_points(layout: Layout) -> Mapping[str, DetectorPoint]:
+    return read_detector_points(model_path("detector_points.toml"), layout.name)
 
 
 def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoint]:

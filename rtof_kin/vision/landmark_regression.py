@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -61,11 +61,9 @@ class LandmarkRegression:
             raise InvalidInputError("landmark regression: fitted to other points than those of its table")
 
     @staticmethod
-    @cache
     def default() -> LandmarkRegression:
-        """Return the shipped one."""
-        table = detector_table()
-        return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))
+        """Return the shipped one, of the shipped layouts and those that were added."""
+        return _default(detector_table())
 
     def apply(self, layout: str, uv_px: Array, confidence: Array) -> RegressedLandmarks:
         """Estimate the landmarks of one person.
@@ -128,6 +126,11 @@ class LandmarkRegression:
         sigma = np.where(share > 0, error / fit.scale[:, None], np.nan)
         points[:, share == 0] = np.nan
         return points, confidence @ regression.weight.T * share, sigma
+
+
+@lru_cache(maxsize=4)
+def _default(table: DetectorTable) -> LandmarkRegression:
+    return LandmarkRegression(table, read_gaussian(model_path("detectors.npz"), table))
 
 
 def _checked(form: Layout, uv_px: Array, confidence: Array) -> tuple[Array, Array, Mask]:

@@ -1,22 +1,25 @@
 """Detectors' layouts (``models/detectors.toml``): their points and the place of each in the body.
 
-A detector's point is no joint centre but a landmark of its own, fixed in a segment's link frame.
+A detector's point is no joint centre but a landmark of its own, fixed in a segment's link frame. Other
+packages add layouts of these points by the entry points of `ADDED`, scripts by `add_layout`; the guide is
+CONTRIBUTING.md.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.extensions import Extensions
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import layout_and_point
@@ -42,6 +45,17 @@ class Layout:
     points: tuple[str, ...]
     """K points of `DetectorTable` or landmarks of the skeleton (`own`)."""
 
+    @classmethod
+    def of(cls, name: str, title: str, names: Iterable[str], points: Mapping[str, str] | None = None) -> Self:
+        """Return the layout of points in a detector's own words.
+
+        Args:
+            name, title: of the layout. names: K names of the points (``left_big_toe``, ``LBigToe``).
+            points: which point of the table each is, where its name does not say it.
+        """
+        names, renamed = tuple(map(str, names)), points or {}
+        return cls(name, title, names, tuple(str(renamed.get(n, _canonical(n))) for n in names))
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -56,7 +70,7 @@ class Layout:
         return [given.index(name) for name in wanted] if set(wanted) <= set(given) else None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DetectorTable:
     """All layouts and the body's points that they consist of."""
 
@@ -154,9 +168,53 @@ def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...
     return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
 
 
-@cache
+ADDED: Final = Extensions("rtof_kin.detector_layouts", Layout, lambda layout: layout.name)
+"""Layouts of other packages and of this process."""
+
+
+def add_layout(layout: Layout) -> None:
+    """Add a layout for this process, in place of an added one of the same name.
+
+    Args:
+        layout: of points of the shipped table.
+
+    Raises:
+        InvalidInputError: its name is that of a shipped layout, or one of its names or points stands twice.
+        UnknownNameError: the table has no such point.
+    """
+    _extended((layout,))
+    ADDED.add(layout)
+
+
 def detector_table() -> DetectorTable:
-    """Return the shipped table."""
+    """Return the shipped table with the layouts that were added.
+
+    Raises:
+        ExtensionError, InvalidInputError, UnknownNameError: that of an installed package cannot be used.
+    """
+    return _extended(ADDED.all())
+
+
+@lru_cache(maxsize=4)
+def _extended(added: tuple[Layout, ...]) -> DetectorTable:
+    """The shipped table with further layouts."""
+    shipped = _shipped_table()
+    known = [*(point.name for point in shipped.points), *map(own, SkeletonModel.default().landmarks)]
+    for layout in added:
+        if layout.name in shipped.layouts:
+            raise InvalidInputError(f"layout {layout.name!r} is a shipped one; choose another name")
+        for kind, names in (("name", layout.names), ("point", layout.points)):
+            if double := [name for name in names if names.count(name) > 1]:
+                raise InvalidInputError(
+                    f"layout {layout.name!r}: the {kind} {double[0]!r} stands there twice"
+                )
+        if unknown := sorted(set(layout.points) - set(known)):
+            raise UnknownNameError(f"point in layout {layout.name!r}", unknown, known)
+    return replace(shipped, layouts={**shipped.layouts, **{layout.name: layout for layout in added}})
+
+
+@cache
+def _shipped_table() -> DetectorTable:
     return read_detector_table(model_path("detectors.toml"))
 
 
@@ -197,9 +255,7 @@ def _point(entry: Mapping[str, Any]) -> list[Landmark]:
 
 
 def _layout(entry: Mapping[str, Any]) -> Layout:
-    names, renamed = tuple(map(str, entry["names"])), entry.get("points", {})
-    points = tuple(str(renamed.get(name, _canonical(name))) for name in names)
-    return Layout(str(entry["name"]), str(entry["title"]), names, points)
+    return Layout.of(str(entry["name"]), str(entry["title"]), entry["names"], entry.get("points"))
 
 
 def _own_layouts() -> dict[str, Layout]:

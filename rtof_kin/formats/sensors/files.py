@@ -1,6 +1,7 @@
 """Files of inertial sensors, recognised by their content and read as one log.
 
-A trial is one file, several files, or a folder: in most formats a file is a sensor.
+A trial is one file, several files, or a folder: in most formats a file is a sensor. Other packages add
+formats by the entry points of `ADDED`, scripts by `add_format`; the guide is CONTRIBUTING.md.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.extensions import Extensions
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture, xdf
 from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens
@@ -24,6 +26,7 @@ class Format:
     """One format of sensor files."""
 
     title: str
+    """Name for people, different from those of the other formats."""
     looks: str
     """Description of such a file."""
     recognise: Callable[[str], bool]
@@ -77,7 +80,30 @@ FORMATS: Final = (
         imu_csv.is_imu_csv, imu_csv.read_imu_csv, True,
     ),
 )  # fmt: skip
-"""All formats; a file is of the first one that recognises it."""
+"""Built-in formats."""
+ADDED: Final = Extensions("rtof_kin.sensor_formats", Format, lambda form: form.title)
+"""Formats of other packages and of this process."""
+
+
+def formats() -> tuple[Format, ...]:
+    """Return all formats, those added before the built-in ones; a file is of the first that recognises it.
+
+    Raises:
+        ExtensionError: that of an installed package cannot be loaded.
+    """
+    return (*ADDED.all(), *FORMATS)
+
+
+def add_format(form: Format) -> None:
+    """Add a format for this process, in place of an added one of the same title.
+
+    Args:
+        form: of sensor files.
+
+    Raises:
+        InvalidInputError: its title is that of a built-in format.
+    """
+    ADDED.add(form, [one.title for one in FORMATS])
 
 
 def read_sensor_log(path: str | Path | Sequence[str | Path], **declared: Any) -> SensorLog:
@@ -172,8 +198,8 @@ def format_of(path: Path) -> Format | None:
         raise FileFormatError(path, "there is no such file or folder") from error
     except OSError as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
-    return next((kind for kind in FORMATS if kind.recognise(head)), None)
+    return next((kind for kind in formats() if kind.recognise(head)), None)
 
 
 def _known() -> str:
-    return "Known: " + "; ".join(f"{kind.title} ({kind.looks})" for kind in FORMATS)
+    return "Known: " + "; ".join(f"{kind.title} ({kind.looks})" for kind in formats())

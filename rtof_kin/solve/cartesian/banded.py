@@ -55,6 +55,8 @@ class BandedProblem:
         if problem.settings.bone_lengths == "weighted":
             a, b = (points.reshape(N, J, 3)[:, list(ends)] for ends in zip(*problem.pairs, strict=True))
             parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
+        parts += [(function, points.reshape(N, J, 3)[:, joint]) for joint, _, function in problem.elements]
+        self._points = [term for _, term, _ in problem.elements]
         functions = [FrameFunction(function, (2,)) for function, _ in parts]
         code = (compile_simd(functions) if compile == "auto" else None) or {}
         self._curvature, self._slope_of = Buffered(problem.curvature), Buffered(problem.slope)
@@ -89,10 +91,15 @@ class BandedProblem:
         k_visual, k_length = values["k"][0], values["k"][4]
         self._elements[0].own = np.concatenate([values["uv_px"].T, values["w_visual"][:, None]], axis=1)
         self._elements[0].shared = np.concatenate([*camera, values["sigma_reprojection"], [k_visual]])
-        for distances in self._elements[1:]:
+        behind = len(self._elements) - len(self._points)
+        for distances in self._elements[1:behind]:
             lengths, weights = np.broadcast_arrays(values["lengths"], values["w_length"][:, None])
             distances.own = np.stack([lengths.ravel(), weights.ravel()], axis=1)
             distances.shared = np.array([k_length])
+        for term, element in zip(self._points, self._elements[behind:], strict=True):
+            weight = values[term.weight][:, None]
+            element.own = np.concatenate([values[term.observed].T, weight], axis=1)
+            element.shared = np.zeros(1)
         self._known: tuple[Array, float, Array] | None = None
 
     def ordered(self, x: Array) -> Array:

@@ -24,10 +24,16 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.point_terms import PointTerm
 
 Bones = tuple[tuple[int, int], ...]
 """(joint, child) of each bone."""
+Points = tuple[tuple[int, PointTerm], ...]
+"""Further residuals, each with its joint."""
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
+"""Built-in terms; further ones are behind them."""
+LINEAR: Final = ("acceleration", "bone", "smooth", "prior")
+"""Terms whose residuals are linear in the positions."""
 CURVED_BY: Final = ("rate_hz", "shares", "w_acceleration", "w_bone", "w_smooth", "k")
 """Parameters that the Hessian of the terms with linear residuals depends on."""
 
@@ -41,7 +47,9 @@ class _Term:
     weight: Any
     """(n,) SX, 0 without observation."""
     robust: float | None = None
-    """Pseudo-Huber threshold of residuals taken in pairs."""
+    """Pseudo-Huber threshold of residuals taken in groups."""
+    group: int = 2
+    """Residuals of a group."""
     exact: bool = False
     """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to
     the image plane, whose depth has no first-order effect."""
@@ -56,22 +64,24 @@ class FragmentProblem:
         gradient: (x, p) -> dE/dx.
         curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms with linear residuals.
         slope: p -> their gradient and value at the initial guess.
-        landmark, rigid_distance: one element of the other terms: (positions, its observation, shared
-            parameters) -> value, gradient, Hessian.
+        terms: name -> residuals.
+        landmark, rigid_distance, elements: one element of the other terms: (positions, its observation,
+            shared parameters) -> value, gradient, Hessian.
         constraints: (x, p) -> squared distances minus squared lengths, m^2, where lengths are equalities.
         constraint_gradient: (x, p, lam_g) -> derivative of lam_g . constraints.
     """
 
     def __init__(
-        self, parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
-    ) -> None:
+        self, parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings,
+        points: Points = (),
+    ) -> None:  # fmt: skip
         """Build the programme.
 
         Args:
             parents: (J,) of the tree. frames: N. sensor_bones: (joint, child) with sensors.
-            settings: standard deviations; the weights k are parameters.
+            settings: standard deviations; the weights k are parameters. points: further residuals.
         """
-        self.parents, self.frames, self.settings = parents, frames, settings
+        self.parents, self.frames, self.settings, self.points = parents, frames, settings, points
         self.sensor_bones, self.pairs = sensor_bones, rigid_pairs(parents)
         J, N, B = len(parents), frames, len(sensor_bones)
         self.X = ca.SX.sym("X", 3 * J, N)
@@ -84,6 +94,8 @@ class FragmentProblem:
             "w_length": (N,), "lengths": (len(self.pairs),), "p_prior": (3 * J, N), "k": (len(TERMS),),
         }  # fmt: skip
         self.parameters = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
+        for _, term in points:
+            self.parameters |= term.symbols(N)
         self.terms = self._terms()
         self._build()
 
@@ -125,7 +137,21 @@ class FragmentProblem:
             "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
             "length": _Term(ca.vec(length), ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)), exact=True),
             "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
+            **{term.name: self._point_term(joint, term) for joint, term in self.points},
         }
+
+    def _point_term(self, joint: int, term: PointTerm) -> _Term:
+        """A further residual of all frames, weighted like the prior: 1 / sigma^2 is part of the residual."""
+        path, observed, weight = (
+            self._joint(joint),
+            self.parameters[term.observed],
+            self.parameters[term.weight],
+        )
+        residuals = [
+            ca.sqrt(weight[t]) * term.residual(path[:, t], observed[:, t]) for t in range(self.frames)
+        ]
+        stacked, count = ca.vertcat(*residuals), 3 * len(self.parents) * self.frames
+        return _Term(stacked, ca.SX.ones(stacked.numel()) / count, term.robust, residuals[0].numel())
 
     def _prior(self) -> Any:
         """Root and bone vectors (or every position) minus those of the start, whitened (3J, N)."""
@@ -144,8 +170,8 @@ class FragmentProblem:
     def _build(self) -> None:
         x, p = ca.vec(self.X), ca.vertcat(*(ca.vec(v) for v in self.parameters.values()))
         values, hessian = [], ca.SX(x.numel(), x.numel())
-        for i, name in enumerate(TERMS):
-            term, k = self.terms[name], self.parameters["k"][i]
+        for name, term in self.terms.items():
+            k = self.parameters["k"][TERMS.index(name)] if name in TERMS else 1
             free = name == "length" and self.settings.bone_lengths != "weighted"
             if free or term.residual.numel() == 0:
                 values.append(ca.SX(0))
@@ -180,9 +206,9 @@ class FragmentProblem:
     def _quadratic(self, x: Any, p: Any) -> tuple[Any, Any]:
         """Quadratic form of the terms with linear residuals."""
         value, hessian = ca.SX(0), ca.SX(x.numel(), x.numel())
-        for i, name in enumerate(TERMS):
-            term, k = self.terms[name], self.parameters["k"][i]
-            if name in ("visual", "length") or term.residual.numel() == 0:
+        for name in LINEAR:
+            term, k = self.terms[name], self.parameters["k"][TERMS.index(name)]
+            if term.residual.numel() == 0:
                 continue
             value += k * ca.dot(term.weight, term.residual**2)
             J_r = ca.jacobian(term.residual, x)
@@ -215,6 +241,23 @@ class FragmentProblem:
         outputs = [ca.densify(v) for v in (value, gradient, hessian)]
         return ca.Function("rigid_distance", [ends, own, k], outputs)
 
+    @cached_property
+    def elements(self) -> tuple[tuple[int, PointTerm, Any], ...]:
+        """Joint of each further residual, and one element of it: (p (3); observation, weight; unused)."""
+        p, unused, count = ca.SX.sym("p", 3), ca.SX.sym("unused"), 3 * len(self.parents) * self.frames
+        found = []
+        for joint, term in self.points:
+            own = ca.SX.sym("own", term.size + 1)
+            r = ca.sqrt(own[-1]) * term.residual(p, own[:-1])
+            value, curvature = _energy_and_curvature(
+                _Term(r, ca.SX.ones(r.numel()) / count, term.robust, r.numel())
+            )
+            J = ca.jacobian(r, p)
+            outputs = [value, ca.gradient(value, p), 2 * J.T @ ca.diag(curvature) @ J]
+            function = ca.Function(term.observed, [p, own, unused], [ca.densify(v) for v in outputs])
+            found.append((joint, term, function))
+        return tuple(found)
+
     def _constraints(self) -> Any:
         """Squared distances minus squared lengths, m^2."""
         if self.settings.bone_lengths != "constraint":
@@ -238,16 +281,17 @@ class FragmentProblem:
 
 
 def fragment_problem(
-    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings
-) -> FragmentProblem:
+    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings,
+    points: Points = (),
+) -> FragmentProblem:  # fmt: skip
     """Return the problem, built once for all bodies and weights k that share a tree.
 
     Args:
-        parents, frames, sensor_bones, settings: as for `FragmentProblem`.
+        parents, frames, sensor_bones, settings, points: as for `FragmentProblem`.
     """
     with BUILDING:
         any_weights = replace(settings, k_V=1.0, k_I=1.0, k_A=1.0, k_B=1.0, k_S=1.0)
-        return _cached_problem(parents, frames, sensor_bones, any_weights)
+        return _cached_problem(parents, frames, sensor_bones, any_weights, points)
 
 
 _cached_problem = lru_cache(maxsize=8)(FragmentProblem)
@@ -277,9 +321,9 @@ def _energy_and_curvature(term: _Term) -> tuple[Any, Any]:
     """Value of a term, and the weights of its residuals in the Gauss-Newton Hessian."""
     if term.robust is None:
         return ca.dot(term.weight, term.residual**2), term.weight
-    pairs = ca.reshape(term.residual, 2, -1)
-    squared = ca.sum1(pairs**2)
-    per_pair = ca.reshape(term.weight, 2, -1)[0, :]
-    value = ca.dot(per_pair, energies.pseudo_huber(squared, term.robust))
+    groups = ca.reshape(term.residual, term.group, -1)
+    squared = ca.sum1(groups**2)
+    per_group = ca.reshape(term.weight, term.group, -1)[0, :]
+    value = ca.dot(per_group, energies.pseudo_huber(squared, term.robust))
     factor = energies.pseudo_huber_weight(squared, term.robust)
-    return value, term.weight * ca.vec(ca.repmat(factor, 2, 1))
+    return value, term.weight * ca.vec(ca.repmat(factor, term.group, 1))

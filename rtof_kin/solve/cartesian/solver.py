@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import Final
@@ -26,6 +26,7 @@ from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.point_terms import PointData, PointTerm, point_rows
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 
 _DECREASE: Final = 1e-4
@@ -43,8 +44,9 @@ class CartesianSolver:
         frames: int,
         settings: CartesianSettings,
         sensor_joints: tuple[str, ...],
+        terms: tuple[PointTerm, ...] = (),
     ) -> None:
-        """Build the problem, with a place for a sensor on each of `sensor_joints`."""
+        """Build the problem, with a place for a sensor on each of `sensor_joints` and further terms."""
         self.skeleton, self.frames, self.settings = skeleton, frames, settings
         self.sensor_joints = sensor_joints
         bones = [
@@ -53,7 +55,8 @@ class CartesianSolver:
             for child in kinematics.children_of(skeleton.parents, joint)
         ]  # a sensor on a leaf (head, foot) has no bone and is not used
         with BUILDING:
-            self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings)
+            points = tuple((skeleton.names.index(term.joint), term) for term in terms)
+            self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings, points)
             self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
             self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
         self._one_at_a_time = threading.Lock()
@@ -70,6 +73,7 @@ class CartesianSolver:
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,  # noqa: ARG002 - this space has no covariances
         views: Sequence[KeypointSequence] = (),  # noqa: ARG002 - `FragmentSolver` has refused them
+        observed: Mapping[str, PointData] | None = None,
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is None or footholds is not None:
@@ -78,6 +82,7 @@ class CartesianSolver:
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         start = guess.poses
         data = self._observations(start, keypoints, bone_imus)
+        data |= point_rows([term for _, term in self._problem.points], observed or {}, len(start))
         half, T = self.frames // 2, len(start)
         firsts = range(-half, T, half)
         taper = self._taper()
@@ -147,7 +152,7 @@ class CartesianSolver:
         return x, FragmentReport(
             first_frame=first,
             status=status,
-            energy=dict(zip(TERMS, self._energy(x, p)[0].tolist(), strict=True)),
+            energy=dict(zip(problem.terms, self._energy(x, p)[0].tolist(), strict=True)),
             iterations=iterations,
             seconds=seconds,
             sigma_reprojection=float(values["sigma_reprojection"][0]),
@@ -245,6 +250,8 @@ class CartesianSolver:
             "lengths": self._lengths,
             "p_prior": start.p_world_joint[index].reshape(columns).T,
             "k": np.array([self.settings.term_weights()[term] for term in TERMS]),
+            **{term.observed: data[term.observed][index].T for _, term in self._problem.points},
+            **{term.weight: data[term.weight][index] * present for _, term in self._problem.points},
         }
 
     def _jerk_target(self, index: Index, data: dict[str, Array]) -> Array:

@@ -22,7 +22,7 @@ from rtof_kin.solve.compiled import hessian_columns, stencils
 from rtof_kin.solve.compiled.hessian_columns import HessianColumns
 from rtof_kin.solve.energy.frame_energy import FrameEnergy
 from rtof_kin.solve.energy.jerk import LAGS, Jerk
-from rtof_kin.solve.energy.problem import BEYOND, TERMS, FragmentData
+from rtof_kin.solve.energy.problem import BEYOND, TEMPORAL, FragmentData
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,8 @@ class SimdProblem:
         """Return the energy per term and the reprojection residuals (N, L, 2), px."""
         terms = self._evaluated(x)
         residuals = self._columns.rows(self._residuals)
-        return dict(zip(TERMS, terms, strict=True)), residuals.reshape(self.frames, -1, 2)
+        names = (*self.energy.terms, *TEMPORAL)
+        return dict(zip(names, terms, strict=True)), residuals.reshape(self.frames, -1, 2)
 
     def total(self, x: Array) -> float:
         """Return the energy."""
@@ -183,7 +184,7 @@ class SimdProblem:
         return sum(terms), self._columns.rows(self._gradient_now)
 
     def _evaluated(self, x: Array) -> list[float]:
-        """Energies at x as in `TERMS`, kept until another state or other data are given."""
+        """Energies at x as in `value`, kept until another state or other data are given."""
         if self._known is None or self._known[0] is not x:
             self._x[:, self._columns.inside] = x.T
             for name in ("value", "step", "motion"):

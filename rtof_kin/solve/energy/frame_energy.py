@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import casadi as ca
@@ -23,13 +24,14 @@ import numpy as np
 
 from rtof_kin.solve import residuals as energies
 from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.point_terms import PointTerm
 
 _Loss = Callable[[Any], tuple[Any, Any]]
 """Weighted squares -> their robust loss and its derivative."""
 _Residual = Callable[[Any], Any]
 """Residual as a function of a point, or of a small rotation vector."""
 TERMS: Final = ("visual", "orientation", "torso", "bone", "root", "floor", "prior")
-"""Energy terms of a single frame; the floor's includes the footholds."""
+"""Built-in energy terms of a single frame; the floor's includes the footholds."""
 TORSO: Final = ("Hips", "Spine3")
 """Segments whose orientation may be anchored to the initial guess."""
 _ROBUST_CONTACT: Final = 3.0
@@ -58,6 +60,8 @@ class Shape:
     """Joints that may have footholds."""
     further: tuple[int, ...] = ()
     """Number of landmarks of each further camera; they are the last ones."""
+    points: tuple[PointTerm, ...] = ()
+    """Further residuals."""
 
     @property
     def cameras(self) -> tuple[int, ...]:
@@ -70,7 +74,8 @@ class FrameEnergy:
     """CasADi functions of one frame, of D tangent coordinates, L landmarks and S sensors.
 
     Attributes:
-        full: (state, observation, constant) -> energies (7), gradient (D), Hessian (D, D, lower part),
+        terms: names of the energies.
+        full: (state, observation, constant) -> energies, gradient (D), Hessian (D, D, lower part),
             positions of the sensors (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
         value: the same inputs -> energies, positions of the sensors, reprojection residuals.
         gradient: the same inputs and a force on the sensors' positions (3S) -> gradient with it.
@@ -80,6 +85,7 @@ class FrameEnergy:
 
     def __init__(self, space: StateSpace, shape: Shape) -> None:
         self.space, self.shape = space, shape
+        self.terms = (*TERMS, *(term.name for term in shape.points))
         A, S = len(space.joints), len(shape.sensors)
         p_root, quats = ca.SX.sym("p", 3), ca.SX.sym("q", 4, A)
         self.observation = _observation(shape)
@@ -88,7 +94,7 @@ class FrameEnergy:
         self.rows = dict(zip(self.observation, map(slice, [0, *stops], stops), strict=False))
         self._local = [quats[:, a] for a in range(A)]
         self._forward(p_root)
-        self._total = _Composite(space.skeleton.parents, self._p, self._R)
+        self._total = _Composite(self.terms, space.skeleton.parents, self._p, self._R)
         residuals = self._observed()
         levers = self.constant["levers"]
         sensors = [self._p[j] + self._R[j] @ levers[:, s] for s, j in enumerate(shape.sensors)]
@@ -104,7 +110,7 @@ class FrameEnergy:
             ca.vertcat(*(ca.vec(v) for v in self.constant.values())),
         ]
         points = ca.vertcat(*sensors) if sensors else ca.SX(0, 1)
-        energy = ca.vertcat(*(self._total.values[term] for term in TERMS))
+        energy = ca.vertcat(*(self._total.values[term] for term in self.terms))
         J = self._sensor_jacobian(sensors, twists)
         self.full = _function("full", inputs, [energy, gradient, hessian, points, J, ca.vertcat(*residuals)])
         self.value = _function("value", inputs, [energy, points, ca.vertcat(*residuals)])
@@ -173,6 +179,10 @@ class FrameEnergy:
         for i, j in enumerate(shape.contacts):
             loss = _pseudo_huber(_ROBUST_CONTACT)
             total.add_point("floor", j, p[j], _at(O["p_contact"][:, i]), O["w_contact"][i], loss)
+        for term in shape.points:
+            j, loss = self.space.skeleton.names.index(term.joint), _pseudo_huber(term.robust)
+            residual = partial(_of_point, term.residual, O[term.observed])
+            total.add_point(term.name, j, p[j], residual, O[term.weight], loss)
         return visual
 
     def _composed(self, forces: dict[int, Any]) -> tuple[Any, Any, dict[int, Any]]:
@@ -229,9 +239,9 @@ class FrameEnergy:
 class _Composite:
     """Energy, and stiffness and force of every segment, to which residuals are added."""
 
-    def __init__(self, parents: Sequence[int], p: list[Any], R: list[Any]) -> None:
+    def __init__(self, terms: Sequence[str], parents: Sequence[int], p: list[Any], R: list[Any]) -> None:
         self._parents, self._p, self._R = parents, p, R
-        self.values: dict[str, Any] = dict.fromkeys(TERMS, ca.SX(0))
+        self.values: dict[str, Any] = dict.fromkeys(terms, ca.SX(0))
         self.stiffness = [ca.SX(6, 6) for _ in parents]
         self.force = [ca.SX(6, 1) for _ in parents]
 
@@ -282,6 +292,8 @@ def _observation(shape: Shape) -> dict[str, Any]:
     }  # fmt: skip
     if C := len(shape.contacts):
         symbols |= {"p_contact": ca.SX.sym("pc", 3, C), "w_contact": ca.SX.sym("wc", C)}
+    for term in shape.points:
+        symbols |= term.symbols()
     return symbols
 
 
@@ -312,6 +324,10 @@ def camera_names(which: int) -> tuple[str, str, str]:
 def _function(name: str, inputs: list[Any], outputs: list[Any]) -> Any:
     """A CasADi function; ``cse`` would save a tenth of the evaluation and take longer than all the rest."""
     return ca.Function(name, inputs, [ca.densify(v) for v in outputs])
+
+
+def _of_point(residual: Callable[[Any, Any], Any], observation: Any, point: Any) -> Any:
+    return residual(point, observation)
 
 
 def _at(foothold: Any) -> _Residual:

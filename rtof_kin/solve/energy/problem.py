@@ -29,7 +29,9 @@ from rtof_kin.solve.energy import frame_energy
 from rtof_kin.solve.energy.jerk import LAGS, Jerk
 from rtof_kin.solve.energy.state import StateSpace
 
-TERMS: Final = (*frame_energy.TERMS, "acceleration", "smooth")
+TEMPORAL: Final = ("acceleration", "smooth")
+TERMS: Final = (*frame_energy.TERMS, *TEMPORAL)
+"""Built-in energy terms; further ones of a frame stand before those that couple frames."""
 BEYOND: Final = 2
 """Rows below the third block's diagonal that the axes of a joint reach."""
 
@@ -100,7 +102,8 @@ class JointProblem:
     def value(self, x: Array) -> tuple[dict[str, float], Array]:
         """Return the energy per term and the reprojection residuals (N, L, 2), px."""
         now = self._at(x)
-        return dict(zip(TERMS, now.terms, strict=True)), now.residuals.reshape(self.frames, -1, 2).copy()
+        names = (*self.energy.terms, *TEMPORAL)
+        return dict(zip(names, now.terms, strict=True)), now.residuals.reshape(self.frames, -1, 2).copy()
 
     def total(self, x: Array) -> float:
         """Return the energy."""
@@ -200,7 +203,7 @@ class _Evaluation:
 
     x: Array
     terms: list[float]
-    """Energies as in `TERMS`."""
+    """Energies of the terms of a frame, then of `TEMPORAL`."""
     residuals: Array
     """(2 L N,) of reprojection, px."""
     steps: Array

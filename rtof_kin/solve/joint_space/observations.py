@@ -28,14 +28,13 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.limits import Limits
 from rtof_kin.solve.joint_space.places import estimated_places
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.point_terms import PointData, PointTerm, point_rows
 from rtof_kin.vision.image_points import image_points, joined_points, measurements
 
 _ROOT_BESIDE_SENSORS: Final = 2.0
 """Factor on sigma_root where there are both landmarks and sensors."""
 _FIRM: Final = np.radians(1.0)
 """[rad] Standard deviation of the prior of a fixed joint."""
-_WEIGHTS: Final = {"w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact"}
-"""Weights that are zero in the padding; the prior's is not."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,8 @@ class Observations:
         footholds: Footholds | None = None,
         places: Collection[str] = (),
         views: Sequence[KeypointSequence] = (),
+        terms: tuple[PointTerm, ...] = (),
+        observed: Mapping[str, PointData] | None = None,
     ) -> None:
         """Collect the observations.
 
@@ -90,8 +91,9 @@ class Observations:
             places: further segments with a place for a sensor; recordings with any of them share the
                 compiled code.
             views: keypoints of further cameras, at the times of the guess.
+            terms: further residuals. observed: their observations (T) by name.
         """
-        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.skeleton, self.frames, self.settings, self._terms = skeleton, frames, settings, terms
         start = guess.poses
         self.rate_hz = start.rate_hz
         seen = [measurements(k, skeleton) for k in (keypoints, *views) if k is not None]
@@ -114,6 +116,7 @@ class Observations:
         self.attached = Attached.of(self.problem.energy.shape)
         self.limits = Limits(self.space) if settings.limits else None
         self._observe(start, seen, bone_imus, active)
+        self.rows |= point_rows(terms, observed or {}, len(start))
         self._displace(start.p_world_joint, start.R_world_bone)
         self._anchor_bridged_root(guess.sigma_root)
         if footholds is not None:
@@ -203,6 +206,7 @@ class Observations:
             floor_cutoff=s.floor_cutoff,
             contacts=tuple(map(index, standing)),
             further=tuple(part.stop - part.start for _, part in self._cameras[1:]),
+            points=self._terms,
         )
         unsensed, smooth = s.jerk_without_sensors, bare(active)
         others = s.jerk if active else unsensed
@@ -310,7 +314,7 @@ def fragment_of(
     inside = (frame >= 0) & (frame < len(a_world))
     index = np.clip(frame, 0, len(a_world) - 1)
     observation = {name: values[index] for name, values in rows.items()}
-    for name in observation.keys() & _WEIGHTS:
+    for name in (n for n in observation if n.startswith("w_") and n != "w_prior"):  # 0 in the padding
         observation[name] = (observation[name].T * inside).T
     whole = inside[2:] & inside[1:-1] & inside[:-2]
     return index, inside, FragmentData(

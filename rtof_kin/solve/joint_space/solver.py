@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import perf_counter
@@ -19,13 +19,13 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.contacts import Footholds
-from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.point_terms import PointData, PointTerm
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.vision.image_points import measurements
 
@@ -40,10 +40,12 @@ class JointSpaceSolver:
     """Optimises configurations of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
 
     def __init__(
-        self, skeleton: SkeletonModel, frames: int, settings: JointSpaceSettings, places: tuple[str, ...] = ()
-    ) -> None:
+        self, skeleton: SkeletonModel, frames: int, settings: JointSpaceSettings,
+        places: tuple[str, ...] = (), terms: tuple[PointTerm, ...] = (),
+    ) -> None:  # fmt: skip
         """Keep the arguments of `Observations`."""
-        self.skeleton, self.frames, self.settings, self.places = skeleton, frames, settings, places
+        self.skeleton, self.frames, self.settings = skeleton, frames, settings
+        self.places, self.terms = places, terms
 
     def run(
         self,
@@ -54,6 +56,7 @@ class JointSpaceSolver:
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,
         views: Sequence[KeypointSequence] = (),
+        observed: Mapping[str, PointData] | None = None,
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is not None:
@@ -62,7 +65,7 @@ class JointSpaceSolver:
                 raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
             self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places,
-            views,
+            views, self.terms, observed,
         )  # fmt: skip
         half, times = self.frames // 2, guess.poses.times
         i = np.arange(self.frames)
@@ -230,7 +233,7 @@ class _Fragments:
         return FragmentReport(
             first_frame=first,
             status=SolverStatus.of(solved) if seen else SolverStatus.UNOBSERVED,
-            energy={term: energy[term] for term in TERMS},
+            energy=energy,
             iterations=solved.iterations,
             seconds=seconds,
             sigma_reprojection=sigma,
