@@ -18,8 +18,8 @@ position_covariance     (K, J, 6)        these three as in `Confidence`, entries
 relative_covariance     (K, J, 6)
 turn_covariance         (K, P, 6)
 confidence_pairs        (P, 2)           names
-schema_version, names, dof_names, joint_offsets, first_frame, mode, skeleton, mass_kg, sex ('' for unknown): as
-in `MotionFile`; the last two may be absent
+schema_version, names, dof_names, joint_offsets, first_frame, mode, skeleton: as in `MotionFile`
+mass_kg, sex: the same, '' for unknown; may be absent
 ======================  ===============  ================================================================
 
 Version 1 has `p_world_joint`, `R_world_bone` and whole covariances of every frame.

@@ -110,12 +110,12 @@ def check_assignment(
             corrected[name] = segments[k]
         elif row[own] < _SURE:
             other = max((i for i in range(len(segments)) if i != own), key=lambda i: float(row[i]))
-            unsure.append(f"by its motion {name} may be on {segments[other]} ({100 * row[other]:.0f} %)")
+            unsure.append(f"{name} may be on {segments[other]} ({100 * row[other]:.0f} %)")
     if len(set(corrected.values())) < len(corrected):  # a part of an exchange alone is no correction
         unsure += [f"{sensor.sensor} may be on {sensor.likely}" for sensor in wrong]
         wrong, corrected = [], dict(joints)
     probability = 1 - float(np.prod(found.probability[np.arange(len(declared)), declared]))
-    doubt = "; ".join([*unsure, "what is declared is kept, as nothing likelier is sure"]) if unsure else ""
+    doubt = f"by its motion {', '.join(unsure)}; what is declared is kept" if unsure else ""
     return AssignmentCheck(corrected, tuple(wrong), probability, doubt)
 
 
