@@ -400,10 +400,16 @@ class SkeletonModel:
 
 
 @lru_cache(maxsize=8)
-def known_body(name: str, offsets: bytes) -> SkeletonModel:
-    """Return a shipped skeleton with other offsets; the last ones are kept, as one takes a tenth of a second.
+def known_body(
+    name: str, offsets: bytes, mass_kg: float | None = None, sex: str | None = None
+) -> SkeletonModel:
+    """Return a shipped skeleton of a person; the last ones are kept, as one takes a tenth of a second.
 
     Args:
-        name: see `SkeletonModel.named`. offsets: (J, 3) float64, m, as bytes.
+        name: see `SkeletonModel.named`. offsets: (J, 3) float64, m, as bytes. mass_kg, sex: as for
+            `SkeletonModel.with_mass`; default: those of the table.
     """
-    return SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
+    body = SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
+    if mass_kg is None and sex is None:
+        return body
+    return body.with_mass(body.table.mass_kg if mass_kg is None else mass_kg, sex)

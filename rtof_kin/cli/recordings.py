@@ -32,6 +32,7 @@ from rtof_kin.core.choices import MODES, Mode
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.recording.reader import RecordingSlices
+    from rtof_kin.recording.recording import Recording
     from rtof_kin.report.statistics import ReconstructionStatistics
 
 
@@ -57,6 +58,9 @@ def _demo(options: argparse.Namespace) -> None:
     from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(model_path("demo"))
+    if options.files is not None:
+        _write_files(recording, options)
+        return
     result = _reconstruct_to(recording, "rtof", options)
     with progress() as update, warnings_in_summary():
         image_only = reconstruct(
@@ -65,6 +69,19 @@ def _demo(options: argparse.Namespace) -> None:
     vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
     print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
     out.print(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim", soft_wrap=True)
+
+
+def _write_files(recording: Recording, options: argparse.Namespace) -> None:
+    """Write files to practise `init` and `run` on."""
+    from rtof_kin.simulation.raw_files import write_raw_files
+
+    first = recording.times[0]
+    recording = recording.between(first, first + options.seconds)
+    write_raw_files(recording, options.files, options.overwrite)
+    folder, height = options.files, recording.skeleton.height
+    out.print(f"wrote {folder}: what a phone and sensors would have written of the demo. Next:")
+    files = f"{folder}/keypoints.csv {folder}/dots {folder}/places.csv"
+    out.print(f"  rtof-kin run {files} --size 1920x1080 --height {height:.2f} -o OUT", soft_wrap=True)
 
 
 def _reconstruct(options: argparse.Namespace) -> None:
@@ -227,6 +244,11 @@ def _add_demo(commands: Any) -> None:
         "each stage and writes the motion and its figures.",
     )  # fmt: skip
     add_output(parser, "out/demo", "folder to write")
+    parser.add_argument(
+        "--files", metavar="FOLDER",
+        help="write the files that a phone and sensors would have written instead, to practise on",
+    )  # fmt: skip
+    parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="of these, how many at most")
     add_reconstruction(parser)
 
 

@@ -19,6 +19,7 @@ relative_covariance     (K, J, 6)
 turn_covariance         (K, P, 6)
 confidence_pairs        (P, 2)           names
 schema_version, names, dof_names, joint_offsets, first_frame, mode, skeleton: as in `MotionFile`
+mass_kg, sex: the same, '' for unknown; may be absent
 ======================  ===============  ================================================================
 
 Version 1 has `p_world_joint`, `R_world_bone` and whole covariances of every frame.
@@ -61,7 +62,7 @@ _WHOLE: Final = ("p_world_joint", "R_world_bone")
 COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
 _HEADER: Final = (
     "schema_version", "names", "dof_names", "joint_offsets", "first_frame", "mode", "skeleton",
-    "confidence_pairs", "covariance_frames",
+    "confidence_pairs", "covariance_frames", "mass_kg", "sex",
 )  # fmt: skip
 _HEADER_BYTES: Final = 64 * 2**20
 _AHEAD: Final = 1024
@@ -88,10 +89,14 @@ class MotionFile:
     """Name of the skeleton, see `SkeletonModel.named`."""
     confidence: Confidence | None = None
     """Covariances of the poses; None where absent."""
+    mass_kg: float | None = None
+    """Body mass, kg; None for that of the skeleton's table."""
+    sex: str | None = None
+    """'male', 'female' or None where unknown."""
 
     def motion(self) -> MotionSequence:
         """Return the motion on the subject's skeleton."""
-        skeleton = known_body(self.skeleton, self.joint_offsets.tobytes())
+        skeleton = known_body(self.skeleton, self.joint_offsets.tobytes(), self.mass_kg, self.sex)
         return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
 
 
@@ -174,7 +179,9 @@ class MotionReader(FrameReader[MotionFile]):
         offsets = readonly("joint_offsets", header["joint_offsets"], (len(self.names), 3))
         self._offsets: Array = offsets
         self._skeleton_name = str(header["skeleton"])
-        self.skeleton = known_body(self._skeleton_name, offsets.tobytes())
+        self._mass = float(header["mass_kg"]) if "mass_kg" in header else None
+        self._sex = str(header.get("sex", "")) or None
+        self.skeleton = known_body(self._skeleton_name, offsets.tobytes(), self._mass, self._sex)
         self.skeleton.check_joints(self.names)
         self.first_frame, self.mode = int(header["first_frame"]), str(header["mode"])
         pairs = header.get("confidence_pairs", np.empty((0, 2), dtype="U1"))
@@ -253,7 +260,7 @@ class MotionReader(FrameReader[MotionFile]):
                 raise
             raise FileFormatError(self.path, f"frames {start} to {stop}: {error}") from error
         about = (self.dof_names, self._offsets, self.first_frame, self.mode, self.skeleton.name)
-        return MotionFile(q, poses, *about, known)
+        return MotionFile(q, poses, *about, known, self._mass, self._sex)
 
     def source(self) -> MotionSource:
         """Return the motion, to be read while the file is open."""

@@ -49,6 +49,8 @@ class MotionWriter:
             "first_frame": np.array(first_frame),
             "mode": np.array(mode),
             "skeleton": np.array(skeleton.name),
+            "mass_kg": np.array(skeleton.table.mass_kg),
+            "sex": np.array(skeleton.table.sex or ""),
         }
         self._arrays = NpzWriter(self._path)
         self._open = ExitStack()

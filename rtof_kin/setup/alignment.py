@@ -13,7 +13,7 @@ together, by the keypoints, the joints between the segments and the pose prior.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -162,7 +162,7 @@ def align_sensors(
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
         calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, priors)
     sensors = _judged(calibration, starts, refined)
-    warnings += tuple(f"sensor {s.sensor}: {s.doubt}" for s in sensors if s.doubt)
+    warnings += _doubts(sensors)
     return Alignment(calibration, sensors, shared is not None, warnings, refined)
 
 
@@ -307,8 +307,8 @@ def _judged(
             )
         elif sigma > SURE:
             doubt = (
-                f"its heading is known to {np.degrees(sigma):.0f} degrees only; record a turn, an arm raise "
-                "or a longer video"
+                f"its heading is not known to {np.degrees(SURE):.0f} degrees; record a turn, an arm raise or "
+                "a longer video"
             )
         elif abs(wrapped(heading - start.heading)) > 3 * float(np.hypot(start.sigma, _SWING)):
             doubt = (
@@ -317,3 +317,12 @@ def _judged(
             )
         out.append(SensorAlignment(sensor, joint, heading, sigma, mounting, doubt))
     return tuple(out)
+
+
+def _doubts(sensors: Iterable[SensorAlignment]) -> tuple[str, ...]:
+    """Return each doubt once, with the sensors that it is about."""
+    named: dict[str, list[str]] = {}
+    for sensor in sensors:
+        if sensor.doubt:
+            named.setdefault(sensor.doubt, []).append(sensor.sensor)
+    return tuple(f"sensor {', '.join(names)}: {doubt}" for doubt, names in named.items())

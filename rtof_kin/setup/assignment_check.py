@@ -115,7 +115,8 @@ def check_assignment(
         unsure += [f"{sensor.sensor} may be on {sensor.likely}" for sensor in wrong]
         wrong, corrected = [], dict(joints)
     probability = 1 - float(np.prod(found.probability[np.arange(len(declared)), declared]))
-    return AssignmentCheck(corrected, tuple(wrong), probability, "; ".join(unsure))
+    doubt = f"by its motion {', '.join(unsure)}; what is declared is kept" if unsure else ""
+    return AssignmentCheck(corrected, tuple(wrong), probability, doubt)
 
 
 def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:

@@ -18,7 +18,7 @@ from rtof_kin.formats.covariance_nodes import TOLERANCE
 from rtof_kin.formats.motion_npz import SCHEMA_VERSION, read_motion_npz
 from rtof_kin.formats.motion_writer import write_motion_npz
 
-BODY = SkeletonModel.default().with_height(1.82)
+BODY = SkeletonModel.default().with_height(1.82).with_mass(82.0, "female")
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +138,13 @@ def test_motion_of_the_file_is_on_the_subjects_skeleton(path: Path) -> None:
     p, R = motion.skeleton.forward_kinematics(motion.q)
     np.testing.assert_array_equal(p, motion.poses.p_world_joint)
     np.testing.assert_array_equal(R, motion.poses.R_world_bone)
+
+
+def test_mass_and_sex_are_kept_and_may_be_absent(path: Path) -> None:
+    table = read_motion_npz(path).motion().skeleton.table
+    assert (table.mass_kg, table.sex) == (82.0, "female")
+    table = read_motion_npz(changed(path, mass_kg=None, sex=None)).motion().skeleton.table
+    assert (table.mass_kg, table.sex) == (SkeletonModel.default().table.mass_kg, None)
 
 
 def test_gaps_are_kept(tmp_path: Path, motion: MotionSequence) -> None:
