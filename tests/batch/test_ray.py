@@ -28,7 +28,7 @@ def cluster(log: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[A
     path = [str(Path(batch_support.__file__).parent), *sys.path]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path))
     # Ray reads the token when it is imported.
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'rtof_kin[cluster]'")
+    pytest.importorskip("ray", reason="Ray is not installed: pip install rtof-kin[cluster]")
     from ray.cluster_utils import Cluster
 
     size = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": 80 * 2**20}
