@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-lowest lint dist sbom bench harness accuracy pictures docs docs-links clean
+.PHONY: demo test test-lowest lint lint-platforms dist sbom bench bench-smoke harness accuracy pictures docs docs-links clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -19,9 +19,12 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python models/build_urdf.py --check
+
+# The types on other systems; a minute each the first time.
+lint-platforms: $(STAMP)
 	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
 	$(BIN)/mypy --platform darwin --cache-dir .mypy_cache/darwin
-	$(BIN)/python models/build_urdf.py --check
 
 test: lint
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
@@ -57,7 +60,6 @@ bench: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.solvers
 
 # Accuracy and speed on six seconds of the demo, within wide bounds. Under a minute.
-.PHONY: bench-smoke
 bench-smoke: $(STAMP)
 	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.smoke
 

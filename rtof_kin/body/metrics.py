@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,9 +41,9 @@ class Metrics(Mapping[str, float]):
 
     pooled: dict[str, float]
     """Mean over frames and joints by metric; NaN without data."""
-    per_joint: dict[str, dict[str, float]]
+    per_joint: dict[str, dict[str, float]] = field(repr=False)
     """Mean over frames by joint and metric."""
-    over_time: dict[str, Array]
+    over_time: dict[str, Array] = field(repr=False)
     """'mpjpe_mm', 'mpjpe_rr_mm': (T,) mean over joints; 'joint_mm' (absolute), 'joint_flexion_deg' (knees and
     elbows): (T, J). NaN in frames that are not scored."""
 
