@@ -29,7 +29,7 @@ def _simulate(options: argparse.Namespace) -> None:
     from dataclasses import replace
 
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.recording.recording import INDEX
+    from rtof_kin.recording.index import INDEX
     from rtof_kin.simulation.simulate import SimulationSettings, simulate_file
 
     check_replaceable(options.output, INDEX, options.overwrite)

@@ -144,7 +144,8 @@ def _live(options: argparse.Namespace) -> None:
     from rtof_kin.live.session.recorder import Recorder
     from rtof_kin.live.session.session import LiveSession
     from rtof_kin.live.sources.open_sources import open_sinks, open_sources
-    from rtof_kin.recording.recording import INDEX, Recording
+    from rtof_kin.recording.index import INDEX
+    from rtof_kin.recording.recording import Recording
 
     settings = OnlineSettings(options.rate, options.lag, video_delay_s=options.video_delay)
     if options.output is not None:

@@ -115,7 +115,8 @@ def _calibrate(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_new_file, check_replaceable
     from rtof_kin.reconstruction.consistency_checks import consistency_warnings
     from rtof_kin.reconstruction.self_calibration import calibrate_recording
-    from rtof_kin.recording.recording import INDEX, Recording
+    from rtof_kin.recording.index import INDEX
+    from rtof_kin.recording.recording import Recording
     from rtof_kin.report.audit import calibration_results
     from rtof_kin.report.audit_results import AuditResult
     from rtof_kin.report.headline import headline

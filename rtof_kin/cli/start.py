@@ -210,7 +210,7 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
     """Make the recording, or as much of it as is not there already."""
     from rtof_kin.core.errors import OutputExistsError
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.recording.recording import INDEX
+    from rtof_kin.recording.index import INDEX
     from rtof_kin.setup.init import find_people, make_recording, read_findings
     from rtof_kin.setup.sources import Sources
 
@@ -243,7 +243,8 @@ def _of_second(options: argparse.Namespace) -> argparse.Namespace:
 
 def _join(options: argparse.Namespace, inputs: Mapping[str, str] | None = None) -> None:
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.recording.recording import INDEX, Recording
+    from rtof_kin.recording.index import INDEX
+    from rtof_kin.recording.recording import Recording
     from rtof_kin.setup.join import join_recordings
 
     check_replaceable(options.output, INDEX, options.overwrite)

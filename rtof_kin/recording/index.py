@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel, known_body
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import UnknownNameError
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.recording import files
 from rtof_kin.recording.camera_motion_files import filmed_stream
@@ -25,11 +26,29 @@ from rtof_kin.recording.sources import Source
 from rtof_kin.recording.streams import Streams
 from rtof_kin.recording.views import view_streams
 
+INDEX: Final = "recording.toml"
 SCHEMA_VERSION: Final = 1
 SKELETONS: Final = ("total_capture", "human36m")
 """Tables of skeletons that a recording may name."""
 shipped = cache(SkeletonModel.named)
 """Skeleton of a table."""
+
+
+def index_of(folder: Path) -> Section:
+    """Return the top level of a recording's ``recording.toml``.
+
+    Args:
+        folder: of the recording.
+
+    Raises:
+        FileFormatError: it does not exist or is not TOML.
+    """
+    path = folder / INDEX
+    if folder.is_dir() and not path.exists():
+        raise FileFormatError(
+            path, "there is no such file; rtof-kin init makes a recording of a video and sensors' files"
+        )
+    return Section.of_file(path)
 
 
 def read_index(index: Section, source: Source) -> tuple[dict[str, Any], Streams]:

@@ -12,10 +12,9 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.files.section import Section
 from rtof_kin.recording.files import naming
-from rtof_kin.recording.index import read_index
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import index_of, read_index
+from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sources import OnDisk
 from rtof_kin.recording.streams import Streams, TimeAxis
 
@@ -81,7 +80,7 @@ class RecordingReader(TimeAxis):
 
     @classmethod
     def _opened(cls, folder: Path) -> Self:
-        index = Section.of_file(folder / INDEX)
+        index = index_of(folder)
         with ExitStack() as closing, naming(index.path):
             fields, streams = read_index(index, OnDisk(closing))
             parts = streams.parts(lambda stream: stream.part(slice(0, 1)))

@@ -23,14 +23,13 @@ from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
-from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording.files import TRUTH, naming
-from rtof_kin.recording.index import SCHEMA_VERSION, SKELETONS, body_of, read_index, shipped
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, index_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.session import Session
 from rtof_kin.recording.sources import InMemory
@@ -38,7 +37,6 @@ from rtof_kin.recording.streams import ALL, Part, Stream, Streams, TimeAxis, row
 from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, keypoint_file_arrays
 from rtof_kin.vision.layouts import is_detector_point
 
-INDEX: Final = "recording.toml"
 """File of every recording's folder."""
 _TRUTH: Final = "truth.npz"
 
@@ -249,7 +247,7 @@ class Recording(TimeAxis):
         Raises:
             FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
         """
-        index = Section.of_file(Path(folder) / INDEX)
+        index = index_of(Path(folder))
         with naming(index.path):
             fields, streams = read_index(index, InMemory())
             return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))

@@ -12,7 +12,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.npz_writer import NpzWriter
 from rtof_kin.formats.video_arrays import VIDEO_CONSTANTS
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 
 
 class RecordingWriter:

@@ -28,8 +28,8 @@ from rtof_kin.formats.camera_motion_npz import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
-from rtof_kin.recording.index import SCHEMA_VERSION
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
+from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera, seen_camera
 from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture

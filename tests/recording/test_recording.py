@@ -29,7 +29,8 @@ from rtof_kin.core.errors import (
 )
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.camera import CameraUncertainty
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 
 SKELETON = SkeletonModel.default()
 T, S = 12, 2
@@ -449,7 +450,7 @@ def test_a_wrong_line_raises_with_file_field_and_remedy(
 
 
 def test_a_folder_without_an_index_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file"):
+    with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file; rtof-kin init"):
         Recording.load(tmp_path)
     with pytest.raises(FileFormatError, match=r"nowhere.*there is no such file"):
         Recording.load(tmp_path / "nowhere")

@@ -25,8 +25,8 @@ from rtof_kin.formats.world_axes import UP
 from rtof_kin.inertial.camera_gyroscope import HELD
 from rtof_kin.recording import index as index_module
 from rtof_kin.recording.files import RECOGNISE, naming
-from rtof_kin.recording.index import SCHEMA_VERSION, SKELETONS, read_index
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, read_index
+from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.schema import SCHEMA, check_index, schema, shape_of
 from rtof_kin.recording.sources import InMemory
 from rtof_kin.recording.streams import ALL

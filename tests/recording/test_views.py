@@ -14,7 +14,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 
 POSES = planted.moving(SkeletonModel.default(), 12).poses
 SIDE = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], 900.0, 1280, 720)

@@ -31,7 +31,8 @@ from rtof_kin.core.files.manifest import MANIFEST, write_manifest
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.session.stream_checks import unknown_landmarks, unknown_sensors
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 
 LIVE: Final = "live"
 """Folder of everything as it came."""

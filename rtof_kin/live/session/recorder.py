@@ -25,7 +25,8 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.samples import FrameSample, OnlineEstimate
 from rtof_kin.live.session.clock_map import Arrived
 from rtof_kin.live.session.recorded_session import CHUNK, LIVE, SETUP, finish
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 
 _PENDING: Final = 10  # files that wait for a slow disk
 _CLOSING: Final = 30.0  # [s] for which the last files are waited for

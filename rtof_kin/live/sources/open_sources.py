@@ -14,7 +14,8 @@ from rtof_kin.live.sources.renamed_sensors import RenamedSensors
 from rtof_kin.live.sources.replay import RecordingReplay
 from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.live.sources.video_source import VideoSource, is_webcam
-from rtof_kin.recording.recording import INDEX, Recording
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 
