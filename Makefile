@@ -79,7 +79,7 @@ $(VENV)/.installed-docs: $(STAMP)
 	touch $@
 
 # The documentation site: docs/_build/html/index.html. The tutorials run. docs-links looks up the addresses on the web.
-SPHINX = OMP_NUM_THREADS=1 $(BIN)/python -m sphinx -q -E -c docs -d docs/_build/doctrees --fail-on-warning --keep-going
+SPHINX = OMP_NUM_THREADS=1 RTOF_KIN_COMPILE=never $(BIN)/python -m sphinx -q -E -c docs -d docs/_build/doctrees --fail-on-warning --keep-going
 docs: $(VENV)/.installed-docs
 	$(SPHINX) -b html . docs/_build/html
 
