@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Set
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -42,22 +43,24 @@ LIFTING_USERS = {"reconstruction", "setup", "live", "protocols", "cli"}
 HEAVY = {"torch", "matplotlib", "yourdfpy", "casadi", "pinocchio", "viser", "av"}
 
 
-def imports(path: Path) -> Iterator[tuple[str, bool]]:
+@cache
+def imports(path: Path) -> tuple[tuple[str, bool], ...]:
     """Dotted names that a file imports, and whether only a call or a type checker does so."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    late = [
-        node
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.Lambda)
-        or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
-    ]
-    inside = {id(n) for node in late for n in ast.walk(node)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from ((alias.name, id(node) in inside) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}, line {node.lineno}: relative import"
-            yield from ((f"{node.module}.{alias.name}", id(node) in inside) for alias in node.names)
+    return tuple(imports_of(ast.parse(path.read_text(encoding="utf-8")), path, late=False))
+
+
+def imports_of(node: ast.AST, path: Path, late: bool) -> Iterator[tuple[str, bool]]:
+    """The same of a part of a file."""
+    if isinstance(node, ast.Import):
+        yield from ((alias.name, late) for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        assert node.level == 0, f"{path}, line {node.lineno}: relative import"
+        yield from ((f"{node.module}.{alias.name}", late) for alias in node.names)
+    elif isinstance(node, ast.stmt | ast.Module | ast.ExceptHandler | ast.match_case):
+        late = late or isinstance(node, ast.FunctionDef)
+        late = late or (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+        for child in ast.iter_child_nodes(node):
+            yield from imports_of(child, path, late)
 
 
 def files(package: str) -> list[Path]:
@@ -103,39 +106,38 @@ def test_heavy_packages_are_imported_only_where_they_belong() -> None:
     assert users["matplotlib"] == {"report", "protocols"}
 
 
-def loaded_by(statement: str, packages: Set[str] = HEAVY) -> tuple[set[str], float]:
-    """Packages loaded by a statement in a new interpreter, and the seconds it took."""
-    code = (
-        f"import sys, time; t = time.perf_counter(); {statement}; "
-        f"print(*[m for m in {sorted(packages)} if m in sys.modules], time.perf_counter() - t)"
+def loaded_by(*statements: str, packages: Set[str] = HEAVY) -> list[tuple[set[str], float]]:
+    """Packages loaded after each of some statements in a new interpreter, and the seconds since its start."""
+    code = "import sys, time; t = time.perf_counter()" + "".join(
+        f"; {statement}; print(*[m for m in {sorted(packages)} if m in sys.modules], time.perf_counter() - t)"
+        for statement in statements
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True, text=True, check=True, cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    *names, seconds = done.stdout.split()
-    return set(names), float(seconds)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    return [(set(names), float(seconds)) for *names, seconds in lines]
 
 
 def test_importing_the_package_takes_less_than_a_second_and_loads_nothing_heavy() -> None:
-    names, seconds = loaded_by("import rtof_kin")
+    ((names, seconds),) = loaded_by("import rtof_kin")
     assert names == set()
     assert seconds < 1.0
 
 
 def test_command_line_is_imported_before_numpy() -> None:
-    names, _ = loaded_by("import rtof_kin.cli", {"numpy"})
+    ((names, _),) = loaded_by("import rtof_kin.cli", packages={"numpy"})
     assert names == set()
 
 
 def test_name_of_the_front_door_loads_only_what_it_needs() -> None:
-    names, _ = loaded_by("from rtof_kin import ImuCalibration, Camera")
-    assert names == set()
-    names, _ = loaded_by("from rtof_kin import SkeletonModel")
-    assert names == {"pinocchio"}
-    names, _ = loaded_by("from rtof_kin import reconstruct")
-    assert not names & {"torch", "matplotlib", "yourdfpy"}
+    statements = ("import ImuCalibration, Camera", "import SkeletonModel", "import reconstruct")
+    data, body, solver = (names for names, _ in loaded_by(*(f"from rtof_kin {text}" for text in statements)))
+    assert data == set()
+    assert body == {"pinocchio"}
+    assert not solver & {"torch", "matplotlib", "yourdfpy"}
 
 
 def test_names_of_the_front_door_exist() -> None:

@@ -9,20 +9,24 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from rtof_kin.recording.recording import Recording
 
 CHAIN = "reconstruct --no-figures, analyse --no-figures, report --subject 'A, B'"
 
 
 @pytest.fixture(scope="module")
 def takes(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One good recording and two that cannot be read."""
+    """One good recording of a second and two that cannot be read."""
     root = tmp_path_factory.mktemp("takes")
-    shutil.copytree(short, root / "s1" / "good")
-    shutil.copytree(short, root / "s1" / "cut")
+    two = Recording.load(short)
+    replace(two, keypoints=two.video[:60]).save(root / "s1" / "good")
+    shutil.copytree(root / "s1" / "good", root / "s1" / "cut")
     whole = (root / "s1/cut/keypoints.npz").read_bytes()
     (root / "s1/cut/keypoints.npz").write_bytes(whole[: len(whole) // 2])
     (root / "garbage").mkdir()
@@ -47,7 +51,7 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
     assert "recording.toml: not readable as TOML" in rows["garbage"]["error"]
     assert "keypoints.npz: damaged, or no NPZ archive" in rows["s1/cut"]["error"]
     good = rows["s1/good"]
-    assert (good["frames"], good["duration_s"], good["error"]) == ("120", "2.0", "")
+    assert (good["frames"], good["duration_s"], good["error"]) == ("60", "1.0", "")
     assert good["verdict"] in ("pass", "warn", "fail")
     assert float(good["cpu_seconds"]) > 0.5
     assert float(good["peak_memory_mb"]) > 100

@@ -46,7 +46,7 @@ def test_a_phone_alone(
 def test_a_phone_and_dots(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    keypoints, log, segments = write_demo(tmp_path, 10, 13)
+    keypoints, log, segments = write_demo(tmp_path, 10, 12)
     (tmp_path / "map.csv").write_text("".join(f"{name};{joint}\n" for name, joint in segments.items()))
     write_camera_toml(tmp_path / "calib.toml", {"cam": Recording.load(model_path("demo")).video.camera})
     monkeypatch.setattr(sensors, "align_sensors", partial(align_sensors, refine=False))
@@ -63,7 +63,7 @@ def test_a_walk_of_sensors_alone(
 ) -> None:
     worn = exercising().with_one_reference(0.4)
     serials = {f"00B4{s:04}": joint for s, joint in enumerate(worn.joints.values())}
-    first = slice(0, 300)
+    first = slice(0, 200)
     imus = replace(
         worn.imus, names=tuple(serials), times=worn.imus.times[first],
         R_inertial_sensor=worn.imus.R_inertial_sensor[first], f_sensor=worn.imus.f_sensor[first],

@@ -20,13 +20,12 @@ Reports = dict[str, list[Any]]
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Folders written by one process, and by two that ``torchrun`` started."""
+    """Folders written by one process, and by two that the launcher behind ``torchrun`` started."""
     one, two = (tmp_path_factory.mktemp(name) for name in ("one", "two"))
     script = str(Path(train_together.__file__))
-    launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     both = subprocess.Popen(
-        [sys.executable, *launch, script, str(two)],
+        [sys.executable, script, str(two)],
         env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip

@@ -22,7 +22,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
-SECONDS = 3.0
+SECONDS = 2.0
 LAGGED = OnlineSettings(lag_s=0.25)
 
 
@@ -130,24 +130,24 @@ def test_samples_that_are_too_late_are_counted() -> None:
 
 
 def test_without_images_the_pose_goes_on_and_the_root_stays_near() -> None:
-    shown = [(t, s) for t, s in arrivals() if isinstance(s, ImuSample) or not 1.0 < t < 2.0]
+    shown = [(t, s) for t, s in arrivals() if isinstance(s, ImuSample) or not 0.7 < t < 1.5]
     found = played(estimator(), shown)
     times = np.array([estimate.poses.times[0] for estimate in found])
     assert len(found) == len(usual())
-    blind = (times > 1.3) & (times < 2.0)
+    blind = (times > 1.0) & (times < 1.5)
     dark = found[int(np.flatnonzero(blind)[10])].poses
     by_name = dict(zip(dark.names, dark.provenance[0], strict=True))
     assert by_name["LeftForeArm"] == Provenance.IMU
     assert by_name["Hips"] == Provenance.BRIDGED
     assert errors_mm(found)[blind].mean() < 4 * batch_mm()
     assert errors_mm(found, relative=False)[blind].max() < 600
-    assert errors_mm(found)[times > 2.5].mean() < 1.5 * errors_mm(usual())[times > 2.5].mean()
+    assert errors_mm(found)[times > 1.7].mean() < 1.5 * errors_mm(usual())[times > 1.7].mean()
 
 
 def test_a_sensor_that_dies_and_comes_back_is_bridged_by_the_camera() -> None:
     died = demo().imus
     assert died is not None
-    dead = [(t, s) for t, s in arrivals() if getattr(s, "sensor", "") != died.names[0] or not 1 < t < 2]
+    dead = [(t, s) for t, s in arrivals() if getattr(s, "sensor", "") != died.names[0] or not 0.7 < t < 1.4]
     found = played(estimator(), dead)
     assert errors_mm(found).mean() < 1.4 * errors_mm(usual()).mean()
 
@@ -170,13 +170,13 @@ def test_the_camera_alone_is_enough() -> None:
 
 def test_a_person_seen_again_elsewhere_is_found() -> None:
     """The camera sees nothing for a second, and then the person half a metre further."""
-    moved = [(t + (t > 1.0), replace(s, time=s.time + (s.time > 1.0))) for t, s in arrivals(2.5)]
+    moved = [(t + (t > 1.0), replace(s, time=s.time + (s.time > 1.0))) for t, s in arrivals()]
     camera = demo().video.camera
     shifted = replace(demo(), keypoints=replace(demo().video, camera=camera))
     own = OnlineEstimator(shifted, shifted.video.names, LAGGED)
     found = played(own, moved)
     assert np.isfinite(found[-1].poses.p_world_joint).all()
-    assert len(found) > 150
+    assert len(found) > 110
 
 
 def test_a_root_that_was_lost_is_found_by_the_image() -> None:
@@ -208,7 +208,7 @@ def test_a_hurry_solves_fewer_frames_and_stays_on_the_body() -> None:
         if k % 150 == 149:
             found += own.advance(hurry=True)
     found += own.finish()
-    assert own.hurried > 50
+    assert own.hurried > 30
     assert errors_mm(found).mean() < 1.5 * errors_mm(usual()).mean()
 
 
@@ -225,7 +225,7 @@ def test_a_wrong_heading_is_found_while_the_person_moves() -> None:
         sigma_ankle_height=None,
     )  # fmt: skip
     own = estimator(replace(LAGGED, refined=priors), setup)
-    played(own, arrivals(7.0))
+    played(own, arrivals(4.0))
     found = own.calibration
     assert found is not None
     heading = {q.item: float(q.value[0]) for q in found.quantities}["LeftLeg"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import socket
 import threading
 import time
@@ -37,31 +38,48 @@ LATEST = 1.0
 """[s] after which a fault must have been told."""
 
 
+class UnhurriedClock:
+    """The machine's clock, which hardly moves while the session waits for the processor.
+
+    So what is seen is the network and the session, however busy the machine is.
+    """
+
+    def __init__(self) -> None:
+        self.time, self._read = 0.0, time.monotonic()
+
+    def __call__(self) -> float:
+        """Time, s; the session asks before and after every step."""
+        now = time.monotonic()
+        self.time, self._read = self.time + min(now - self._read, 0.02), now
+        return self.time
+
+
 class Heard:
     """Sink that notes when it was told what."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: UnhurriedClock) -> None:
+        self.clock = clock
         self.estimates, self.told = list[OnlineEstimate](), list[tuple[float, str]]()
 
     def send(self, estimate: OnlineEstimate) -> None:
         self.estimates.append(estimate)
 
     def tell(self, sentence: str) -> None:
-        self.told.append((time.monotonic(), sentence))
+        self.told.append((self.clock.time, sentence))
 
     def close(self) -> None:
         """Nothing to close."""
 
 
 @contextmanager
-def sent(send: Callable[[Sample], None]) -> Iterator[Callable[[], float]]:
-    """Send the demo in real time from a thread; gives the time of `time.monotonic` when it began."""
-    replay = RecordingReplay.of_recording(demo(), ReplayClock(), faults=FAULTS)
-    ending, began = threading.Event(), [0.0]
+def sent(send: Callable[[Sample], None], clock: UnhurriedClock) -> Iterator[Callable[[], float]]:
+    """Send the demo in the time of a clock from a thread; gives the time at which it began, or infinity."""
+    replay = RecordingReplay.of_recording(demo(), ReplayClock(now=lambda: clock.time), faults=FAULTS)
+    ending, began = threading.Event(), [math.inf]
 
     def relay() -> None:
         replay.start()
-        began[0] = time.monotonic()
+        began[0] = clock.time
         while not ending.wait(0.002):
             for sample in replay.poll():
                 send(sample)
@@ -78,19 +96,17 @@ def sent(send: Callable[[Sample], None]) -> Iterator[Callable[[], float]]:
 
 def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> None:
     """Run a session and check what it says, estimates and records."""
-    heard, setup = Heard(), demo()
+    clock, setup = UnhurriedClock(), demo()
+    heard = Heard(clock)
     estimator = OnlineEstimator(setup, setup.video.names, OnlineSettings(rate_hz=RATE_HZ, lag_s=0.1))
     session = LiveSession(
         setup, sources, estimator, sinks=[heard], recorder=Recorder(folder, setup), patience_s=20.0
     )
-    with sent(send) as began:
-        deadline = time.monotonic() + 30.0
-
-        def over() -> bool:
-            since = time.monotonic() - began()
-            return time.monotonic() > deadline or (began() > 0 and since > SECONDS)
-
-        summary = session.run(over)
+    with sent(send, clock) as began:
+        deadline = time.monotonic() + 120.0
+        summary = session.run(
+            lambda: time.monotonic() > deadline or clock.time - began() > SECONDS, clock=clock
+        )
     assert summary.frames > 0.7 * RATE_HZ * SECONDS
 
     def first(word: str, about: str, after: float) -> float:
@@ -100,11 +116,10 @@ def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> 
         assert found, (word, about, [sentence for _, sentence in heard.told])
         return found[0]
 
-    # A machine that is busy with other tests is late itself: half a second for it.
-    assert first("sample for", DEAD, DYING[0]) < DYING[0] + LATEST + 0.5
-    assert first("back again", DEAD, DYING[1]) < DYING[1] + LATEST + 0.5
-    assert first("same numbers", VIDEO, FREEZING[0]) < FREEZING[0] + LATEST + 0.5
-    assert first("back again", VIDEO, FREEZING[1] - 0.1) < FREEZING[1] + LATEST + 0.5
+    assert first("sample for", DEAD, DYING[0]) < DYING[0] + LATEST
+    assert first("back again", DEAD, DYING[1]) < DYING[1] + LATEST
+    assert first("same numbers", VIDEO, FREEZING[0]) < FREEZING[0] + LATEST
+    assert first("back again", VIDEO, FREEZING[1] - 0.1) < FREEZING[1] + LATEST
     p = np.concatenate([estimate.poses.p_world_joint for estimate in heard.estimates])
     assert np.isfinite(p).all()
     truth = setup.truth

@@ -20,8 +20,8 @@ from rtof_kin.report.export import export_parts
 
 @pytest.fixture(scope="module")
 def parts() -> list[Reconstruction]:
-    demo = Recording.load(model_path("demo")).between(0.0, 9.0)
-    return list(reconstruct_in_parts(demo, "rtof", seconds=3.0))
+    demo = Recording.load(model_path("demo")).between(0.0, 3.0)
+    return list(reconstruct_in_parts(demo, "rtof", seconds=1.0))
 
 
 def test_the_files_have_the_motion_of_all_parts(parts: list[Reconstruction], tmp_path: Path) -> None:
@@ -42,7 +42,7 @@ def test_the_files_have_the_motion_of_all_parts(parts: list[Reconstruction], tmp
 def test_long_motions_are_not_written_as_text_unless_asked_for(
     parts: list[Reconstruction], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exporting, "MOST_SECONDS", 5.0)
+    monkeypatch.setattr(exporting, "MOST_SECONDS", 2.0)
     export_parts(parts, tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").glob("[a-z]*")) == [
         "files.json", "measurements.npz", "motion.npz", "skeleton.urdf", "summary.json",

@@ -1,4 +1,4 @@
-"""Trainings of a tiny lifter into a folder, for `test_distributed`: alone, or under ``torchrun``.
+"""Trainings of a tiny lifter into a folder, for `test_distributed`: alone, or by two processes.
 
 Each process writes its reports and the first windows that it drew.
 """
@@ -14,6 +14,8 @@ from typing import Any
 
 import lifting_support as support
 import torch
+import torch._dynamo  # loaded by the first optimiser: here once, before the processes are forked
+from torch.distributed.launcher.api import LaunchConfig, elastic_launch
 
 from lifting.data import plain
 from lifting.distributed import workers
@@ -24,7 +26,7 @@ from lifting.train import train
 from rtof_kin.core.errors import RtofError
 
 QUICK = TrainConfig(
-    windows=480, batch=48, threads=1, channels=12, skeletons=0, report_every=1, validations=2,
+    windows=288, batch=48, threads=1, channels=12, skeletons=0, report_every=1, validations=2,
     validation_windows=16, bfloat16=False, same_windows=True,
     augment=replace(plain(), mirror=0.5, sensors=SensorConfig()),
 )  # fmt: skip
@@ -69,5 +71,14 @@ def main(folder: Path) -> None:
     (folder / f"reports{rank}.json").write_text(json.dumps(found))
 
 
+def together(folder: Path) -> None:
+    """The same by two processes with the environment that ``torchrun`` gives, which this one starts."""
+    config = LaunchConfig(
+        min_nodes=1, max_nodes=1, nproc_per_node=2, rdzv_backend="c10d", rdzv_endpoint="localhost:0",
+        run_id="together", max_restarts=0, monitor_interval=0.1, start_method="fork",
+    )  # fmt: skip
+    elastic_launch(config, main)(folder)
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    together(Path(sys.argv[1]))
