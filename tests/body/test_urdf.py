@@ -16,7 +16,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -242,6 +241,7 @@ def test_visuals_extend_from_joint_to_end(table: SkeletonTable) -> None:
 @pytest.fixture(params=NAMES)
 def viewed(request: pytest.FixtureRequest) -> tuple[Any, SkeletonModel]:
     """The shipped file in yourdfpy, and the same skeleton in Pinocchio."""
+    yourdfpy = pytest.importorskip("yourdfpy")
     robot = yourdfpy.URDF.load(str(model_path(f"{request.param}.urdf")))
     table = {"skeleton": "total_capture"}.get(request.param, request.param)
     return robot, SkeletonModel.named(table)

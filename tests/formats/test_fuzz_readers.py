@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from fuzz_damage import bounded, damaged
 from fuzz_support import READERS, Reader, made_by, npz, recording, write_files
 from hypothesis import HealthCheck, given, settings
@@ -226,6 +225,8 @@ def test_code_in_a_file_is_never_run(reader: Reader, name: str, tmp_path: Path) 
     elif name.endswith(".npy"):
         hostile.append(made_by(lambda d: np.save(d / "a.npy", np.array([Canary(canary)])))["a.npy"])
     elif name.endswith(".pt"):
+        import torch
+
         hostile.append(made_by(lambda d: torch.save({"weights": Canary(canary)}, d / "a.pt"))["a.pt"])
     else:
         hostile.append(f"h36m_cameras_intrinsic_params = open({str(canary)!r}, 'w')\n".encode())

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import planted
 import pytest
@@ -19,6 +19,7 @@ from rtof_kin.formats.cameras import read_camera
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.recording.recording import Recording
 
+cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
 K = np.array([[1250.5, 0.0, 960.25], [0.0, 1240.125, 540.0], [0.0, 0.0, 1.0]])
 DISTORTION = np.array([-0.05, 0.1, 1e-5, -0.002, 0.01])
 RVEC = np.array([1.688, 1.048, -0.42])

@@ -7,6 +7,7 @@ to read that folder. `test_fuzz_readers` damages each file of it in turn.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import io
 import pickle
 import tempfile
@@ -17,16 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import human36m_files
-import lifting_support
 import numpy as np
 import planted
 import sensor_files
 import total_capture_support
 import xdf_file
 
-from lifting.checkpoint import load_checkpoint, save_checkpoint
-from lifting.corpus import read_corpus
-from lifting.splits import read_split
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
@@ -179,8 +176,29 @@ def _corpus_index() -> Files:
 
 
 def _lifter() -> Files:
+    import lifting_support
+
+    from lifting.checkpoint import save_checkpoint
+
     lifter = lifting_support.untrained_lifter(channels=4)
     return made_by(lambda d: save_checkpoint(d / "a.pt", lifter.network, lifter.description))
+
+
+def _learning() -> tuple[Reader, ...]:
+    """The readers of `lifting`, none without torch."""
+    if importlib.util.find_spec("torch") is None:
+        return ()
+    import lifting_support
+
+    from lifting.checkpoint import load_checkpoint
+    from lifting.corpus import read_corpus
+    from lifting.splits import read_split
+
+    return (
+        Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
+        written("corpus", "a.npz", lambda p: lifting_support.tiny_corpus(4, 3).save(p), read_corpus),
+        given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
+    )
 
 
 def one(name: str, content: Callable[[], bytes] | bytes) -> Callable[[], Files]:
@@ -331,9 +349,7 @@ READERS = (
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     # --- learning
-    Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),
-    written("corpus", "a.npz", lambda p: lifting_support.tiny_corpus(4, 3).save(p), read_corpus),
-    given("split", "a.toml", b'test = ["S9"]\nvalidation = ["S8", "S7"]\n', read_split),
+    *_learning(),
     # --- inertial sensors
     *map(sensors, sensor_files.WRITERS),
     given("sensor map", "a.csv", b"serial,segment\nB279,pelvis # loose\nB27D,right shank\n", read_sensor_map),
