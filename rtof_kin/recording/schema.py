@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -79,15 +78,7 @@ def _names_added_layout(error: Any) -> bool:
 
 @cache
 def _validator() -> Any:
-    # Where Jupyter is installed, jsonschema would compile a grammar of addresses for a second or two.
-    unloaded = "rfc3987_syntax" not in sys.modules
-    if unloaded:
-        sys.modules["rfc3987_syntax"] = None  # type: ignore[assignment]  # "not installed"
-    try:
-        from jsonschema import Draft202012Validator, validators  # type: ignore[import-untyped]  # late: 0.1 s
-    finally:
-        if unloaded:
-            del sys.modules["rfc3987_syntax"]
+    from jsonschema import Draft202012Validator, validators  # type: ignore[import-untyped]  # late: 0.1 s
 
     def is_number(_: object, value: object) -> bool:
         finite = not isinstance(value, float) or math.isfinite(value)
