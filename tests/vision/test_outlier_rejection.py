@@ -147,7 +147,7 @@ def test_sides_may_be_named_by_a_letter() -> None:
 def test_nine_in_ten_corrections_of_simulated_detections_are_right() -> None:
     better = []
     for seed in range(1, 5):
-        poses = planted.human(BODY, 300, seed=seed).poses
+        poses = planted.human(BODY, 600, seed=seed).poses
         wrong, right = (
             simulate(
                 poses, BODY.joint_offsets, camera=standard_cameras(poses, seed)[seed % 4], seed=seed,
