@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -33,6 +34,14 @@ def pan_and_shake(
     return so3.exp(rotvec) @ so3.exp(waves @ sizes)
 
 
+@lru_cache(maxsize=1)
+def _wall(seed: int) -> NDArray[np.uint8]:
+    """Random texture with coarse and fine patches."""
+    rng, shape = np.random.default_rng(seed), (2 * _HEIGHT, _HEIGHT)
+    coarse, fine = (cv2.resize(rng.random((_HEIGHT // n, 2 * _HEIGHT // n, 3)), shape) for n in (8, 2))
+    return np.asarray(255 * (0.6 * coarse + 0.4 * fine)).astype(np.uint8)
+
+
 def write_turning_video(
     path: Path,
     R_middle_camera: Array,
@@ -47,10 +56,8 @@ def write_turning_video(
         path: .mp4. R_middle_camera: (T, 3, 3). camera: that films, without distortion. rate_hz: of frames.
         boxes: (T, 4) left, top, right, bottom of the person, px. seed: of the texture.
     """
-    rng = np.random.default_rng(seed)
-    shape, size = (2 * _HEIGHT, _HEIGHT), (camera.width_px, camera.height_px)
-    coarse, fine = (cv2.resize(rng.random((_HEIGHT // n, 2 * _HEIGHT // n, 3)), shape) for n in (8, 2))
-    wall = np.asarray(255 * (0.6 * coarse + 0.4 * fine)).astype(np.uint8)
+    rng, wall = np.random.default_rng(seed), _wall(seed)
+    size = camera.width_px, camera.height_px
     focal = _HEIGHT / np.tan(_HALF_VIEW)
     K_wall = np.array([[focal, 0, _HEIGHT], [0, focal, _HEIGHT / 2], [0, 0, 1]])
     film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, size)

@@ -94,13 +94,13 @@ class SkeletonModel:
 
     @classmethod
     def default(cls) -> SkeletonModel:
-        """Load the 21-joint Total Capture skeleton, ``models/skeleton.urdf``."""
-        return cls.from_urdf(model_path("skeleton.urdf"))
+        """Return the 21-joint Total Capture skeleton, ``models/skeleton.urdf``; it is loaded once."""
+        return _shipped(model_path("skeleton.urdf"), model_path("skeleton.toml"))
 
     @classmethod
     def human36m(cls) -> SkeletonModel:
-        """Load the 17-joint Human3.6M skeleton, ``models/human36m.urdf``."""
-        return cls.from_urdf(model_path("human36m.urdf"), model_path("human36m.toml"))
+        """Return the 17-joint Human3.6M skeleton, ``models/human36m.urdf``; it is loaded once."""
+        return _shipped(model_path("human36m.urdf"), model_path("human36m.toml"))
 
     @classmethod
     def named(cls, name: str) -> SkeletonModel:
@@ -397,6 +397,11 @@ class SkeletonModel:
         for i, joint in enumerate(self.table.joints[1:], start=1):
             groups.setdefault(joint.axes, []).append(i)
         return groups
+
+
+@lru_cache(maxsize=4)
+def _shipped(urdf: Path, table: Path) -> SkeletonModel:
+    return SkeletonModel.from_urdf(urdf, table)
 
 
 @lru_cache(maxsize=8)

@@ -153,7 +153,8 @@ def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:
 
 def test_figure_panels_have_units_and_mark_unobserved_angles(analysis: MotionAnalysis) -> None:
     for figure, label in ((gait_cycles(analysis), "[%]"), (angles_over_time(analysis), "[s]")):
-        FigureCanvasAgg(figure).draw()
+        FigureCanvasAgg(figure)
+        figure.draw_without_rendering()
         assert [ax.get_title(loc="left") for ax in figure.axes] == [n.replace("_", " ") for n in SHOWN]
         assert all(ax.get_ylabel() == "[deg]" and ax.lines for ax in figure.axes)
         assert all(label in ax.get_xlabel() for ax in figure.axes[-3:])

@@ -17,7 +17,7 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
-BODIES = (BODY, BODY.with_height(1.6), BODY.with_height(1.9), BODY)
+BODIES = (BODY, BODY.with_height(1.6), BODY)
 N, FRAMES = 8, 12
 SETTINGS: dict[str, JointSpaceSettings | CartesianSettings] = {
     "joint": JointSpaceSettings(), "cartesian": CartesianSettings(),
@@ -38,14 +38,14 @@ def solve(kind: str, i: int, solver: FragmentSolver | None = None) -> Array:
 
 @cache
 def one_after_the_other(kind: str) -> list[Array]:
-    return [solve(kind, i) for i in range(4)]
+    return [solve(kind, i) for i in range(3)]
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
-def test_four_threads_give_the_results_of_one(kind: str) -> None:
+def test_three_threads_give_the_results_of_one(kind: str) -> None:
     expected = one_after_the_other(kind)
-    with ThreadPoolExecutor(4) as pool:
-        for found, alone in zip(pool.map(lambda i: solve(kind, i), range(4)), expected, strict=True):
+    with ThreadPoolExecutor(3) as pool:
+        for found, alone in zip(pool.map(lambda i: solve(kind, i), range(3)), expected, strict=True):
             np.testing.assert_array_equal(found, alone)
 
 
@@ -53,7 +53,7 @@ def test_four_threads_give_the_results_of_one(kind: str) -> None:
 def test_solver_may_be_shared_by_threads(kind: str) -> None:
     solver = FragmentSolver(BODY, N, SETTINGS[kind])
     expected = one_after_the_other(kind)
-    numbers = [0, 3, 0, 3]  # of the same body
+    numbers = [0, 2, 0, 2]  # of the same body
     with ThreadPoolExecutor(4) as pool:
         for i, found in zip(numbers, pool.map(lambda i: solve(kind, i, solver), numbers), strict=True):
             np.testing.assert_array_equal(found, expected[i])

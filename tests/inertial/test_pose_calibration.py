@@ -82,7 +82,7 @@ def test_facing_is_estimated_from_the_walk_that_follows(pose: str) -> None:
 
 
 def test_own_headings_are_estimated_from_movement() -> None:
-    worn = exercising(LEGS)
+    worn = exercising(("L_UpLeg", "L_LowLeg", "Pelvis"))
     found = calibrate_by_pose(worn.imus, worn.joints, "N", worn.skeleton, headings="own")
     assert worn.errors_deg(found.calibration).max() < 6
     assert found.facing == 0.0

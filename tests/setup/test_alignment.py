@@ -40,9 +40,9 @@ def turned(log: SensorLog, truth: ImuCalibration, headings: np.ndarray) -> tuple
 
 
 def test_heading_and_mounting_of_each_sensor_are_found() -> None:
-    motion = planted.moving(skeleton(), 900, radians=0.5)
+    motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = worn(motion, sensors=SIX)
-    found = align_sensors(*filmed(motion, 0.0, 14.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
     assert headings_off_deg(found, truth).max() < 5.0
     mounting = np.degrees(so3.angle_between(found.calibration.R_sensor_bone, truth.R_sensor_bone))
     assert mounting.max() < 6.0
@@ -51,31 +51,31 @@ def test_heading_and_mounting_of_each_sensor_are_found() -> None:
 
 
 def test_a_shared_reference_is_recognised_and_used_for_all() -> None:
-    motion = planted.moving(skeleton(), 900, radians=0.5)
+    motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = turned(*worn(motion, sensors=SIX), 1.2 + np.radians([0.0, 4.0, -3.0, 2.0, 5.0, -4.0]))
-    found = align_sensors(*filmed(motion, 0.0, 14.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
     assert found.shared_reference
     assert len({round(sensor.heading, 9) for sensor in found.sensors}) == 1
     assert headings_off_deg(found, truth).max() < 8.0
 
 
 def test_a_segment_that_does_not_move_is_in_doubt() -> None:
-    motion = planted.standing(skeleton(), 900)
+    motion = planted.standing(skeleton(), 600)
     log, truth = worn(motion)
-    found = align_sensors(*filmed(motion, 0.0, 14.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
     assert all("hardly determines its heading" in sensor.doubt for sensor in found.sensors)
     assert found.warnings == (f"sensor {', '.join(log.names)}: {found.sensors[0].doubt}",)
 
 
 def test_turns_about_the_vertical_alone_leave_the_heading_open() -> None:
-    motion = planted.standing(skeleton(), 900)
-    turn = so3.about_axis("z", planted.smooth_noise(0, (900,), 60, 1.0))
+    motion = planted.standing(skeleton(), 600)
+    turn = so3.about_axis("z", planted.smooth_noise(0, (600,), 60, 1.0))
     poses = motion.poses
     R = turn[:, None] @ poses.R_world_bone
     p = np.einsum("tij,tkj->tki", turn, poses.p_world_joint)
     motion = replace(motion, poses=poses.with_poses(slice(None), p, R))
     log, truth = worn(motion)
-    found = align_sensors(*filmed(motion, 0.0, 14.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
     assert all(sensor.doubt for sensor in found.sensors)
 
 

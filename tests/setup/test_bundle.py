@@ -72,8 +72,8 @@ def test_a_planted_camera_is_found_from_exact_images() -> None:
 
 
 def test_noise_is_stated_in_the_covariance() -> None:
-    p, errors = truth(), []
-    for seed in range(6):
+    p, errors = truth(30), []
+    for seed in range(5):
         seen = images(p)
         rng = np.random.default_rng(seed)
         seen = replace(

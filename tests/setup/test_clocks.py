@@ -22,8 +22,7 @@ def session(seconds: int = 90, rate_hz: float = 100.0) -> tuple[MotionSequence, 
     return (motion, *worn(motion, rate_hz))
 
 
-@pytest.mark.parametrize("offset", [-587.3, -3.21, 0.0, 412.345])
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("offset, known", [(-587.3, True), (-3.21, False), (0.0, True), (412.345, False)])
 def test_an_offset_of_up_to_ten_minutes_is_found_to_ten_milliseconds(offset: float, known: bool) -> None:
     motion, log, calibration = session()
     start = 41.37

@@ -32,7 +32,7 @@ cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
 pytest.importorskip("av", exc_type=ImportError)
 from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
 
-RATE, T = 30.0, 105
+RATE, T = 30.0, 75
 CAMERA = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 360.0, 432, 242)
 DOWN = so3.exp(np.radians([-10.0, 0, 0]))  # the middle orientation looks downwards
 GUESS = Camera.looking_at([0.0, 0, 0], [1.0, 0, 0], 330.0, 432, 242)

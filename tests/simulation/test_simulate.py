@@ -261,12 +261,12 @@ def test_the_median_orientation_error_is_that_of_real_sensors(joint: str) -> Non
 
 
 def test_limb_sensors_err_in_swing_and_twist_as_real_ones_do() -> None:
-    poses = planted.moving(SKELETON, 1200).poses[::6]
+    poses = planted.moving(SKELETON, 600).poses[::6]
     settings = replace(NOISELESS, imu=ImuNoise(), imu_rate_hz=poses.rate_hz)
     joints = SKELETON.index(*(SKELETON.sensors[name][0] for name in LIMB_SENSORS))
     along = so3.unit(np.array([SKELETON.table.joints[j].end for j in joints]))
     swing, twist = [], []
-    for seed in range(120):
+    for seed in range(60):
         bones = simulated(settings, poses, seed=seed).bone_imus()
         error = (np.swapaxes(poses.R_world_bone[:, joints], -1, -2) @ bones.R_world_bone)[1:-1]
         turned = np.einsum("tsij,sj,si->ts", error, along, along)

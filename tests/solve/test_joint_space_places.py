@@ -20,7 +20,7 @@ from rtof_kin.vision.image_points import image_points
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
-MOTION = planted.human(BODY, 150)
+MOTION = planted.human(BODY, 100)
 CAMERA = planted.camera()
 NAMES = tuple(detector_point("mediapipe33", name) for name in detector_points("mediapipe33"))
 

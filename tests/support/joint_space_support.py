@@ -215,13 +215,14 @@ def problem(kind: str, frames: int) -> JointProblem:
 def poses(b: Built, x: Array) -> tuple[Array, Array]:
     """Joint positions and segment orientations of states, joint by joint."""
     N = len(x)
-    quats = dict(zip(b.space.joints, np.moveaxis(x[:, 3:].reshape(N, -1, 4), 1, 0), strict=True))
+    turns = np.moveaxis(matrices(x[:, 3:].reshape(-1, 4)).reshape(N, -1, 3, 3), 1, 0)
+    turned = dict(zip(b.space.joints, turns, strict=True))
     p, R = np.zeros((N, len(BODY.names), 3)), np.zeros((N, len(BODY.names), 3, 3))
     for j, parent in enumerate(BODY.parents):
-        local = np.tile(np.eye(3), (N, 1, 1))
-        if j in quats:
-            local = Rotation.from_quat(quats[j], scalar_first=True).as_matrix()
-        R[:, j] = local if parent < 0 else R[:, parent] @ local
+        if parent < 0:
+            R[:, j] = turned[j]
+        else:
+            R[:, j] = R[:, parent] @ turned[j] if j in turned else R[:, parent]
         p[:, j] = x[:, :3] if parent < 0 else p[:, parent] + R[:, parent] @ BODY.joint_offsets[j]
     return p, R
 
@@ -285,10 +286,12 @@ def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         w = np.sqrt(data.w_acceleration[:, s, None])
         out.append(Term("acceleration", w * r, pseudo_huber(DELTA_ACCELERATION)))
     steps = [np.diff(x[:, :3], axis=0)]
+    before, after = (
+        Rotation.from_quat(part[:, 3:].reshape(-1, 4), scalar_first=True) for part in (x[:-1], x[1:])
+    )
+    turns = (before.inv() * after).as_rotvec().reshape(len(x) - 1, -1, 3)
     for a, axis in enumerate(b.space.hinge_axis):
-        q = Rotation.from_quat(x[:, 3 + 4 * a : 7 + 4 * a], scalar_first=True)
-        turn = (q[:-1].inv() * q[1:]).as_rotvec()
-        steps.append(turn if axis < 0 else turn[:, axis : axis + 1])
+        steps.append(turns[:, a] if axis < 0 else turns[:, a, axis : axis + 1])
     jerk = np.diff(np.concatenate(steps, axis=1), n=2, axis=0) * data.rate_hz**3
     white = np.sqrt(data.w_jerk)[:, None] * jerk / sigma_jerk(b.space)
     return [*out, Term("smooth", white, lambda s: (s, np.ones_like(s)))]

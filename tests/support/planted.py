@@ -292,12 +292,10 @@ def documented_residuals(
     s, rate = settings, start.rate_hz
     bones = [(parent, child) for child, parent in enumerate(skeleton.parents) if parent >= 0]
     siblings = [(a, b) for p, a in bones for q, b in bones if p == q and a < b]
-    rest = skeleton.forward_kinematics(skeleton.t_pose()[None])[0][0]
     acceleration, bone = _inertial_residuals(X, imus, skeleton, rate)
-    length = [
-        np.linalg.norm(X[:, b] - X[:, a], axis=-1) - np.linalg.norm(rest[b] - rest[a])
-        for a, b in bones + siblings
-    ]
+    (a, b), offsets = np.array(bones + siblings).T, skeleton.joint_offsets
+    spans = [offsets[child] for _, child in bones] + [offsets[b] - offsets[a] for a, b in siblings]
+    length = np.linalg.norm(X[:, b] - X[:, a], axis=-1) - np.linalg.norm(spans, axis=-1)
     D, sigma = start.p_world_joint, s.sigma_prior_bone
     prior = [(X - D) / s.sigma_prior]
     if s.prior == "bones":
@@ -312,7 +310,7 @@ def documented_residuals(
         "acceleration": mean(s.k_I * s.k_A, acceleration / s.sigma_acceleration),
         "bone": mean(s.k_I * s.k_B, bone / s.sigma_bone),
         "smooth": mean(s.k_I * s.k_S, np.diff(X, n=3, axis=0) * rate**3 / s.sigma_jerk),
-        "length": mean(s.bone_lengths == "weighted", np.array(length) / s.sigma_length),
+        "length": mean(s.bone_lengths == "weighted", length / s.sigma_length),
         "prior": np.concatenate([r.ravel() for r in prior]) / np.sqrt(frames * X[0].size),
     }
 

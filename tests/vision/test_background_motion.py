@@ -22,7 +22,7 @@ pytest.importorskip("av", exc_type=ImportError)
 from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
 
 CAMERA = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 400.0, 480, 270)
-RATE, T = 30.0, 120
+RATE, T = 30.0, 60
 TIMES = np.arange(T) / RATE
 BOXES = np.linspace([80.0, 60, 130, 240], [330.0, 60, 380, 240], T)  # a person who walks through the image
 PERSON = KeypointSequence(CAMERA, TIMES, BOXES.reshape(T, 2, 2), np.ones((T, 2)), ("a", "b"))
@@ -45,7 +45,7 @@ def test_pan_and_shake_are_recovered(turned: tuple[Path, Array]) -> None:
     path, R_true = turned
     found = estimate_camera_motion(path, PERSON, CAMERA)
     off = degrees_off(found.motion.R_first_camera, R_true)
-    assert np.degrees(found.motion.angles.max()) > 10
+    assert np.degrees(found.motion.angles.max()) > 7
     assert found.known == 1
     assert off.max() < 0.1
     assert np.sqrt(np.mean(off**2) / 3) < 2 * np.degrees(found.motion.sigma) < 0.1

@@ -212,7 +212,7 @@ def test_any_bytes_give_frames_or_an_error_of_the_package(tmp_path: Path) -> Non
     path = write_video(tmp_path / "film.mp4", [quarters()] * 8, rotation=90)
     data, rng = path.read_bytes(), np.random.default_rng(1)
     read = 0
-    for _ in range(60):
+    for _ in range(30):
         damaged = bytearray(data)
         for at in rng.integers(0, len(data), 8):
             damaged[at] = rng.integers(256)
