@@ -94,13 +94,13 @@ class SkeletonModel:
 
     @classmethod
     def default(cls) -> SkeletonModel:
-        """Return the 21-joint Total Capture skeleton, ``models/skeleton.urdf``; it is loaded once."""
-        return _shipped(model_path("skeleton.urdf"), model_path("skeleton.toml"))
+        """Load the 21-joint Total Capture skeleton, ``models/skeleton.urdf``."""
+        return cls.from_urdf(model_path("skeleton.urdf"))
 
     @classmethod
     def human36m(cls) -> SkeletonModel:
-        """Return the 17-joint Human3.6M skeleton, ``models/human36m.urdf``; it is loaded once."""
-        return _shipped(model_path("human36m.urdf"), model_path("human36m.toml"))
+        """Load the 17-joint Human3.6M skeleton, ``models/human36m.urdf``."""
+        return cls.from_urdf(model_path("human36m.urdf"), model_path("human36m.toml"))
 
     @classmethod
     def named(cls, name: str) -> SkeletonModel:
@@ -397,11 +397,6 @@ class SkeletonModel:
         for i, joint in enumerate(self.table.joints[1:], start=1):
             groups.setdefault(joint.axes, []).append(i)
         return groups
-
-
-@lru_cache(maxsize=4)
-def _shipped(urdf: Path, table: Path) -> SkeletonModel:
-    return SkeletonModel.from_urdf(urdf, table)
 
 
 @lru_cache(maxsize=8)

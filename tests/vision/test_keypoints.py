@@ -117,7 +117,7 @@ def test_loading_a_recording_logs_the_tracked_person(
         ('layout = "coco17"\nrate_hz = 30\nperson = 3', FileFormatError, "no such person"),
         ('layout = "coco17"\nrate_hz = 30\npersn = 3', UnknownNameError, "Did you mean 'person'"),
         ('layout = "coco17"\nlandmarks = ["Nose"]', FileFormatError, "landmarks"),
-        ('layout = "coco17"\nrate_hz = 0', FileFormatError, "give rate_hz"),
+        ('layout = "coco17"\nrate_hz = 0', FileFormatError, "rate_hz: 0 is not a positive number"),
         (
             'layout = "human36m17"\nrate_hz = 30\n[skeleton]\ntable = "human36m"', FileFormatError,
             "for the skeleton total_capture",
