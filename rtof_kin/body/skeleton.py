@@ -237,15 +237,18 @@ class SkeletonModel:
             raise InvalidInputError(f"height: {height} m is no human height; give metres")
         return self.with_offsets(self.joint_offsets * (height / self.height))
 
-    def with_mass(self, mass_kg: float, sex: str | None = None) -> SkeletonModel:
+    def with_mass(self, mass_kg: float | None, sex: str | None = None) -> SkeletonModel:
         """Return the skeleton with another body mass.
 
         Args:
-            mass_kg: kg. sex: 'male' or 'female', de Leva's column; unchanged if None.
+            mass_kg: kg. sex: 'male' or 'female', de Leva's column; each unchanged if None.
 
         Raises:
             InvalidInputError: not a human mass, or another sex.
         """
+        if mass_kg is None and sex is None:
+            return self
+        mass_kg = self.table.mass_kg if mass_kg is None else mass_kg
         if not 2 < mass_kg < 500:
             raise InvalidInputError(f"mass: {mass_kg:g} kg is no person's; give kilograms")
         if sex not in (None, "male", "female"):
@@ -407,9 +410,7 @@ def known_body(
 
     Args:
         name: see `SkeletonModel.named`. offsets: (J, 3) float64, m, as bytes. mass_kg, sex: as for
-            `SkeletonModel.with_mass`; default: those of the table.
+            `SkeletonModel.with_mass`.
     """
     body = SkeletonModel.named(name).with_offsets(np.frombuffer(offsets).reshape(-1, 3))
-    if mass_kg is None and sex is None:
-        return body
-    return body.with_mass(body.table.mass_kg if mass_kg is None else mass_kg, sex)
+    return body.with_mass(mass_kg, sex)

@@ -120,9 +120,7 @@ def body_of(
         skeleton = skeleton.with_bone_lengths(bone_lengths) if bone_lengths else skeleton
     elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
         skeleton = known_body(skeleton_table, np.asarray(joint_offsets, dtype=float).tobytes())
-    if mass_kg is None and sex is None:
-        return skeleton
-    return skeleton.with_mass(skeleton.table.mass_kg if mass_kg is None else mass_kg, sex)
+    return skeleton.with_mass(mass_kg, sex)
 
 
 def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
