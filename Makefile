@@ -31,6 +31,7 @@ test: lint
 	OMP_NUM_THREADS=1 $(BIN)/python examples/quickstart.py models/demo out/quickstart
 	$(BIN)/python tests/check_wheel.py
 	$(BIN)/python tests/check_real_video.py
+	$(MAKE) docs
 
 # The tests that need no extra, with the lowest versions that pyproject.toml allows.
 LOWEST := .venv-lowest
