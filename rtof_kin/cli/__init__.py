@@ -77,6 +77,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
 
     from rtof_kin.cli import (
         batch,
+        bundle,
         clinical,
         compare,
         conversion,
@@ -115,6 +116,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         training,
         lifters,
         batch,
+        bundle,
         protocols,
         view,
     ):
