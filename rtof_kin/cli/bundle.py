@@ -157,7 +157,7 @@ def _reproduce(options: argparse.Namespace) -> int:
             out.print(intact, style=STYLES["pass"], soft_wrap=True)
             out.print(f"SHA-256   {_sha256(path)}")
             return 0
-        limit_threads(options.threads or _threads(bundle))
+        limit_threads(_threads(bundle) if options.threads is None else options.threads)
         found = [_again(run, folder, folder / "reproduced" / str(i)) for i, run in enumerate(bundle.runs, 1)]
         _print_comparisons(intact, bundle.runs, found)
     out.print(f"SHA-256   {_sha256(path)}")

@@ -97,9 +97,7 @@ def _blas() -> dict[str, str]:
         if (module := sys.modules.get(name)) is not None:
             blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
             found[f"BLAS of {name}"] = f"{blas.get('name', _UNKNOWN)} {blas.get('version', '')}".strip()
-    if kernel := os.environ.get("OPENBLAS_CORETYPE"):
-        found["kernels of OpenBLAS"] = kernel
-    return found
+    return found | {"kernels of OpenBLAS": os.environ.get("OPENBLAS_CORETYPE", "by processor")}
 
 
 def _energy() -> str:
