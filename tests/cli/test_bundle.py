@@ -314,3 +314,37 @@ def test_other_numbers_are_measured_and_other_versions_named(
     assert done.out.startswith(said)
     assert f"likely since numpy 1.0.0 -> {np.__version__}" in done.out
     assert "differs: motion.npz q" in done.out
+
+
+def test_several_people_and_results_get_ids_and_the_worst_verdict_comes_first(
+    cli: Any, named: Path, result: Path, tmp_path: Path
+) -> None:
+    other = Recording.load(named)
+    session = replace(other.session, subject="Max Muster", operator="", place="")
+    replace(other, keypoints=other.video[5:40], session=session).save(tmp_path / "takes" / "b")
+    assert cli("reconstruct", tmp_path / "takes/b", "-o", tmp_path / "b_out", *QUICK).code == 0
+    assert cli("reconstruct", named, "-o", tmp_path / "lift", "--mode", "lift", "--no-figures").code == 0
+    outs = (result, tmp_path / "b_out", tmp_path / "lift")
+    given = (
+        "bundle",
+        *outs,
+        "--recording",
+        tmp_path / "takes",
+        "--recording",
+        named,
+        "-o",
+        tmp_path / "b.rtof",
+    )
+    assert "--id: 1 given for 2 people" in cli(*given, "--id", "A").err
+    assert "3 results" in cli(*given, "--id", "A", "--id", "B").out
+    runs = json.loads(members(tmp_path / "b.rtof")[MANIFEST])["runs"]
+    assert [run["recording"][11:] for run in runs] == ["A-1", "B-1", "A-1"]
+    assert [run["run"]["options"]["mode"] for run in runs] == ["sf2", "sf2", "lift"]
+    contents = members(tmp_path / "b.rtof")
+    contents["results/2/motion.npz"] = changed_motion(contents["results/2/motion.npz"], tmp_path, 0.5)
+    done = cli("reproduce", sealed(tmp_path / "c.rtof", contents))
+    assert done.code == 1
+    assert done.out.startswith("NOT reproduced: joints differ by up to 8.7e+02 mm")
+    assert "though code, libraries and processor agree" in done.out
+    assert "results/1 of recordings/A-1, mode sf2, 60 frames: reproduced bit by bit" in done.out
+    assert "results/2 of recordings/B-1, mode sf2, 35 frames: NOT reproduced" in done.out
