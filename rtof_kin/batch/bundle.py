@@ -167,7 +167,7 @@ def _collect(
 ) -> tuple[list[Run], list[str], list[str]]:  # fmt: skip
     """Write all members but the manifest; return the runs, what was kept and what was left out."""
     places: dict[Path, str] = {}
-    runs, kept, left_out = list[Run](), dict[str, None](), dict[str, None]()
+    runs, kept, left_out = list[Run](), list[str](), list[str]()
     for number, source in enumerate(sources, start=1):
         subject = subjects[number - 1]
         if source.folder not in places:
@@ -179,17 +179,18 @@ def _collect(
             _forget_manifest(folder / RECORDINGS / name)
             if Recording.load(folder / RECORDINGS / name).digest() != source.record["recording_sha256"]:
                 raise InvalidInputError(f"{source.folder}: cannot be written with exactly these numbers")
-            kept |= dict.fromkeys(_told(bare, name))
-            left_out |= dict.fromkeys(f"{name}: {label}" for label in labels)
+            kept.append(f"{name}: {', '.join(_told(bare))}")
+            left_out.append(f"{name}: {', '.join(labels)}")
         result = f"{RESULTS}/{number}"
         own = _own_files(folder, source, files)
         _write_result(folder / result, source, Path(places[source.folder]).name, choice, search)
         runs.append(Run(places[source.folder], result, source.record, own))
-    left_out |= dict.fromkeys((
-        "video and pictures: none was read", "names of folders, this user and this machine",
+    left_out += [
+        "video and pictures: none was read",
+        "names of folders, this user and this machine",
         "figures, tables and files for other programs: rtof-kin export and report make them again",
-    ))  # fmt: skip
-    return runs, [*kept], [*left_out]
+    ]
+    return runs, kept, left_out
 
 
 def _subjects(sources: Sequence[_Source], choice: Choice) -> list[str]:
@@ -199,6 +200,8 @@ def _subjects(sources: Sequence[_Source], choice: Choice) -> list[str]:
     if choice.ids and len(choice.ids) != len(people):
         raise InvalidInputError(f"--id: {len(choice.ids)} given for {len(people)} people")
     ids = choice.ids or tuple(f"S{number:02}" for number in range(1, len(people) + 1))
+    if len({*ids}) < len(ids):
+        raise InvalidInputError("--id: two people have the same one")
     if wrong := [one for one in ids if not one.replace("-", "").isalnum() or not one.isascii()]:
         raise InvalidInputError(f"--id: {wrong[0]!r} has other characters than letters, digits and -")
     return [ids[people.index(key)] for key in keys]
@@ -220,24 +223,22 @@ def _bare(recording: Recording, name: str, subject: str, choice: Choice) -> tupl
     return bare, ["title", *gone]
 
 
-def _told(recording: Recording, name: str) -> list[str]:
-    """Return what a bundled recording tells of a person, in sentences."""
+def _told(recording: Recording) -> list[str]:
+    """Return what a bundled recording tells of a person, in words."""
     facts = {"height": recording.height, "mass": recording.mass_kg}
     units = {"height": "m", "mass": "kg"}
     told = [f"{what} {value:g} {units[what]}" for what, value in facts.items() if value is not None]
     told += [f"sex {recording.sex}"] if recording.sex else []
     told.append("lengths of the body")
-    streams = []
     if recording.keypoints is not None:
         cameras = 1 + len(recording.views)
-        streams.append(f"keypoints of {cameras} camera{'s' if cameras > 1 else ''} with their calibration")
+        told.append(f"keypoints of {cameras} camera{'s' if cameras > 1 else ''} with their calibration")
     if recording.imus is not None:
-        streams.append(f"sensors named {', '.join(recording.imus.names)}")
-    streams += ["reference motion"] if recording.truth is not None else []
-    told += streams
-    session = [f"{k} {v!r}" for k, v in recording.session.plain().items() if k != "subject"]
+        told.append(f"sensors named {', '.join(recording.imus.names)}")
+    told += ["reference motion"] if recording.truth is not None else []
+    told += [f"{k} {v!r}" for k, v in recording.session.plain().items() if k != "subject"]
     notes = {"notes": recording.notes, "acknowledgement": recording.acknowledgement}
-    return [f"{name}: {', '.join([*told, *session, *(k for k, v in notes.items() if v)])}"]
+    return [*told, *(name for name, text in notes.items() if text)]
 
 
 def _own_files(folder: Path, source: _Source, files: Sequence[Path]) -> dict[str, str]:

@@ -27,8 +27,8 @@ _PATTERNS: Final = {
     r"|(?<!\w)[A-Za-z]:[\\/][\w.]|\\\\[\w.-]+\\\w|(?<![\w~])~[\w.-]*/\w|\bfile://",
     "a path of a file": r"(?<![\w./\\+-])(?!(?:docs|benchmarks|models|rtof_kin)/)"
     r"(?:[\w.+-]+[/\\])+[\w.+-]+\.[A-Za-z]\w{1,4}\b",
-    "a video or picture": r"(?<!\w)[\w.+-]+\.(?:mp4|mov|avi|mkv|m4v|webm|mts|jpe?g|png|heic|gif)\b",
-    "an address": r"[\w.+-]+@[\w-]+\.\w+",
+    "a video or picture": r"(?<![\w.+-])[\w.+-]+\.(?:mp4|mov|avi|mkv|m4v|webm|mts|jpe?g|png|heic|gif)\b",
+    "an address": r"(?<![\w.+-])[\w.+-]+@[\w-]+\.\w+",
     "a date": r"(?<!\d)(?:19|20)\d\d-[01]\d-[0-3]\d(?!\d)|(?<!\d)[0-3]?\d\.[01]?\d\.(?:19|20)\d\d(?!\d)",
 }
 _KNOWN: Final = tuple((what, re.compile(pattern, re.IGNORECASE)) for what, pattern in _PATTERNS.items())
