@@ -98,9 +98,9 @@ def read_bundle(path: Path, folder: Path | None = None) -> Bundle:
             )
         if added := sorted(names - {*bundle.sha256}):
             raise FileFormatError(path, f"changed: the member {added[0]} was added; ask for the file again")
+        if other := sorted(name for name in names if not _MEMBER.fullmatch(name)):
+            raise FileFormatError(path, f"member {other[0]!r} is nothing that a bundle has; not opened")
         for name, sha256 in sorted(bundle.sha256.items()):
-            if not _MEMBER.fullmatch(name):
-                raise FileFormatError(path, f"member {name!r} is nothing that a bundle has; not opened")
             if _digest(path, archive, name, None if folder is None else folder / name) != sha256:
                 raise FileFormatError(path, f"changed: the member {name} is not as it was bundled")
     return bundle

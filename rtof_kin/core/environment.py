@@ -18,6 +18,11 @@ from rtof_kin.core.threads import threads
 
 PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")
 """Dependencies that compute."""
+SWITCHES: Final = (
+    "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "ATEN_CPU_CAPABILITY",
+    "ONEDNN_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES",
+)  # fmt: skip
+"""Environment variables by which libraries choose a processor's instructions."""
 _ROOT: Final = Path(__file__).parents[2]
 _SOURCES: Final = ("rtof_kin/**/*.py", "rtof_kin/**/*.c", "lifting/**/*.py")
 _TABLES: Final = ("*.npz", "*.toml", "*.urdf")
@@ -35,6 +40,7 @@ def environment() -> dict[str, str]:
         "C library": " ".join(platform.libc_ver()).strip() or _UNKNOWN,
         "system": f"{platform.system()} {platform.machine()}",
         "processor": processor(),
+        "instructions": " ".join(f"{n}={os.environ[n]}" for n in SWITCHES if n in os.environ) or "all",
         "energy": _energy(),
         "threads": str(threads() or _UNKNOWN),
     }
@@ -97,7 +103,7 @@ def _blas() -> dict[str, str]:
         if (module := sys.modules.get(name)) is not None:
             blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
             found[f"BLAS of {name}"] = f"{blas.get('name', _UNKNOWN)} {blas.get('version', '')}".strip()
-    return found | {"kernels of OpenBLAS": os.environ.get("OPENBLAS_CORETYPE", "by processor")}
+    return found
 
 
 def _energy() -> str:

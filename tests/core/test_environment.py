@@ -17,7 +17,9 @@ from rtof_kin.core.numerics import c_compiler
 
 def test_environment_has_versions_and_neither_names_nor_paths(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Haswell")
     found = environment()
+    assert found["instructions"] == "OPENBLAS_CORETYPE=Haswell"
     assert found["numpy"] == np.__version__
     assert found["python"] == platform.python_version()
     assert found["threads"] == "3"
