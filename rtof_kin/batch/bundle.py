@@ -141,11 +141,8 @@ def _sources(outputs: Sequence[Path], recordings: Sequence[Path]) -> list[_Sourc
 
 def _search(sources: Iterable[_Source], subjects: Sequence[str], choice: Choice) -> Search:
     """Return the search for all names that must not be in a bundle."""
-    names, phrases, allowed = (
-        [*of_this_machine(), *choice.forbidden],
-        list[str](),
-        [*choice.allowed, *subjects],
-    )
+    names, phrases = [*choice.forbidden], of_this_machine()
+    allowed = [*choice.allowed, *subjects]
     for source in sources:
         session = source.recording.session
         names += [session.subject, session.operator]
