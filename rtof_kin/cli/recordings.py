@@ -29,6 +29,9 @@ from rtof_kin.cli.terminal import (
 )
 from rtof_kin.core.choices import MODES, Mode
 
+REPEATED = ("frames", "space", "backend", "paper", "guards", "lift_with_sensors", "calibrate")
+"""Options of a run that its numbers depend on, beside its mode, files and threads."""
+
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.recording.reader import RecordingSlices
@@ -180,6 +183,7 @@ def reconstruct_and_export(
     from rtof_kin.report.export import MARKER, export_parts
 
     check_replaceable(options.output, MARKER, options.overwrite)
+    digest = recording.digest()
     how: Any = {
         "mode": mode, "lifter": lifter_of(options), "settings": settings_of(options, mode),
         "calibrate": options.calibrate, "known": _known(options),
@@ -189,7 +193,30 @@ def reconstruct_and_export(
             parts: Iterable[Reconstruction] = [reconstruct(recording, progress=update, **how)]
         else:
             parts = reconstruct_in_parts(recording, progress=update, **how)
-        return export_parts(parts, options.output, options.overwrite, not options.no_figures, inputs=inputs)
+        return export_parts(
+            parts, options.output, options.overwrite, not options.no_figures, inputs=inputs,
+            run=lambda: run_record(mode, options, digest),
+        )  # fmt: skip
+
+
+def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -> dict[str, Any]:
+    """Return what a run can be repeated by, for ``summary.json``; files are named by their SHA-256 alone.
+
+    Args:
+        mode: of the reconstruction. options: those of `add_reconstruction`. recording_digest: of the input.
+    """
+    from rtof_kin.core.environment import environment
+    from rtof_kin.core.files.manifest import file_digest
+    from rtof_kin.core.resources import lifter_path
+
+    calibration = None if options.calibration is None else Path(options.calibration)
+    return {
+        "options": {"mode": mode} | {name: getattr(options, name) for name in REPEATED},
+        "recording_sha256": recording_digest,
+        "model_sha256": file_digest(lifter_path(options.model)),
+        "calibration_sha256": None if calibration is None else file_digest(calibration),
+        "environment": environment(),
+    }
 
 
 def _reconstruct_to(
