@@ -1,0 +1,99 @@
+"""Figures of a follow-up: every measure over the visits, with 95 % bands and the trials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome
+from rtof_kin.clinical.visit_measures import STATISTICS
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.report.angle_names import label, side_and_name
+from rtof_kin.report.clinical_figures import SIDE_COLORS
+from rtof_kin.report.figures import save_figures
+
+MARKS: Final = {Outcome.IMPROVED: "^", Outcome.WORSE: "v", Outcome.CHANGED: "D"}
+"""Marker of a visit with a change."""
+_COLUMNS: Final = 4
+_SHIFT: Final = 0.012  # of the axis, between the sides
+_TITLES: Final = {"gait": "gait", "mean": "mean angle", "range": "range of motion", "max": "largest angle",
+                  "min": "smallest angle"}  # fmt: skip
+
+
+def write_trajectories(found: FollowUp, folder: str | Path) -> dict[str, Path]:
+    """Write a PNG of gait and of each statistic of the angles that is followed; return title -> path.
+
+    Args:
+        found: the answer. folder: to write.
+    """
+    groups: dict[str, list[Followed]] = {}
+    for one in found.measures:
+        kind = "gait" if one.measure.is_gait else one.measure.name.rpartition("_")[2]
+        groups.setdefault(kind, []).append(one)
+    order = [kind for kind in ("gait", "range", *STATISTICS) if kind in groups]
+    figures = {kind: trajectories(found, groups[kind], _TITLES[kind]) for kind in dict.fromkeys(order)}
+    paths = save_figures(figures, folder)
+    return {_TITLES[kind]: path for kind, path in zip(figures, paths, strict=True)}
+
+
+def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> Figure:
+    """Plot measures over visits, both sides in one panel.
+
+    Args:
+        found: the answer. measures: some of it, of one kind. title: of the figure.
+    """
+    panels: dict[tuple[str, str], list[Followed]] = {}
+    for one in measures:
+        name = side_and_name(one.measure.name)[1]
+        panels.setdefault((name, one.measure.unit), []).append(one)
+    lines = math.ceil(len(panels) / _COLUMNS)
+    figure = Figure(figsize=(13, 0.9 + 2.2 * lines), layout="constrained")
+    grid = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
+    x, names = _places(found), [visit.name for visit in found.visits]
+    for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
+        for one in own:
+            _plot(ax, found, one, x)
+        end = "" if unit != "deg" else f"_{own[0].measure.name.rpartition('_')[2]}"
+        ax.set_title(label(name.removesuffix(end)), fontsize=9, loc="left")
+        ax.set_ylabel(f"[{unit}]", fontsize=8)
+        ax.grid(alpha=0.3)
+        ax.margins(x=0.08)
+        ax.set_xticks(x, names, fontsize=7, rotation=15)
+        if len(own) > 1:
+            ax.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
+                      borderaxespad=0, handlelength=1)  # fmt: skip
+    for ax in grid[len(panels) :]:
+        ax.set_axis_off()
+    figure.suptitle(
+        f"{title[:1].upper()}{title[1:]} over visits: values with 95 % bands, dots: trials; large marks: "
+        "change from the baseline shown (triangle up: improved, down: worse, diamond: changed)",
+        fontsize=10,
+    )
+    return figure
+
+
+def _places(found: FollowUp) -> Array:
+    """(V,) days of the visits, or their numbers where not all have days of their own."""
+    days = [visit.day.toordinal() for visit in found.visits if visit.day is not None]
+    if len(set(days)) < len(found.visits):
+        return np.arange(len(found.visits), dtype=float)
+    return np.array(days, dtype=float)
+
+
+def _plot(ax: Any, found: FollowUp, one: Followed, x: Array) -> None:
+    side = side_and_name(one.measure.name)[0]
+    color, scale = SIDE_COLORS[side], one.measure.scale
+    x = x + {"right": -1, "left": 1, "": 0}[side] * _SHIFT * float(np.ptp(x) or 1.0)
+    y, half = scale * one.estimates, BAND_95 * scale * one.sigmas
+    ax.errorbar(x, y, yerr=np.nan_to_num(half), color=color, lw=1.2, capsize=2, label=side or None)
+    for visit, own in enumerate(one.visits):
+        if own is not None and len(own.values) > 1:
+            ax.plot(np.full(len(own.values), x[visit]), scale * own.values, ".", color=color, ms=4, alpha=0.5)
+        if mark := MARKS.get(one.outcome(visit)) if visit != found.baseline else None:
+            ax.plot(x[visit], y[visit], mark, color=color, ms=9)
