@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.clinical.comparison_change import Change, Measured, Verdict, adjusted, change_with
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, Verdict, adjusted, change_with
 from rtof_kin.clinical.measurement_error import (
     BandShares,
     MeasurementErrors,
@@ -61,6 +61,8 @@ class Followed:
     visits: tuple[Measured | None, ...]
     """Of each visit: the values of its trials (of its strides, see `FollowUp.repeated`), and their mean band;
     None where it was not observed."""
+    baseline: int
+    """Index of the visit that the others are compared with."""
     errors: MeasurementErrors
     changes: tuple[Change | None, ...]
     """Of each visit from the baseline; None for the baseline and where either was not observed."""
@@ -75,8 +77,15 @@ class Followed:
     @property
     def sigmas(self) -> Array:
         """(V,) standard deviations of the estimates by bands and repeats; NaN where nothing states them."""
-        known = [np.nan if one is None else self.errors.sigma(one) for one in self.visits]
+        known = [np.nan if one is None else self.errors.of_value(one).sigma for one in self.visits]
         return np.array([sigma if sigma > 0 else np.nan for sigma in known])
+
+    @property
+    def half_bands(self) -> Array:
+        """(V,) halves of the 95 % intervals of the estimates; NaN where nothing states them."""
+        return np.array([
+            np.nan if one is None else self.errors.of_value(one).half_width(LEVEL) for one in self.visits
+        ])  # fmt: skip
 
     def outcome(self, visit: int) -> Outcome:
         """Return the answer for a visit.
@@ -95,11 +104,25 @@ class Followed:
         if self.better == "down":
             gain = -gain
         elif self.better == "zero":
-            # |b| < |a| if b - a and b + a have opposite signs; the error of both is the same.
-            if abs(change.a + change.b) < change.detectable:
+            if not self.nearer_shown(visit):
                 return Outcome.CHANGED
             gain = -change.difference * (change.a + change.b)
         return Outcome.IMPROVED if gain > 0 else Outcome.WORSE
+
+    def nearer_shown(self, visit: int) -> bool:
+        """Return whether it is shown which of a visit and the baseline is nearer to zero, if they differ.
+
+        b is nearer than a if b - a and b + a have opposite signs, so the sign of the sum has to be shown too.
+
+        Args:
+            visit: its index.
+        """
+        change, first = self.changes[visit], self.visits[self.baseline]
+        own = self.visits[visit]
+        if change is None or first is None or own is None:
+            return False
+        wider = self.errors.of_sum(first, own) / change.sigma
+        return abs(change.a + change.b) >= change.detectable * max(1.0, wider)
 
     def mostly(self, visit: int) -> float:
         """Return the true change that would be shown with a probability of 80 %; NaN if not tested.
@@ -177,7 +200,7 @@ def follow_up(
     if wrong := set((better or {}).values()) - set(BETTERS):
         raise UnknownNameError("direction that is better", sorted(wrong), BETTERS)
     repeated = _repeated(used, values)
-    followed = []
+    series: dict[Measure, list[Measured | None]] = {}
     for measure in measures:
         if names and measure.name not in names:
             continue
@@ -186,14 +209,32 @@ def follow_up(
             absent = [visit.name for visit, one in zip(visits, own, strict=True) if one is None]
             out[measure.name] = f"not observed, or not reliably, in {', '.join(absent)}"
             continue
-        followed.append(_followed(measure, own, baseline, repeated, (BETTER | dict(better or {})), shares))
-    if not followed:
+        series[measure] = own
+    if not series:
         raise InvalidInputError("follow: no measure is observed in the baseline and in another visit")
+    followed = follow_measures(series, baseline, repeated, better or {}, shares)
     unlike = [f"{name}: {reason}" for name, reason in out.items() if name not in known]
-    return FollowUp(
-        visits, baseline, chosen, kind, why, repeated, _together(followed),
-        (*incomparable(visits, baseline), *unlike), out,
-    )  # fmt: skip
+    causes = (*incomparable(visits, baseline), *unlike)
+    return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out)
+
+
+def follow_measures(
+    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated,
+    better: Mapping[str, Better], shares: BandShares,
+) -> tuple[Followed, ...]:  # fmt: skip
+    """Return the errors and changes of measures whose values are known, tested together.
+
+    Args:
+        series: measure -> of each visit the values of its trials and their mean band, in the unit of
+            computation; None where it was not observed, but in the baseline.
+        baseline: index of the visit that the others are compared with. repeated: what the values are of.
+        better: measure -> direction that is better, beside `BETTER`.
+        shares: how the variance of the bands is divided.
+    """
+    directions = BETTER | dict(better)
+    return _together([
+        _followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()
+    ])  # fmt: skip
 
 
 def _expanded(names: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -265,7 +306,7 @@ def _followed(
             continue
         found = change_with(measure.name, first.mean, one.mean, errors.of_change(first, one))
         changes.append(replace(found, p=float("nan")) if why_not else found)
-    return Followed(measure, better.get(measure.name), tuple(own), errors, tuple(changes), why_not)
+    return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)
 
 
 def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) -> str:

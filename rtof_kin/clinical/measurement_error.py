@@ -36,7 +36,7 @@ cases.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -109,14 +109,14 @@ class MeasurementErrors:
         """
         return _of_visit(one, self.within, self.shares)
 
-    def sigma(self, one: Measured) -> float:
-        """Return the standard deviation of the value of a visit, with what cancels in a change.
+    def of_value(self, one: Measured) -> MixedError:
+        """Return the error of the value of a visit, with what cancels in a change.
 
         Args:
             one: the trials of the visit, and their band.
         """
         own = self.of_visit(one)
-        return float(np.sqrt(own.sigma**2 + self.shares.all_visits * one.band_sigma**2))
+        return replace(own, known=own.known + self.shares.all_visits * one.band_sigma**2)
 
     def of_change(self, a: Measured, b: Measured) -> MixedError:
         """Return the error of the difference of the means of two visits.
@@ -125,6 +125,16 @@ class MeasurementErrors:
             a, b: the trials of both, and their bands.
         """
         return _sum(self.of_visit(a), self.of_visit(b))
+
+    def of_sum(self, a: Measured, b: Measured) -> float:
+        """Return the largest standard deviation of the sum of the means of two visits: of shared errors.
+
+        Args:
+            a, b: the trials of both, and their bands.
+        """
+        first, second = self.of_value(a), self.of_value(b)
+        known = (np.sqrt(first.known) + np.sqrt(second.known)) ** 2
+        return float(np.sqrt(known + first.estimated + second.estimated))
 
 
 def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> MeasurementErrors:

@@ -68,13 +68,18 @@ class MixedError:
         Args:
             level: two-sided, e.g. 0.05 for half of a 95 % interval.
         """
-        if not self.sigma > 0:
-            return float("nan")
-        z = stats.norm.isf(level / 2)
-        if not np.isfinite(self.dof) or not self.estimated:
-            return float(z * self.sigma)
-        most = z * np.sqrt(self.known) + stats.t.isf(level / 2, self.dof) * np.sqrt(self.estimated)
-        return float(optimize.brentq(lambda h: self.p(h) - level, 0.0, 1.01 * most, rtol=1e-8))
+        return _half_width(self, level)
+
+
+@lru_cache(maxsize=4096)
+def _half_width(error: MixedError, level: float) -> float:
+    if not error.sigma > 0:
+        return float("nan")
+    z = stats.norm.isf(level / 2)
+    if not np.isfinite(error.dof) or not error.estimated:
+        return float(z * error.sigma)
+    most = z * np.sqrt(error.known) + stats.t.isf(level / 2, error.dof) * np.sqrt(error.estimated)
+    return float(optimize.brentq(lambda h: error.p(h) - level, 0.0, 1.01 * most, rtol=1e-8))
 
 
 @lru_cache(maxsize=256)

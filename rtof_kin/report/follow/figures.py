@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome
 from rtof_kin.clinical.visit_measures import STATISTICS
 from rtof_kin.core.array_types import Array
-from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import label, side_and_name
 from rtof_kin.report.clinical_figures import SIDE_COLORS
 from rtof_kin.report.figures import save_figures
@@ -53,7 +52,9 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> F
         name = side_and_name(one.measure.name)[1]
         panels.setdefault((name, one.measure.unit), []).append(one)
     lines = math.ceil(len(panels) / _COLUMNS)
-    figure = Figure(figsize=(13, 0.9 + 2.2 * lines), layout="constrained")
+    height = 0.9 + 2.2 * lines  # inches
+    figure = Figure(figsize=(13, height))
+    figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.2, hspace=0.45)
     grid = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
     x, names = _places(found), [visit.name for visit in found.visits]
     for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
@@ -65,16 +66,13 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> F
         ax.grid(alpha=0.3)
         ax.margins(x=0.08)
         ax.set_xticks(x, names, fontsize=7, rotation=15)
-        if len(own) > 1:
-            ax.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
-                      borderaxespad=0, handlelength=1)  # fmt: skip
     for ax in grid[len(panels) :]:
         ax.set_axis_off()
     figure.suptitle(
-        f"{title[:1].upper()}{title[1:]} over visits: values with 95 % bands, dots: trials; large marks: "
-        "change from the baseline shown (triangle up: improved, down: worse, diamond: changed)",
-        fontsize=10,
-    )
+        f"{title[:1].upper()}{title[1:]} over visits with 95 % bands; dots: trials; blue: right, red: left; "
+        "large marks: change from the baseline (up: improved, down: worse, diamond: changed)",
+        fontsize=10, y=1 - 0.1 / height, va="top",
+    )  # fmt: skip
     return figure
 
 
@@ -90,7 +88,7 @@ def _plot(ax: Any, found: FollowUp, one: Followed, x: Array) -> None:
     side = side_and_name(one.measure.name)[0]
     color, scale = SIDE_COLORS[side], one.measure.scale
     x = x + {"right": -1, "left": 1, "": 0}[side] * _SHIFT * float(np.ptp(x) or 1.0)
-    y, half = scale * one.estimates, BAND_95 * scale * one.sigmas
+    y, half = scale * one.estimates, scale * one.half_bands
     ax.errorbar(x, y, yerr=np.nan_to_num(half), color=color, lw=1.2, capsize=2, label=side or None)
     for visit, own in enumerate(one.visits):
         if own is not None and len(own.values) > 1:

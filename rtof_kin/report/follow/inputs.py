@@ -153,8 +153,8 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
         )
     if len(wanted) < 2:
         raise FileFormatError(
-            folder, f"{len(wanted)} visit(s); give a folder that has a folder with outputs of reconstruct for "
-            "each of two visits or more"
+            folder, f"has {len(wanted)} visit(s); give a folder that has a folder with outputs of "
+            "reconstruct for each of two visits or more"
         )  # fmt: skip
     total, done, visits, notes = sum(len(found[name]) for name in wanted), 0, list[Visit](), list[str]()
     for name in wanted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -57,21 +57,34 @@ def _changes(found: FollowUp) -> str:
     out = []
     for visit in order:
         header = ("measure", found.visits[found.baseline].name, found.visits[visit].name, "outcome", "why")
-        inside = table(header, _change_rows(found, visit), "differences")
+        inside = _change_table(found, visit, header)
         title = f"Changes at {found.visits[visit].name}"
         out.append(f"<h3>{escape(title)}</h3>{inside}" if visit == found.last else folded(title, inside))
     return "\n".join(out)
 
 
-def _change_rows(found: FollowUp, visit: int) -> Iterator[tuple[str, ...]]:
-    rank = {outcome: place for place, outcome in enumerate(Outcome)}
-    for one in sorted(found.measures, key=lambda one: rank[one.outcome(visit)]):
-        outcome = one.outcome(visit)
-        yield (
-            _title(one), _value(one, found.baseline), _value(one, visit),
-            f'<span class="grade {_GRADES.get(outcome, "not-checked")}">{outcome.value}</span>',
-            escape(reasoning(one, visit)),
-        )  # fmt: skip
+def _change_table(found: FollowUp, visit: int, header: Sequence[str]) -> str:
+    """The changes that are shown, and folded all others."""
+    others = (Outcome.NOT_SHOWN, Outcome.NOT_TESTED)
+    shown = [one for one in found.measures if one.outcome(visit) not in others]
+    shown.sort(key=lambda one: list(Outcome).index(one.outcome(visit)))
+    rest = [one for outcome in others for one in found.of(outcome, visit)]
+    parts = ["<p>No change is shown.</p>"]
+    if shown:
+        parts = [table(header, (_change_cells(found, one, visit) for one in shown), "differences")]
+    if rest:
+        inside = table(header, (_change_cells(found, one, visit) for one in rest), "differences")
+        parts.append(folded(f"{len(rest)} measures without a change that is shown", inside))
+    return "\n".join(parts)
+
+
+def _change_cells(found: FollowUp, one: Followed, visit: int) -> tuple[str, ...]:
+    outcome = one.outcome(visit)
+    return (
+        _title(one), _value(one, found.baseline), _value(one, visit),
+        f'<span class="grade {_GRADES.get(outcome, "not-checked")}">{outcome.value}</span>',
+        escape(reasoning(one, visit)),
+    )  # fmt: skip
 
 
 def _title(one: Followed) -> str:

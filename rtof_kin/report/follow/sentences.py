@@ -57,8 +57,8 @@ def opening(found: FollowUp) -> list[str]:
         count = len(found.incomparable)
         more = f"; and {count - 1} more, see the cautions" if count > 1 else ""
         lines.append(
-            f"The visits may not be comparable: {found.incomparable[0].rstrip('.')}{more}. A change below may "
-            "come from that and not from the patient."
+            f"The visits may not be comparable: {found.incomparable[0].rstrip('.')}{more}. A change below "
+            "may come from that and not from the patient."
         )
     first, last = found.visits[found.baseline], found.visits[found.last]
     over = _REPEATS.get(found.kind, _BY[found.by])
@@ -121,21 +121,25 @@ def reasoning(one: Followed, visit: int) -> str:
         return f"{text}, not tested: {one.why_not}."
     low, high = (number(one.measure, end, True) for end in change.interval)
     text += f" with a 95 % interval of {low} to {high} {unit}"
-    needed = f"{number(one.measure, change.detectable)} {unit}"
     if outcome is Outcome.NOT_SHOWN:
+        needed = f"{number(one.measure, change.detectable)} {unit}"
         alone = number(one.measure, change.half_width(LEVEL))
         mostly = number(one.measure, one.mostly(visit))
         return (
             f"{text}; smallest change that could be shown among all measures: {needed} (of this one alone "
             f"{alone} {unit}), and a true change of {mostly} {unit} would be shown in 4 of 5 cases."
         )
-    return f"{text}, more than the {needed} that are needed among all measures; {_direction(one, change)}."
+    return f"{text}; p {_p(change)} among all measures and visits; {_direction(one, visit)}."
 
 
-def _direction(one: Followed, change: Change) -> str:
+def _p(change: Change) -> str:
+    return "< 0.001" if change.p_adjusted < 0.001 else f"= {change.p_adjusted:.3f}"
+
+
+def _direction(one: Followed, visit: int) -> str:
     if one.better is None:
         return "no direction is known or declared to be better"
-    if one.better == "zero" and abs(change.a + change.b) < change.detectable:
+    if one.better == "zero" and not one.nearer_shown(visit):
         return "nearer to zero is better, but it is not shown which of the two is nearer"
     return "nearer to zero is better" if one.better == "zero" else f"{one.better} is better"
 
@@ -220,14 +224,14 @@ def definitions_of_sem(found: FollowUp) -> list[tuple[str, str]]:
         (
             "SEM, bands",
             "of a visit's value, by the bands of the reconstruction: errors of detector, sensors, camera, "
-            f"mounting and model, also those that all trials of a visit share; {divided}. Not the variation of "
-            "the person.",
+            f"mounting and model, also those that all trials of a visit share; {divided}. Not the variation "
+            "of the person.",
         ),
         (
             "SEM, repeats",
-            f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of freedom): "
-            "variation of the person, and errors that differ from trial to trial. Not errors that all trials "
-            "of a visit share.",
+            f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of "
+            "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
+            "all trials of a visit share.",
         ),
         ("SEM, both", "of a visit's value, mean over its trials: both of these, and nothing twice."),
         (
