@@ -77,12 +77,23 @@ class BandShares:
 class Sem:
     """A standard error of measurement."""
 
-    sem: float
-    """In the unit of the measure; NaN where nothing states it."""
-    dof: float
-    """Its degrees of freedom; infinite if it is stated."""
-    mdc95: float
-    """Minimal detectable change between two of what it is an error of, by itself, at 5 %."""
+    error: MixedError
+    """Of one value; without a variance where nothing states it."""
+
+    @property
+    def sem(self) -> float:
+        """In the unit of the measure; NaN where nothing states it."""
+        return self.error.sigma or float("nan")
+
+    @property
+    def dof(self) -> float:
+        """Degrees of freedom; infinite if it is stated."""
+        return self.error.effective_dof
+
+    @property
+    def mdc95(self) -> float:
+        """Minimal detectable change between two such values, of this measure alone; NaN without a SEM."""
+        return _sum(self.error, self.error).half_width(LEVEL)
 
 
 @dataclass(frozen=True)
@@ -151,7 +162,7 @@ def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> Measur
     both = MixedError(
         float(np.mean([one.known for one in own])), float(np.mean([one.estimated for one in own])), own[0].dof
     )
-    return MeasurementErrors(_sem(bands), _sem(trials), _sem(both), within, shares)
+    return MeasurementErrors(Sem(bands), Sem(trials), Sem(both), within, shares)
 
 
 def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
@@ -188,10 +199,3 @@ def _of_visit(one: Measured, within: tuple[float, float], shares: BandShares) ->
 def _sum(a: MixedError, b: MixedError) -> MixedError:
     """Of two errors whose estimated variances are from one mean square."""
     return MixedError(a.known + b.known, a.estimated + b.estimated, min(a.dof, b.dof))
-
-
-def _sem(error: MixedError) -> Sem:
-    """With the change between two such errors."""
-    if not error.sigma > 0:
-        return Sem(float("nan"), 0.0, float("nan"))
-    return Sem(error.sigma, error.effective_dof, _sum(error, error).half_width(LEVEL))

@@ -54,7 +54,7 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> F
     lines = math.ceil(len(panels) / _COLUMNS)
     height = 0.9 + 2.2 * lines  # inches
     figure = Figure(figsize=(13, height))
-    figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.2, hspace=0.45)
+    figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.27, hspace=0.45)
     grid = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
     x, names = _places(found), [visit.name for visit in found.visits]
     for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
