@@ -104,22 +104,21 @@ def _print_measures(found: FollowUp, all_of_them: bool) -> None:
     ordered = sorted(found.measures, key=key)
     shown = ordered if all_of_them else ordered[:_SHOWN]
     first, last = found.visits[found.baseline].name, found.visits[visit].name
-    figures = [Column(header, justify="right", no_wrap=True) for header in (
-        first, last, "change", "95 %", "detect-\nable", "SEM", "MDC95"
-    )]  # fmt: skip
+    headers = ("from", "to", "change", "detect-\nable", "SEM", "MDC95")
+    figures = [Column(header, justify="right", no_wrap=True) for header in headers]
     table = Table("measure", *figures, "outcome", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for one in shown:
         change, measure, both = one.changes[visit], one.measure, one.errors.both
-        low, high = ("", "") if change is None else (number(measure, x, True) for x in change.interval)
         outcome = one.outcome(visit).value
         table.add_row(
             f"{name_of(measure)} [{measure.unit}]",
             *(number(measure, one.estimates[v]) for v in (found.baseline, visit)),
             "" if change is None else number(measure, change.difference, True),
-            f"{low} to {high}" if low else "", "" if change is None else number(measure, change.detectable),
+            "" if change is None else number(measure, change.detectable),
             number(measure, both.sem), number(measure, both.mdc95),
             Text(outcome, _STYLES.get(outcome, "")),
         )  # fmt: skip
+    out.print(f"From {first} to {last}:", soft_wrap=True)
     out.print(table)
     for one in shown[:3]:
         out.print(f"{name_of(one.measure)}: {reasoning(one, visit)}", soft_wrap=True)
