@@ -10,13 +10,14 @@ range           range, largest and smallest angle of the whole recording, not it
 ==============  =========================================================================================
 
 By cycle there are also stride time, length and stance share of each side, cadence and speed of both, and the
-symmetries of the sides, (right - left) / mean. The length of a stride and the speed have a band by the
-covariances of the foot at both ends; nothing states the error of the instant of an event, so times have none.
+symmetries of the sides, (right - left) / mean. The length of a stride, its symmetry and the speed have a band
+by the covariances of the foot at both ends; nothing states the error of the instant of an event, so times have
+none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -126,8 +127,16 @@ def _gait(trial: Trial) -> dict[Measure, Measured]:
     for name in _SYMMETRIC:
         value = gait.symmetry.get(name, float("nan"))
         if np.isfinite(value) and (name != "stride_length" or moving):
-            out[Measure(f"{name}_symmetry", "%")] = Measured(np.array([value]), 0.0)
+            out[Measure(f"{name}_symmetry", "%")] = Measured(np.array([value]), _symmetry_band(out, name))
     return out
+
+
+def _symmetry_band(gait: Mapping[Measure, Measured], name: str) -> float:
+    """Of (right - left) / mean, as of independent errors of the sides; 0 where they have no bands."""
+    sides = [own for measure, own in gait.items() if measure.name in [f"{side}_{name}" for side in SIDES]]
+    if not all(own.band_sigma > 0 for own in sides):
+        return 0.0
+    return float(np.hypot(*(own.band_sigma for own in sides)) / np.mean([own.mean for own in sides]))
 
 
 def _over(strides: Sequence[Stride], name: str, sigmas: Sequence[float] = ()) -> Measured:

@@ -127,6 +127,8 @@ def test_the_stride_has_a_band_and_times_have_none() -> None:
     assert own["right_stride_length"].band_sigma == pytest.approx(0.01 * np.sqrt(2), rel=0.01)
     assert own["gait_speed"].band_sigma == pytest.approx(0.01 * np.sqrt(2) / 1.2, rel=0.03)
     assert own["right_stride_time"].band_sigma == 0
+    assert own["stride_length_symmetry"].band_sigma == pytest.approx(0.02 / 1.2, rel=0.03)
+    assert own["stride_time_symmetry"].band_sigma == 0
     assert own["right_knee_flexion_mean"].band_sigma == pytest.approx(np.radians(2.0), rel=0.2)
 
 
