@@ -322,8 +322,10 @@ def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) ->
 
 def _with_bands(own: Sequence[Measured | None]) -> list[Measured | None]:
     """Visits without bands take the widest of the others."""
-    widest = max(one.band_sigma for one in own if one is not None)
-    return [None if one is None else replace(one, band_sigma=one.band_sigma or widest) for one in own]
+    widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
+    return [
+        one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own
+    ]  # fmt: skip
 
 
 def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | None]:

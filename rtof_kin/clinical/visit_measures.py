@@ -11,8 +11,8 @@ range           range, largest and smallest angle of the whole recording, not it
 
 By cycle there are also stride time, length and stance share of each side, cadence and speed of both, and the
 symmetries of the sides, (right - left) / mean. The length of a stride, its symmetry and the speed have a band
-by the covariances of the foot at both ends; nothing states the error of the instant of an event, so times have
-none.
+by the covariances of the foot at both ends; nothing states the error of the instant of an event, so times
+have none.
 """
 
 from __future__ import annotations
@@ -136,7 +136,8 @@ def _symmetry_band(gait: Mapping[Measure, Measured], name: str) -> float:
     sides = [own for measure, own in gait.items() if measure.name in [f"{side}_{name}" for side in SIDES]]
     if not all(own.band_sigma > 0 for own in sides):
         return 0.0
-    return float(np.hypot(*(own.band_sigma for own in sides)) / np.mean([own.mean for own in sides]))
+    size = np.sqrt(sum(own.band_sigma**2 for own in sides))
+    return float(size / np.mean([own.mean for own in sides]))
 
 
 def _over(strides: Sequence[Stride], name: str, sigmas: Sequence[float] = ()) -> Measured:

@@ -15,6 +15,7 @@ from report_support import Page, folder_of
 
 from rtof_kin.clinical.follow_up import FollowUp, Outcome, follow_up
 from rtof_kin.clinical.measurement_error import BandShares
+from rtof_kin.clinical.visits import Visit, trial
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
 from rtof_kin.report.audit_results import AuditResult
 from rtof_kin.report.follow.files import COLUMNS, plain, write_follow_up
@@ -166,6 +167,20 @@ def test_every_outcome_has_its_reason(found: FollowUp) -> None:
             Outcome.NOT_TESTED: "not tested: nothing states its error",
         }[one.outcome(1)]
         assert expected in text
+
+
+def test_single_trials_and_missing_bands_are_cautions() -> None:
+    visits = [
+        Visit(name, (trial("t", walk_at(1.0, place, certain=False)),)) for place, name in enumerate("ab")
+    ]
+    single = follow_up(visits, names=["gait_speed", "right_knee_flexion_range"])
+    lines = " ".join(cautions(single))
+    assert "Each visit has one trial" in lines
+    assert "The motions have no bands" in lines
+    assert reasoning(single.measures[-1], 1).endswith("record each walk two times or more.")
+    whole = follow_up(visits, by="range", names=["right_knee_flexion_range"])
+    assert "Nothing is repeated" in " ".join(cautions(whole))
+    assert opening(whole)[-1].startswith("b: nothing is tested (nothing states its error")
 
 
 def test_numbers_never_have_the_sign_of_zero(found: FollowUp) -> None:

@@ -165,8 +165,8 @@ def cautions(found: FollowUp) -> list[str]:
         lines += _of_trials(found)
     if found.by == "cycle":
         lines.append(
-            "Times, cadence and stance of gait have no bands: errors that all trials of a visit share are not "
-            "included there"
+            "Times, cadence and stance of gait have no bands: errors that all trials of a visit share are "
+            "not included there"
         )
     if not any(one.errors.bands.sem > 0 for one in found.measures):
         lines.append(
