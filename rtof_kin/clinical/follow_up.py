@@ -109,6 +109,15 @@ class Followed:
             gain = -change.difference * (change.a + change.b)
         return Outcome.IMPROVED if gain > 0 else Outcome.WORSE
 
+    def changed(self, visit: int) -> bool:
+        """Return whether a change from the baseline is shown, in whichever direction.
+
+        Args:
+            visit: its index.
+        """
+        change = self.changes[visit]
+        return change is not None and change.verdict is Verdict.CHANGED
+
     def nearer_shown(self, visit: int) -> bool:
         """Return whether it is shown which of a visit and the baseline is nearer to zero, if they differ.
 

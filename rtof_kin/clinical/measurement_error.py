@@ -107,7 +107,7 @@ class MeasurementErrors:
     """Of the value of one trial, from repeated trials: variation of the person, and errors of measurement
     that differ from trial to trial. Without errors that the trials of a visit share."""
     both: Sem
-    """Of the value of a visit: all of these, none twice; of a typical visit (mean variance over visits)."""
+    """Of the value of a visit: all of these; of a typical visit (mean variance over visits)."""
     within: tuple[float, float]
     """Mean square within visits, unit^2, and its degrees of freedom; (NaN, 0) without repeated trials."""
     shares: BandShares

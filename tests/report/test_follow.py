@@ -224,7 +224,9 @@ def test_the_page_is_well_formed_and_loads_nothing(found: FollowUp, tmp_path: Pa
     assert "2026-01-10 <b>" not in html
     assert "Changes from 2026-01-10" in page.text["changes"]
     assert "SEM, bands" in page.text["errors"]
-    assert {path.name for path in (tmp_path / "figures").iterdir()} >= {"gait.png", "range.png"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} >= {
+        "changed.png", "gait.png", "range.png"
+    }  # fmt: skip
 
 
 def test_plain_data_say_what_each_error_contains(found: FollowUp) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,32 +12,40 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome
-from rtof_kin.clinical.visit_measures import STATISTICS
 from rtof_kin.core.array_types import Array
-from rtof_kin.report.angle_names import label, side_and_name
+from rtof_kin.report.angle_names import side_and_name
 from rtof_kin.report.clinical_figures import SIDE_COLORS
 from rtof_kin.report.figures import save_figures
+from rtof_kin.report.follow.sentences import name_of
 
 MARKS: Final = {Outcome.IMPROVED: "^", Outcome.WORSE: "v", Outcome.CHANGED: "D"}
 """Marker of a visit with a change."""
 _COLUMNS: Final = 4
 _SHIFT: Final = 0.012  # of the axis, between the sides
-_TITLES: Final = {"gait": "gait", "mean": "mean angle", "range": "range of motion", "max": "largest angle",
-                  "min": "smallest angle"}  # fmt: skip
+_TITLES: Final = {
+    "changed": "measures with a change", "gait": "gait", "range": "range of motion", "mean": "mean angle",
+    "max": "largest angle", "min": "smallest angle",
+}  # fmt: skip
 
 
 def write_trajectories(found: FollowUp, folder: str | Path) -> dict[str, Path]:
-    """Write a PNG of gait and of each statistic of the angles that is followed; return title -> path.
+    """Write PNGs of what changed, of gait, and of each statistic of the angles; return title -> path.
 
     Args:
         found: the answer. folder: to write.
     """
-    groups: dict[str, list[Followed]] = {}
+    visits = range(len(found.visits))
+    changed = {
+        side_and_name(one.measure.name)[1] for one in found.measures if any(map(one.changed, visits))
+    }  # fmt: skip
+    both = [one for one in found.measures if side_and_name(one.measure.name)[1] in changed]
+    groups = {"changed": both} if both else {}
     for one in found.measures:
         kind = "gait" if one.measure.is_gait else one.measure.name.rpartition("_")[2]
         groups.setdefault(kind, []).append(one)
-    order = [kind for kind in ("gait", "range", *STATISTICS) if kind in groups]
-    figures = {kind: trajectories(found, groups[kind], _TITLES[kind]) for kind in dict.fromkeys(order)}
+    figures = {
+        kind: trajectories(found, groups[kind], title) for kind, title in _TITLES.items() if kind in groups
+    }  # fmt: skip
     paths = save_figures(figures, folder)
     return {_TITLES[kind]: path for kind, path in zip(figures, paths, strict=True)}
 
@@ -60,8 +69,7 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> F
     for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
         for one in own:
             _plot(ax, found, one, x)
-        end = "" if unit != "deg" else f"_{own[0].measure.name.rpartition('_')[2]}"
-        ax.set_title(label(name.removesuffix(end)), fontsize=9, loc="left")
+        ax.set_title(name_of(replace(own[0].measure, name=name)), fontsize=9, loc="left")
         ax.set_ylabel(f"[{unit}]", fontsize=8)
         ax.grid(alpha=0.3)
         ax.margins(x=0.08)

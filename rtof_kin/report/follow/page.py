@@ -66,7 +66,7 @@ def _changes(found: FollowUp) -> str:
 def _change_table(found: FollowUp, visit: int, header: Sequence[str]) -> str:
     """The changes that are shown, and folded all others."""
     others = (Outcome.NOT_SHOWN, Outcome.NOT_TESTED)
-    shown = [one for one in found.measures if one.outcome(visit) not in others]
+    shown = [one for one in found.measures if one.changed(visit)]
     shown.sort(key=lambda one: list(Outcome).index(one.outcome(visit)))
     rest = [one for outcome in others for one in found.of(outcome, visit)]
     parts = ["<p>No change is shown.</p>"]

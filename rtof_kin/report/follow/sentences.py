@@ -16,7 +16,6 @@ from rtof_kin.report.angle_names import label
 DIGITS: Final = {"deg": 1, "%": 1, "s": 2, "m": 2, "m/s": 2, "steps/min": 0}
 """Unit -> digits after the point."""
 _MOST: Final = 3  # measures that are named in one line
-_SHOWN: Final = (Outcome.IMPROVED, Outcome.WORSE, Outcome.CHANGED)
 _BY: Final = {"cycle": "gait cycles", "repetition": "repetitions", "range": "the whole recordings"}
 _REPEATS: Final = {"squat": "bends of the knees (squats or lunges)", "sit_to_stand": "rises from a seat"}
 
@@ -70,7 +69,7 @@ def opening(found: FollowUp) -> list[str]:
     lines += _verdicts(found, found.last, last.name)
     for number_, visit in enumerate(found.visits):
         if number_ not in (found.baseline, found.last):
-            shown = [one for one in found.measures if one.outcome(number_) in _SHOWN]
+            shown = [one for one in found.measures if one.changed(number_)]
             lines.append(f"{visit.name}: {_listed(shown, number_) or 'no change is shown'}.")
     return lines
 
@@ -79,7 +78,7 @@ def _verdicts(found: FollowUp, visit: int, name: str) -> list[str]:
     tested = [one for one in found.measures if one.outcome(visit) is not Outcome.NOT_TESTED]
     if not tested:
         return [f"{name}: nothing is tested ({found.measures[0].why_not or 'not observed'})."]
-    shown = [one for one in tested if one.outcome(visit) in _SHOWN]
+    shown = [one for one in tested if one.changed(visit)]
     level = f"{100 * LEVEL:.0f} % for all measures and visits together"
     if not shown:
         return [
@@ -219,6 +218,12 @@ def definitions_of_sem(found: FollowUp) -> list[tuple[str, str]]:
         f"{100 * shares.trial:.0f} % as independent from trial to trial, and "
         f"{100 * shares.all_visits:.0f} % as common to all visits, which cancels"
     )
+    twice = "Errors that differ from trial to trial are taken out of the bands, by at most what trials show"
+    if not shares.trial:
+        twice = (
+            "Errors that differ from trial to trial are in the bands too, which do not say how large they "
+            "are: it is too large rather than too small"
+        )
     unit = {"trials": "trial", "strides": "stride or repetition", "nothing": "value"}[found.repeated]
     return [
         (
@@ -233,7 +238,7 @@ def definitions_of_sem(found: FollowUp) -> list[tuple[str, str]]:
             "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
             "all trials of a visit share.",
         ),
-        ("SEM, both", "of a visit's value, mean over its trials: both of these, and nothing twice."),
+        ("SEM, both", f"of a visit's value, the mean over its trials: both of these. {twice}."),
         (
             "MDC95",
             "the change between two visits that errors of that SEM alone exceed in 5 % of cases, of this "
