@@ -176,6 +176,7 @@ def test_single_trials_and_missing_bands_are_cautions() -> None:
     single = follow_up(visits, names=["gait_speed", "right_knee_flexion_range"])
     lines = " ".join(cautions(single))
     assert "Each visit has one trial" in lines
+    assert "Not known how all trials of a, b were recorded" in lines
     assert "The motions have no bands" in lines
     assert reasoning(single.measures[-1], 1).endswith("record each walk two times or more.")
     whole = follow_up(visits, by="range", names=["right_knee_flexion_range"])

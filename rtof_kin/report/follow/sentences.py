@@ -150,6 +150,12 @@ def cautions(found: FollowUp) -> list[str]:
         found: the answer.
     """
     lines = list(found.incomparable)
+    unknown = [v.name for v in found.visits if any(not one.setup.software for one in v.trials)]
+    if unknown:
+        lines.append(
+            f"Not known how all trials of {', '.join(unknown)} were recorded (no summary.json beside the "
+            "motion): whether these visits are comparable was not checked in full"
+        )
     if found.repeated is Repeated.STRIDES:
         lines.append(
             "Each visit has one trial: the spread between its strides or repetitions is included, but not "
