@@ -29,6 +29,7 @@ FOLDERS = {
     "setup": "raw files to a recording",
     "clinical": "angles, gait, repetitions, torques",
     "report": "figures, report, audit, export",
+    "plan": "expected errors of a recording before it is made",
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",

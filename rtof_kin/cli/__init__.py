@@ -87,6 +87,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         lifters,
         live,
         overlay,
+        plan,
         protocols,
         recordings,
         reporting,
@@ -105,6 +106,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for module in (
         start,
+        plan,
         recordings,
         conversion,
         inspection,
