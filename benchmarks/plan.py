@@ -157,11 +157,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             expected, achieved = np.array(list(pooled.values())).T
             ratio = expected / achieved
             rho = float(spearmanr(expected, achieved).statistic)
-            lines.append(
-                f"| {plan} | {sensors} | {_distinct(own, 'motion')} | {_distinct(own, 'subject')} | "
-                f"{len(pooled)} | {rho:.2f} | {ratio.mean():.2f} | "
-                f"{np.median(expected) / np.median(achieved):.2f} | {np.mean((ratio > 0.5) & (ratio < 2)):.2f} |"
-            )
+            cells_of_row = (
+                plan, sensors, _distinct(own, "motion"), _distinct(own, "subject"), len(pooled), f"{rho:.2f}",
+                f"{ratio.mean():.2f}", f"{np.median(expected) / np.median(achieved):.2f}",
+                f"{np.mean((ratio > 0.5) & (ratio < 2)):.2f}",
+            )  # fmt: skip
+            lines.append(f"| {' | '.join(map(str, cells_of_row))} |")
             if plan == "same":
                 for name, (e, a) in pooled.items():
                     cells.setdefault(name, {})[sensors] = f"{e:.1f}, {a:.1f}"

@@ -69,14 +69,17 @@ class CalibrationTime:
         needed = {kind: self.needed(kind) for kind in self.sigma}
         times = [time for time in needed.values() if time is not None]
         never = [kind for kind, time in needed.items() if time is None]
-        found = f"Move for at least {max(times):g} s" if times else "No length suffices"
         if not never:
-            return f"{found}, for the calibration to observe {_listed(needed)} (simulated)."
-        left = ", ".join(f"{kind} to {_value(kind, self.error[kind][-1])}" for kind in never)
+            return f"Move for at least {max(times):.0f} s, for the calibration to observe {_listed(needed)}."
+        left = ", ".join(f"{kind} ({_value(kind, self._worst(kind))} left)" for kind in never)
         return (
-            f"{found}; in {self.seconds[-1]:g} s this movement leaves {left}: add the movement "
-            "'calibration', or calibrate by a pose."
+            f"{self.seconds[-1]:.0f} s of this movement do not let the calibration observe {left}: add the "
+            "movement 'calibration', or calibrate by a pose."
         )
+
+    def _worst(self, kind: str) -> float:
+        """The larger of what is stated and what is left after the longest movement."""
+        return float(max(self.sigma[kind][-1], self.error[kind][-1]))
 
 
 @dataclass(frozen=True)

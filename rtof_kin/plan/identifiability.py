@@ -82,18 +82,18 @@ class Information:
     correlation: Array
     """(A, A + 3) of the errors under the measurements alone, with those of all angles and of `ROOT`."""
 
-    def weaknesses(self, shown: Sequence[str]) -> tuple[Weakness, ...]:
+    def weaknesses(self, shown: Sequence[str], others: Sequence[str]) -> tuple[Weakness, ...]:
         """Return those of some angles that are not identifiable, the least first.
 
         Args:
-            shown: the angles; they may be confused with each other and with `ROOT`.
+            shown: the angles. others: what they may be confused with, beside `ROOT`.
         """
         found = []
         for name in shown:
             a = self.names.index(name)
             if not self.sigma[a] > NOT_IDENTIFIABLE:
                 continue
-            partners = [self.names.index(other) for other in shown if _joint(other) != _joint(name)]
+            partners = [self.names.index(other) for other in others if _joint(other) != _joint(name)]
             partners += range(len(self.names), len(self.names) + len(ROOT))
             best = max(partners, key=lambda b: abs(self.correlation[a, b]))
             size = float(abs(self.correlation[a, best]))

@@ -105,7 +105,8 @@ def plan(
     report("information", 0, 1)
     found = information(setup, seed, lifter)
     report("information", 1, 1)
-    shown = shown_angles(setup.skeleton, protocol.wanted, found)
+    usual = usual_angles(setup.skeleton, found)
+    shown = protocol.wanted or usual
     cameras: tuple[Option, ...] = ()
     sensors: tuple[Option, ...] = ()
     calibration = None
@@ -119,22 +120,19 @@ def plan(
                 setup, 2, seed, lifter=lifter, workers=workers, progress=_staged(report, "calibration")
             )
     return Plan(
-        protocol, setup, predicted, shown, found.weaknesses(shown), cameras, sensors, calibration, seen
+        protocol, setup, predicted, shown, found.weaknesses(shown, usual), cameras, sensors, calibration, seen
     )
 
 
-def shown_angles(skeleton: SkeletonModel, wanted: Sequence[str], found: Information) -> tuple[str, ...]:
-    """Return the angles that a plan is about.
+def usual_angles(skeleton: SkeletonModel, found: Information) -> tuple[str, ...]:
+    """Return the angles of one convention that the model does not fix.
 
     Args:
-        skeleton: of the person. wanted: by the protocol; all of one convention where empty.
-        found: angles that the model fixes are left out where not wanted.
+        skeleton: of the person. found: of all angles.
     """
-    if wanted:
-        return tuple(wanted)
-    fixed = {name for name, sigma in zip(found.names, found.sigma, strict=True) if np.isnan(sigma)}
+    free = {name for name, sigma in zip(found.names, found.sigma, strict=True) if np.isfinite(sigma)}
     rows = angle_table(skeleton.table).rows
-    return tuple(row.name for row in rows if XZY in angle_name(row).shown.split() and row.name not in fixed)
+    return tuple(row.name for row in rows if XZY in angle_name(row).shown.split() and row.name in free)
 
 
 def _cameras(protocol: Protocol, part: Setup) -> dict[str, Setup | str]:

@@ -9,11 +9,12 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.plan.identifiability import Weakness
-from rtof_kin.plan.plan import SEEN, Plan
+from rtof_kin.plan.plan import SEEN, Option, Plan
 from rtof_kin.plan.setup import Setup
 
-_CLEAR: Final = np.radians(0.3)
-"""[rad] Least gain in the mean standard deviation that is worth a change."""
+_CLEAR: Final = 0.1
+"""Least gain in the mean standard deviation, relative to it, that is worth a change: others are within the
+scatter of a few simulated recordings."""
 _APART: Final = 1.5
 """Ratio of simulated to stated errors beyond which a caution is given."""
 
@@ -73,7 +74,7 @@ def advice(plan: Plan) -> tuple[str, ...]:
     """
     found = list(_not_identifiable(plan.weaknesses))
     cameras = [option for option in plan.cameras if not option.problem]
-    if cameras and cameras[0].gain > _CLEAR:
+    if cameras and _is_clear(cameras[0]):
         best = cameras[0]
         found.append(
             f"Better camera place: {best.name}; mean {np.degrees(best.loss):.1f} deg, "
@@ -88,12 +89,16 @@ def advice(plan: Plan) -> tuple[str, ...]:
         found.append(
             f"Best next sensor: {name}; mean {np.degrees(best.loss):.1f} deg, "
             f"{np.degrees(best.gain):.1f} deg less, most at {best.most.replace('_', ' ')}."
-            if best.gain > _CLEAR
-            else f"No further sensor lowers the mean by {np.degrees(_CLEAR):.1f} deg; the best is {name}."
+            if _is_clear(best)
+            else f"No further sensor lowers the mean by {100 * _CLEAR:.0f} %; the best is {name}."
         )
     if plan.calibration is not None:
         found.append(plan.calibration.words)
     return tuple(found)
+
+
+def _is_clear(option: Option) -> bool:
+    return option.gain > _CLEAR * (option.loss + option.gain)
 
 
 def _not_identifiable(weaknesses: Sequence[Weakness]) -> Iterator[str]:

@@ -119,7 +119,7 @@ def test_a_weakness_names_its_direction() -> None:
     correlation = np.zeros((3, 3 + len(ROOT)))
     correlation[0, 1], correlation[0, 5] = 0.99, -0.9  # list is of the same joint
     sigma = np.array([1.5, 0.1, 3.0]) * NOT_IDENTIFIABLE
-    wrist, pelvis = Information(names, sigma, correlation).weaknesses(names)
+    wrist, pelvis = Information(names, sigma, correlation).weaknesses(names, names)
     assert pelvis.words.startswith("pelvis tilt against distance")
     assert wrist.confused_with == ""
     assert "90 deg" in wrist.words
