@@ -88,7 +88,7 @@ def _draw_angles(ax: Any, plan: Plan) -> None:
     ax.set_xlabel("expected standard deviation [deg]")
     ax.set_title(f"camera {plan.protocol.camera.words}", fontsize=9, loc="left")
     ax.margins(x=0.08)
-    ax.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=2)
+    ax.figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower left", ncols=3)
 
 
 def _shortened(options: Sequence[Option]) -> list[Option]:

@@ -255,8 +255,8 @@ def direction(angle_deg: float) -> str:
     angle = (angle_deg + 180) % 360 - 180
     side = "left" if angle > 0 else "right"
     places = {
-        0: "in front", 45: f"in front to the {side}", 90: f"to the {side}", 135: f"behind to the {side}",
-        180: "behind",
+        0: "in front of", 45: f"in front to the {side} of", 90: f"to the {side} of",
+        135: f"behind to the {side} of", 180: "behind",
     }  # fmt: skip
     nearest = min(places, key=lambda place: abs(place - abs(angle)))
-    return f"{places[nearest]} of the person ({angle:g} deg)"
+    return f"{places[nearest]} the person ({angle:g} deg)"

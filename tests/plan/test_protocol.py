@@ -110,4 +110,4 @@ def test_directions_in_words() -> None:
     assert direction(0).startswith("in front of")
     assert direction(90).startswith("to the left")
     assert direction(-50).startswith("in front to the right")
-    assert direction(175).startswith("behind of") or direction(175).startswith("behind")
+    assert direction(175).startswith("behind the person")
