@@ -61,8 +61,11 @@ class MovementInfo:
 
 def _table() -> Mapping[str, MovementInfo]:
     table = tomllib.loads(read_text(model_path("movements/movements.toml"), "a TOML file"))
-    rows = ({k: tuple(v) if isinstance(v, list) else v for k, v in row.items()} for row in table["movement"])
-    infos = [MovementInfo(**row, acknowledgement=table["acknowledgement"]) for row in rows]
+    lists = ("angles", "sources")
+    infos = [
+        MovementInfo(**{**row, **{k: tuple(row[k]) for k in lists}}, acknowledgement=table["acknowledgement"])
+        for row in table["movement"]
+    ]
     return MappingProxyType({info.name: info for info in infos})
 
 
