@@ -8,6 +8,7 @@ the feet's orientations are kept, and the legs follow by inverse kinematics, so 
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,6 +24,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.files.text import read_text
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 
@@ -33,11 +35,6 @@ SIDES: Final = ("Left", "Right")
 MOST_EXTENDED: Final = 0.9992
 """Largest distance from hip to ankle, share of thigh and shank: the knee keeps five degrees."""
 MOST_REPETITIONS: Final = 100
-
-CMU: Final = (
-    "The data used in this project was obtained from mocap.cs.cmu.edu. "
-    "The database was created with funding from NSF EIA-0196217."
-)
 
 
 @dataclass(frozen=True)
@@ -58,81 +55,22 @@ class MovementInfo:
     """What one repetition is."""
     repetitions: int
     """Number of repetitions by default."""
-    acknowledgement: str = CMU
+    acknowledgement: str
     """Of the data that it was made from."""
 
 
-_WALK: Final = "CMU 35_33 (mean stride)"
-_CROUCH: Final = "CMU 01_01 (trunk in a crouch)"
-_SWAY: Final = "CMU martial arts 04 (sway)"
-_GAIT_ANGLES: Final = ("pelvis_tilt", "hip_flexion", "hip_adduction", "knee_flexion", "ankle_dorsiflexion")
+def _table() -> Mapping[str, MovementInfo]:
+    table = tomllib.loads(read_text(model_path("movements/movements.toml"), "a TOML file"))
+    lists = ("angles", "sources")
+    infos = [
+        MovementInfo(**{**row, **{k: tuple(row[k]) for k in lists}}, acknowledgement=table["acknowledgement"])
+        for row in table["movement"]
+    ]
+    return MappingProxyType({info.name: info for info in infos})
 
-MOVEMENTS: Final[Mapping[str, MovementInfo]] = MappingProxyType({
-    info.name: info
-    for info in (
-        MovementInfo(
-            "gait",
-            "Walking out, turning round, walking back and turning again: the mean stride of a recorded walk, "
-            "laid along a constructed path with planted feet; start, turns and stop are constructed.",
-            "stand still, walk straight ahead at a comfortable speed, turn round at the mark, walk back, turn "
-            "round and stand still",
-            _GAIT_ANGLES, (_WALK, _SWAY), "one way out and back", 1,
-        ),
-        MovementInfo(
-            "squat",
-            "Squats to about 100 degrees of knee flexion: trunk of a recorded crouch, minimum-jerk descent and "
-            "ascent constructed, sway recorded.",
-            "stand with the feet as wide as the shoulders, squat as deep as is comfortable with the arms "
-            "forward, rise; the feet stay in place",
-            ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "spine_flexion"),
-            (_CROUCH, _WALK, _SWAY), "one squat", 3,
-        ),
-        MovementInfo(
-            "sit_to_stand",
-            "Rising from a seat and sitting down: the corpus has no seat, so that the seated posture and the "
-            "transitions are constructed; the trunk leans as in a recorded crouch, sway recorded.",
-            "sit on a chair without armrests, hands on the thighs, rise without using the hands, stand "
-            "upright, sit down again; the feet stay in place",
-            ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "spine_flexion"),
-            (_CROUCH, _WALK, _SWAY), "one rise and sitting down", 5,
-        ),
-        MovementInfo(
-            "lunge",
-            "A lunge forward with the right leg, then with the left, to about 90 degrees of the front knee: "
-            "constructed with planted feet from a recorded standing posture, sway recorded.",
-            "stand, step forward with the right leg, sink until the front knee is at a right angle, push back "
-            "to standing; then the same with the left leg",
-            ("hip_flexion", "hip_adduction", "knee_flexion", "ankle_dorsiflexion"),
-            (_WALK, _SWAY), "one lunge with each leg", 2,
-        ),
-        MovementInfo(
-            "shoulder_raises",
-            "Both arms raised forward and overhead, then sideways and overhead: the arms' path is constructed, "
-            "the clavicles follow the arms, standing posture and sway are recorded.",
-            "stand with the arms hanging, raise both straight arms forward as high as is comfortable, lower "
-            "them, then the same sideways; the trunk stays upright",
-            ("shoulder_elevation", "shoulder_axial_rotation", "elbow_flexion", "spine_flexion"),
-            (_WALK, _SWAY), "once forward and once sideways", 2,
-        ),
-        MovementInfo(
-            "timed_up_and_go",
-            "Rising from a seat, walking 3 m, turning, walking back, turning and sitting down: the mean stride "
-            "of a recorded walk; seat, start, turns and stop are constructed.",
-            "sit on a chair; at the sign rise, walk at a comfortable speed to the mark 3 m ahead, turn round "
-            "behind it, walk back, turn and sit down",
-            (*_GAIT_ANGLES, "spine_flexion"), (_WALK, _CROUCH, _SWAY), "the whole test", 1,
-        ),
-        MovementInfo(
-            "calibration",
-            "Half a minute that shows delay, headings and mounting of the sensors: a walk with two turns, two "
-            "squats, arm raises and turns of the trunk, of the same parts as the other movements.",
-            "walk a few steps, turn, walk back, turn; squat twice; raise both arms forward, then sideways; turn "
-            "the trunk to both sides",
-            (*_GAIT_ANGLES, "spine_flexion", "shoulder_elevation", "elbow_flexion"),
-            (_WALK, _CROUCH, _SWAY), "the whole half minute", 1,
-        ),
-    )
-})  # fmt: skip
+
+MOVEMENTS: Final[Mapping[str, MovementInfo]] = _table()
+"""The movements by name."""
 
 
 @dataclass(frozen=True)
@@ -159,8 +97,8 @@ def movement(
         repetitions: number, at least 1; by default that of the movement. rate_hz: of the poses, Hz.
 
     Raises:
-        UnknownNameError: another movement.
-        InvalidInputError: no possible number of repetitions or rate, or a skeleton of other joints.
+        UnknownNameError: another movement, or a skeleton of other joints.
+        InvalidInputError: no possible number of repetitions or rate.
     """
     if name not in MOVEMENTS:
         raise UnknownNameError("movement", [name], list(MOVEMENTS))
@@ -197,7 +135,7 @@ def planted(
         sway: rotation vectors (T, J, 3) added to the segments', rad, and (T, 3) to the hips, in leg lengths.
 
     Raises:
-        InvalidInputError: a skeleton of other joints.
+        UnknownNameError, InvalidInputError: a skeleton of other joints.
     """
     default = _default()
     skeleton.check_joints(default.names, "the skeleton of a planned movement")
