@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rtof_kin.cli.protocols import print_tables
+from rtof_kin.cli.start import image_size
 from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, out
 from rtof_kin.core.choices import MODES
 
@@ -55,6 +56,9 @@ def add_commands(commands: Any) -> None:
         "--no-align", action="store_true", help="take the clocks of video and reference as equal"
     )
     parser.add_argument("--seconds", type=float, metavar="S", help="use the first S seconds of each take")
+    parser.add_argument(
+        "--size", type=image_size, metavar="WxH", help="of the image, for detections without the video"
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_model(parser)
     add_output(parser, "out/validation", "folder for tables, page, motions and what is done so far")
@@ -78,6 +82,7 @@ def _validate(options: argparse.Namespace) -> int:
         calibrate=options.calibrate,
         align=not options.no_align,
         seconds=options.seconds,
+        size_px=options.size,
     )
     if options.list:
         for take in protocol.chosen():

@@ -7,7 +7,7 @@ is done is not done again; a take that fails is named with its reason and tried 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
@@ -66,6 +66,8 @@ class ValidationProtocol:
     """Whether the difference of the clocks is estimated; otherwise they are taken as equal."""
     seconds: float | None = None
     """[s] of each take that are used; None for all."""
+    size_px: tuple[int, int] | None = None
+    """Width and height of the image, for detections without a video or a calibration."""
 
     def __post_init__(self) -> None:
         indices_of("data set", [self.dataset], list(SETS))
@@ -94,7 +96,7 @@ class ValidationProtocol:
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "detected",
             "models": str(self.models.resolve()) if self.models else "at hand",
             "heights": dict(self.heights or {}), "calibrate": self.calibrate, "align": self.align,
-            "seconds": self.seconds,
+            "seconds": self.seconds, "size_px": list(self.size_px) if self.size_px else None,
         }  # fmt: skip
 
     def chosen(self) -> tuple[Take, ...]:
@@ -230,6 +232,8 @@ def measure(job: ValidationJob) -> JobResult:
     inputs, truth = adapter.inputs(take), adapter.truth(take)
     if inputs.height is None and protocol.heights:
         inputs = replace(inputs, height=protocol.heights.get(take.subject))
+    if inputs.size_px is None and inputs.video is None:
+        inputs = replace(inputs, size_px=protocol.size_px)
     if protocol.camera == "unknown":
         inputs = replace(inputs, camera=None)
     if job.problem:
@@ -273,7 +277,7 @@ def compared_with(
     ]  # fmt: skip
     clock: dict[str, Any] = {"shift_s": 0.0, "how": "as recorded"}
     if aligned:
-        clock = _clock(estimate, reference, names, truth.reach)
+        clock = clock_shift(estimate, reference, names, truth.reach)
     found, left_out = angle_differences(estimate, reference, take.kind, take.key, names, clock["shift_s"])
     if not found:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
@@ -289,10 +293,14 @@ def compared_with(
     return facts, arrays
 
 
-def _clock(
-    estimate: ClinicalAngles, reference: ClinicalAngles, names: list[str], reach: float
+def clock_shift(
+    estimate: ClinicalAngles, reference: ClinicalAngles, names: Sequence[str], reach: float
 ) -> dict[str, Any]:
-    """Return the shift of the reference's clock, s, and what it rests on."""
+    """Return the shift of the reference's clock, ``shift_s``, ``how`` it was found, and what it rests on.
+
+    Args:
+        estimate, reference: angles. names: of the reference. reach: s, largest shift that is searched.
+    """
     common = [
         name for name in names
         if name in estimate.names and np.isfinite(estimate[name]).any() and np.isfinite(reference[name]).any()

@@ -55,7 +55,7 @@ def recording_of(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recordin
             `calibrate_by_pose`.
     """
     if setup.mode in _WITH_SENSORS and inputs.sensors is None:
-        raise InvalidInputError(f"{take.key}: has no sensors, which mode {setup.mode} needs; use --mode rto")
+        raise InvalidInputError(f"it has no sensors, which mode {setup.mode} needs; use --mode rto")
     return _of_sensors(take, inputs) if setup.mode == "imu" else _of_images(take, inputs, setup)
 
 
@@ -63,8 +63,7 @@ def _of_sensors(take: Take, inputs: TakeInputs) -> tuple[Recording, list[str]]:
     assert inputs.sensors is not None
     if not inputs.pose:
         raise CalibrationError(
-            f"{take.key}: no pose is documented by which its sensors could be calibrated; use a mode with "
-            f"the camera"
+            "no pose is documented by which its sensors could be calibrated; use a mode with the camera"
         )
     skeleton = SkeletonModel.default()
     skeleton = skeleton if inputs.height is None else skeleton.with_height(inputs.height)
@@ -87,7 +86,11 @@ def _of_images(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recording,
     )  # fmt: skip
     find_people(sources, settings, folder / "recording", _no_detector)
     said = make_recording(sources, settings, folder / "recording", name=take.key)
-    return Recording.load(folder / "recording"), [*said.assumed, *said.doubtful]
+    notes = [*said.assumed, *said.doubtful]
+    if inputs.height is None:  # init's remedy is an option of its own
+        notes = [note for note in notes if "--height" not in note]
+        notes.append(f"the height of {take.subject} is not known; give it by --heights")
+    return Recording.load(folder / "recording"), notes
 
 
 def _settings(inputs: TakeInputs, setup: SetUp) -> SetupSettings:
@@ -96,6 +99,11 @@ def _settings(inputs: TakeInputs, setup: SetUp) -> SetupSettings:
     if inputs.video is not None:
         video = read_video_metadata(inputs.video)
         size, rate = size or (video.width_px, video.height_px), video.rate_hz or rate
+    if size is None and inputs.camera is None:
+        raise InvalidInputError(
+            "detections alone do not say how large the image is: put the video where the set has it, or give "
+            "--size 1920x1080"
+        )
     return SetupSettings(height=inputs.height, rate_hz=rate, size_px=size, lifter=setup.lifter)
 
 
@@ -122,7 +130,7 @@ def _keypoints(take: Take, inputs: TakeInputs, setup: SetUp, settings: SetupSett
     found = given or setup.detections
     if found is None:
         where = f"put {take.key}.npz into the folder of --keypoints, or the video into {take.folder}"
-        raise InvalidInputError(f"{take.key}: there is no video and no detection of it; {where}")
+        raise InvalidInputError(f"there is no video and no detection of it; {where}")
     if inputs.span is None or (given is not None and given.stem == take.key):
         return found
     every = read_detector_file(found, *(settings.size_px or ()))

@@ -19,6 +19,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.poses import pose_rotations
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]
@@ -72,11 +73,11 @@ def true_motion() -> MotionSequence:
     return found.recording.skeleton.motion(all_observed(found.poses))
 
 
-def write_detections(path: Path, shift: float = 0.0) -> Path:
-    """The known video's points as a detector's file."""
+def write_detections(path: Path, scale: float = 1.0, shift: float = 0.0) -> Path:
+    """The known video's points as a detector's file, in a smaller image and later by `shift`, s."""
     path.parent.mkdir(parents=True, exist_ok=True)
     video = known().video
-    np.savez(path, uv_px=video.uv_px, confidence=video.confidence, times=video.times + shift)
+    np.savez(path, uv_px=scale * video.uv_px, confidence=video.confidence, times=video.times + shift)
     return path
 
 
@@ -149,6 +150,8 @@ def write_vidimu(root: Path, activity: str = "A01") -> str:
     return key
 
 
+MOVI_SCALE = 0.4
+"""Of the known image, so that it fits into that of MoVi."""
 MOVI_JOINTS = {
     "left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot", "right_hip": "RightUpLeg",
     "right_knee": "RightLeg", "right_ankle": "RightFoot", "left_shoulder": "LeftArm",
@@ -182,6 +185,7 @@ def write_movi(root: Path, order: tuple[str, ...], **changed: object) -> str:
     root.mkdir(parents=True, exist_ok=True)
     savemat(root / "F_v3d_Subject_1.mat", {"Subject_1_F": {"move": cell}})
     K = camera.K.copy()
+    K[:2] *= MOVI_SCALE
     K[:2, 2] += 1.0
     np.savez(root / "cameraParams_PG1.npz", IntrinsicMatrix=K.T, RadialDistortion=camera.distortion[:2])
     np.savez(
@@ -200,29 +204,63 @@ GAITEX_BODIES = {
 }  # fmt: skip
 
 
-def write_gaitex(
-    root: Path, times: Array, R: dict[str, Array], points: dict[str, Array], start: float = 0.5
-) -> str:
-    """A trial of GAITEX from segment orientations and markers, m; returns the name of its take."""
+def write_gaitex(root: Path, start: float = 0.4) -> str:
+    """A trial of GAITEX: a T-pose, then the known motion, with markers; returns the name of its take."""
+    times, R, p, names = posed_motion()
     folder = root / "austra" / "ng"
     folder.mkdir(parents=True, exist_ok=True)
-    bodies = {
-        body: {"imu_name": imu, "marker_names": []}
-        for body, (joint, imu) in GAITEX_BODIES.items()
-        if joint in R
-    }
+    bodies = {body: {"imu_name": imu, "marker_names": []} for body, (_, imu) in GAITEX_BODIES.items()}
     metadata = {"start_ts": start, "scaling": {}, "inverse_kinematics": bodies}
     (folder / "metadata_austra_ng.json").write_text(json.dumps(metadata))
     columns: dict[str, Array] = {"time [s]": times}
     for joint, imu in GAITEX_BODIES.values():
-        if joint in R:
-            columns |= {f"{imu}_Q{c}": q for c, q in zip("WXYZ", so3.to_quat_wxyz(R[joint]).T, strict=True)}
+        quats = so3.to_quat_wxyz(R[:, names.index(joint)])
+        columns |= {f"{imu}_Q{c}": q for c, q in zip("WXYZ", quats.T, strict=True)}
     _csv(folder / "xsens_imu_data_austra_ng.csv", columns)
     columns = {"time_[s]": times}
-    for marker, p in points.items():
-        columns |= {f"{marker}_{axis}_[mm]": 1000 * p[:, i] for i, axis in enumerate("XYZ")}
+    for marker, point in gaitex_markers(R, p, names).items():
+        columns |= {f"{marker}_{axis}_[mm]": 1000 * point[:, i] for i, axis in enumerate("XYZ")}
     _csv(folder / "qualisys_marker_data_austra_ng.csv", columns)
     return "austra_ng"
+
+
+@cache
+def posed_motion() -> tuple[Array, Array, Array, tuple[str, ...]]:
+    """Times, orientations, positions and joints: a T-pose, a second between, and the known motion."""
+    found = known()
+    skeleton, own = found.recording.skeleton, found.poses.R_world_bone
+    R_T = pose_rotations("T", skeleton)
+    ramp = np.linspace(0, 1, 60)[:, None, None]
+    between = R_T @ so3.exp(ramp * so3.log(np.swapaxes(R_T, -1, -2) @ own[0]))
+    R = np.concatenate([np.repeat(R_T[None], 90, axis=0), between, own])
+    p = np.zeros(R.shape[:3])
+    p[:, 0, 2] = 1.0
+    for j, parent in enumerate(skeleton.parents):
+        if j:
+            p[:, j] = p[:, parent] + R[:, parent] @ skeleton.joint_offsets[j]
+    return np.arange(len(R)) / 60, R, p, skeleton.names
+
+
+def gaitex_markers(R: Array, p: Array, names: tuple[str, ...]) -> dict[str, Array]:
+    """Markers whose joint centres are those of the skeleton, by the hips' regressions solved for them."""
+    at = {name: p[:, names.index(name)] for name in names}
+    points: dict[str, Array] = {}
+    for side, word in (("R", "Right"), ("L", "Left")):
+        points |= dict.fromkeys((f"{side}_FLE", f"{side}_FME"), at[f"{word}Leg"])
+        points |= dict.fromkeys((f"{side}_FAL", f"{side}_TAM"), at[f"{word}Foot"])
+    middle, apart = (at["RightUpLeg"] + at["LeftUpLeg"]) / 2, at["RightUpLeg"] - at["LeftUpLeg"]
+    distance = np.linalg.norm(apart, axis=1, keepdims=True)
+    right = apart / distance
+    width, depth = (distance / 2 - 0.0073) / 0.33, 0.15  # Harrington's regressions, solved for the pelvis
+    up = R[:, 0] @ np.array([0.0, 0.0, 1.0])
+    up = up - np.sum(up * right, axis=1, keepdims=True) * right
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    forward = np.cross(up, right)
+    front = middle + (0.24 * depth + 0.0099) * forward + (0.30 * width + 0.0109) * up
+    for sign, side in ((1, "R"), (-1, "L")):
+        points[f"{side}_IAS"] = front + sign * width / 2 * right
+        points[f"{side}_IPS"] = front - depth * forward + sign * 0.05 * right
+    return points
 
 
 def _csv(path: Path, columns: dict[str, Array]) -> None:
