@@ -92,7 +92,11 @@ def _validate(options: argparse.Namespace) -> int:
     with job_progress() as update:
         found = run(protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update)
     first, tables, written = write_validation(folder, protocol, found)
-    out.print(first, style="bold red" if found.outcome.failed or "NOT" in first else "bold", soft_wrap=True)
+    out.print(
+        first,
+        style="bold red" if found.outcome.failed or "NOT ACC" in first or "IN DOUBT" in first else "bold",
+        soft_wrap=True,
+    )
     if not found.outcome.done:
         reason = next(iter(found.outcome.failed.values()), "")
         raise RtofError(f"no take could be measured; first of all: {reason}")

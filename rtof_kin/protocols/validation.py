@@ -38,6 +38,8 @@ from rtof_kin.vision.video import detect_video
 SETS: Final = {one.name: one for one in (OpenCapValidation, Vidimu, Movi, Gaitex)}
 CAMERAS: Final = ("set", "unknown")
 """The set's calibration, or none, as of a phone that was put anywhere."""
+HARDLY: Final = "the movements hardly agree at any shift"
+"""Of a take whose clock was not found."""
 _DIFFERENCE, _SIGMA = "difference ", "sigma "
 """Arrays of a result, before the name of the angle."""
 
@@ -314,7 +316,7 @@ def clock_shift(
         "agreement_as_recorded": found.unshifted,
     }  # fmt: skip
     if found.poor:
-        return facts | {"shift_s": 0.0, "how": "as recorded: the movements hardly agree at any shift"}
+        return facts | {"shift_s": 0.0, "how": f"as recorded: {HARDLY}"}
     how = f"estimated within {reach:g} s"
     if abs(found.shift) > 0.95 * reach:
         how += ", at the edge of what was searched"

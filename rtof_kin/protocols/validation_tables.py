@@ -10,7 +10,7 @@ from rtof_kin.clinical.angle_errors import AngleErrors, error_rows
 from rtof_kin.datasets.public_sets import MOVEMENTS
 from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
 from rtof_kin.protocols.tables import Table
-from rtof_kin.protocols.validation import SETS, Validation, ValidationProtocol
+from rtof_kin.protocols.validation import HARDLY, SETS, Validation, ValidationProtocol
 
 _NEEDS_SENSORS = ("sf2", "rtof", "imu")
 
@@ -34,6 +34,12 @@ def first_line(protocol: ValidationProtocol, found: Validation) -> str:
             f". NOT ACCURACY: the reference of {circular} takes was computed from the same sensors that "
             f"this mode "
             "uses; use --mode rto, or a reference of markers"
+        )
+    if apart := [key for key, facts in done.items() if HARDLY in facts["clock"]["how"]]:
+        named = ", ".join(apart[:5]) + (", ..." if len(apart) > 5 else "")
+        text += (
+            f". IN DOUBT: in {len(apart)} takes {HARDLY}, so that their errors may be those of the clock, or "
+            f"of another movement: {named}; leave them out by --takes"
         )
     return text + "."
 
