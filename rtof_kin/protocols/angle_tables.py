@@ -34,7 +34,7 @@ _NOTES: Final = (
 _STYLE: Final = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}"
     "table{border-collapse:collapse;margin:1rem 0}td,th{padding:.25rem .7rem;border-bottom:1px solid #ddd;"
-    "text-align:right}td:first-child,th:first-child,td.text{text-align:left}.first{font-weight:600}"
+    "text-align:right}.text{text-align:left}.first{font-weight:600}"
     "p{max-width:60rem}svg{max-width:100%;height:auto}"
 )
 
@@ -141,10 +141,11 @@ def _page(rows: Sequence[AngleErrors], tables: Sequence[Table], first: str) -> s
 
 
 def _html(table: Table) -> str:
-    head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
+    texts = [any(isinstance(row[i], str) for row in table.rows) for i in range(len(table.columns))]
+    kinds = [' class="text"' if text else "" for text in texts]
+    head = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.columns, strict=True))
     lines = []
-    for row, shown in zip(table.rows, table.text(), strict=True):
-        kinds = (' class="text"' if isinstance(cell, str) else "" for cell in row)
+    for shown in table.text():
         cells = zip(kinds, shown, strict=True)
         lines.append("<tr>" + "".join(f"<td{kind}>{escape(text)}</td>" for kind, text in cells) + "</tr>")
     notes = "".join(f"<p>{escape(note)}</p>" for note in table.notes)
@@ -157,7 +158,7 @@ def _figure(rows: Sequence[AngleErrors]) -> str:
 
     own = [row for row in rows if row.movement == ALL]
     colours: dict[Metric, str] = {"rmse": "#4c78a8", "mae": "#e08214", "median": "#2a9d5c"}
-    figure = Figure(figsize=(9, 0.9 + 0.34 * len(own)), layout="constrained")
+    figure = Figure(figsize=(9.5, 1.2 + 0.34 * len(own)), layout="constrained")
     axes = figure.subplots()
     for height, row in enumerate(own):
         for metric, colour in colours.items():
@@ -171,11 +172,11 @@ def _figure(rows: Sequence[AngleErrors]) -> str:
     axes.plot([], [], "D", mfc="none", color="#555555", label="published, in the colour of its metric")
     names = ("all angles" if row.angle == ALL else row.angle.replace("_", " ") for row in own)
     axes.set_yticks(range(len(own)), list(names))
-    axes.invert_yaxis()
+    axes.set_ylim(len(own) - 0.4, -0.6)
     axes.set_xlim(left=0)
     axes.set_xlabel("error [degrees]")
     axes.grid(axis="x", alpha=0.3)
-    axes.legend(loc="lower right", fontsize=8)
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     text = io.StringIO()
     figure.savefig(text, format="svg")
     return text.getvalue()[text.getvalue().index("<svg") :]
