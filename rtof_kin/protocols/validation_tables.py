@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from rtof_kin.clinical.angle_errors import AngleErrors, error_rows
+from rtof_kin.clinical.angle_errors import AngleDifferences, AngleErrors, angle_errors, error_rows
+from rtof_kin.core.files.text import write_text
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
+from rtof_kin.protocols.angle_tables import error_table, plain_rows, published_table, write_angle_tables
 from rtof_kin.protocols.tables import Table
 from rtof_kin.protocols.validation import HARDLY, SETS, Validation, ValidationProtocol
 
-_NEEDS_SENSORS = ("sf2", "rtof", "imu")
+TAKES: Final = "angle_errors_by_take.csv"
+_NEEDS_SENSORS: Final = ("sf2", "rtof", "imu")
 
 
 def first_line(protocol: ValidationProtocol, found: Validation) -> str:
@@ -104,5 +108,19 @@ def write_validation(
     """
     rows, tables = all_tables(protocol, found)
     first = first_line(protocol, found)
+    _write_takes(folder / TAKES, found.differences())
     facts = {"settings": protocol.settings(), "takes": found.outcome.done, "failed": found.outcome.failed}
-    return first, tables, write_angle_tables(folder, rows, tables, first, facts)
+    return first, tables, [*write_angle_tables(folder, rows, tables, first, facts), folder / TAKES]
+
+
+def _write_takes(path: Path, differences: Sequence[AngleDifferences]) -> None:
+    """Write the errors of every angle of every take, so that others can average as they publish."""
+    rows = [
+        {"take": one.take} | plain_rows([angle_errors([one], one.angle, one.movement)])[0]
+        for one in differences
+    ]
+    text = io.StringIO(newline="")
+    lines = csv.DictWriter(text, list(rows[0]) if rows else ["take"], lineterminator="\n")
+    lines.writeheader()
+    lines.writerows(rows)
+    write_text(path, text.getvalue(), overwrite=True)

@@ -181,6 +181,11 @@ def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path])
     overall = next(one for one in content["rows"] if (one["angle"], one["movement"]) == (ALL, ALL))
     assert overall["samples"] == sum(angles.values())
     assert overall["takes"] == 1
+    with (out / "angle_errors_by_take.csv").open(encoding="utf-8") as stream:
+        own = {one["angle"]: one for one in csv.DictReader(stream)}
+    assert {name: int(one["samples"]) for name, one in own.items()} == angles
+    squares = sum(int(one["samples"]) * float(one["rmse_deg"]) ** 2 for one in own.values())
+    assert overall["rmse_deg"] == pytest.approx(np.sqrt(squares / overall["samples"]))
     assert 2.0 < overall["rmse_deg"] < 30.0  # the shipped network on simulated detections
     assert overall["median_deg"] < overall["mae_deg"] < overall["rmse_deg"]
     motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.npz"
@@ -189,9 +194,9 @@ def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path])
         "evaluate", str(motion), "--truth", str(mot), "--movement", "walk", "-o", str(out / "own")
     )
     assert code == 0, said
-    own = read_json(out / "own" / "tables.json")["rows"]
+    again = read_json(out / "own" / "tables.json")["rows"]
     for name in ("rmse_deg", "mae_deg", "median_deg", "offset_deg"):
-        assert own[0][name] == pytest.approx(overall[name], rel=1e-6)
+        assert again[0][name] == pytest.approx(overall[name], rel=1e-6)
 
 
 def test_it_goes_on_where_it_was_stopped(
