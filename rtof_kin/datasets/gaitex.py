@@ -64,8 +64,7 @@ class Gaitex:
     mode: Mode = "imu"
     caution = (
         "sensors give orientations alone, so that the root has no path; joint centres define the flexion "
-        "of the "
-        "knees alone, with an offset of definition"
+        "of the knees alone, with an offset of definition"
     )
 
     def __init__(self, root: Path):

@@ -67,8 +67,7 @@ class Movi:
     mode: Mode = "rto"
     caution = (
         "joint centres define the flexion of knees and elbows alone; their zero is a straight limb, so "
-        "that an "
-        "offset of a few degrees is one of definition"
+        "that an offset of a few degrees is one of definition"
     )
 
     def __init__(self, root: Path):

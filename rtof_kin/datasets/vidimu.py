@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -58,6 +59,8 @@ _ARMS: Final = ("elbow_flex_r", "elbow_flex_l", "pro_sup_r", "pro_sup_l")
 _COLUMNS: Final = ("QUAT", "w", "x", "y", "z", "timestamp")
 _TRIAL: Final = re.compile(r"(S\d{2})_(A\d{2})_(T\d{2})")
 _RATE_HZ: Final = 50.0
+_OF_POSE: Final = 2
+"""Rows of the reference that belong to the N-pose, as the set's own scripts leave them out."""
 _LAYOUT: Final = "dataset/videoandimus/S40/S40_A01_T01.raw with .mp4 and ik_S40_A01_T01.mot"
 
 
@@ -69,8 +72,7 @@ class Vidimu:
     mode: Mode = "rto"
     caution = (
         "the reference is OpenSim's inverse kinematics of the same five sensors, not of markers: with "
-        "sensors in "
-        "the mode the table shows agreement of two computations, not accuracy"
+        "sensors in the mode the table shows agreement of two computations, not accuracy"
     )
 
     def __init__(self, root: Path):
@@ -117,10 +119,12 @@ class Vidimu:
             "unpack dataset.zip of VIDIMU; trials that failed have none: leave them out by --takes",
         )  # fmt: skip
         lower = take.movement in ("A01", "A02", "A03", "A04")
-        return Truth(
-            read_opensim_table(path), _LEGS if lower else _ARMS,
-            "OpenSim inverse kinematics of the take's own sensors", of_sensors=True, reach=2.0,
-        )  # fmt: skip
+        table = read_opensim_table(path)
+        if len(table.times) <= _OF_POSE + 1:
+            raise FileFormatError(path, f"has {len(table.times)} rows: cut off?")
+        table = replace(table, times=table.times[_OF_POSE:], values=table.values[_OF_POSE:])
+        source = "OpenSim inverse kinematics of the take's own sensors"
+        return Truth(table, _LEGS if lower else _ARMS, source, of_sensors=True, reach=2.0)
 
 
 def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
@@ -137,8 +141,7 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
     if header[:5] != _COLUMNS[:5]:
         raise FileFormatError(
             path, f"expected the columns {','.join(_COLUMNS)}, found {','.join(header) or 'nothing'}; is it "
-            "of "
-            "another version of the set?", 1,
+            "of another version of the set?", 1,
         )  # fmt: skip
     rows: dict[str, list[list[float]]] = {name: [] for name in sensors}
     for number, line in enumerate(lines[1:], 2):

@@ -25,8 +25,7 @@ _COLUMNS: Final = (
 _DIGITS: Final = (0, 0, 0, 0, 1, 1, 1, 1, 1, 0)
 _NOTES: Final = (
     "Degrees; estimate minus reference. Both sides of a joint are pooled. Offset: mean difference. No "
-    "offset: "
-    "RMSE after each take's own mean difference of each angle is removed.",
+    "offset: RMSE after each take's own mean difference of each angle is removed.",
     "In 95 % band: percent of the samples within 1.96 of the estimate's own standard deviations of the "
     "reference, whose own errors and definition count as errors here.",
     "Samples are pooled and not independent: the number of takes says how sure a value is.",

@@ -52,6 +52,5 @@ PUBLISHED: Final = (
 )  # fmt: skip
 WITHOUT_METRIC: Final = (
     "A camera with uncalibrated sensors (Peiffer et al. 2024, arXiv:2405.17368): knee 2.9 degrees; "
-    "published value, "
-    "number and metric not verified, so that it stands beside none of ours."
+    "published value, number and metric not verified, so that it stands beside none of ours."
 )

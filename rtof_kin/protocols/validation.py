@@ -277,6 +277,11 @@ def compared_with(
         row.name for row in reference.rows
         if row.opensim.removeprefix("-") in set(truth.coordinates) & set(truth.table.names)
     ]  # fmt: skip
+    if not names:
+        raise InvalidInputError(
+            f"the reference has none of the measured coordinates, {', '.join(truth.coordinates[:3])} "
+            "and so on: is it of another version of the set?"
+        )
     clock: dict[str, Any] = {"shift_s": 0.0, "how": "as recorded"}
     if aligned:
         clock = clock_shift(estimate, reference, names, truth.reach)

@@ -36,8 +36,7 @@ def first_line(protocol: ValidationProtocol, found: Validation) -> str:
     if circular and mode in _NEEDS_SENSORS:
         text += (
             f". NOT ACCURACY: the reference of {circular} takes was computed from the same sensors that "
-            f"this mode "
-            "uses; use --mode rto, or a reference of markers"
+            f"this mode uses; use --mode rto, or a reference of markers"
         )
     if apart := [key for key, facts in done.items() if HARDLY in facts["clock"]["how"]]:
         named = ", ".join(apart[:5]) + (", ..." if len(apart) > 5 else "")

@@ -96,6 +96,7 @@ def test_vidimu_has_the_planted_orientations_without_the_pose_before(tmp_path: P
     planted = poses.R_world_bone[:, poses.names.index("RightUpLeg")]
     np.testing.assert_allclose(thigh.R_inertial_sensor, planted, atol=1e-9)
     truth = adapter.truth(take)
+    assert truth.table.times[0] == pytest.approx(known().poses.times[2])  # without the rows of the pose
     assert truth.of_sensors  # no reference for the sensors themselves
     legs = {name: angle for name, angle in made.COORDINATES.items() if "knee" in name or "hip" in name}
     check_truth(truth, legs)
@@ -202,6 +203,8 @@ CASES: list[tuple[str, Callable[[Path], object], str]] = [
     ("vidimu", lambda r: edited(r / RAW, "qsHIPS", "qsBACK"), "expected one of qsHIPS, qsRUL"),
     ("vidimu", lambda r: (r / RAW).write_text((r / RAW).read_text()[:400]), "numbers, found|fewer than two"),
     ("vidimu", lambda r: (r / MOT).unlink(), "trials that failed have none: leave them out by --takes"),
+    ("vidimu", lambda r: made.write_mot(r / MOT, {"knee_angle_r": np.zeros(2)}, np.arange(2.0)),
+     "has 2 rows: cut off"),
     ("movi", lambda r: (r / "F_v3d_Subject_1.mat").write_bytes((r /
     "F_v3d_Subject_1.mat").read_bytes()[:900]),
      "damaged, or no MATLAB file"),

@@ -86,8 +86,12 @@ def test_without_a_common_angle_the_take_says_so(tmp_path: Path) -> None:
     adapter = OpenCapValidation(tmp_path)
     (take,) = adapter.takes()
     estimate = clinical_angles(true_motion()).select(["spine_flexion"])
+    truth = adapter.truth(take)
     with pytest.raises(InvalidInputError, match="no angle is in the motion and the reference"):
-        compared_with(estimate, adapter.truth(take), take)
+        compared_with(estimate, truth, take)
+    other = replace(truth, coordinates=("wrist_flex_r",))
+    with pytest.raises(InvalidInputError, match="none of the measured coordinates, wrist_flex_r"):
+        compared_with(estimate, other, take)
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -302,7 +306,8 @@ def test_one_video_of_many_motions_is_detected_once_and_cut(
     assert seen == ["F_PG1_Subject_1_L.avi"]
     content = read_json(tmp_path / "out" / "tables.json")
     walk = content["takes"]["Subject_1_02_walking_PG1"]
-    assert abs(walk["clock"]["shift_s"]) < 0.1  # the cut begins with the motion
+    # The cut begins with the motion; the detector of the demo is 50 ms late.
+    assert walk["clock"]["shift_s"] == pytest.approx(0.05, abs=0.025)
     assert walk["clock"]["agreement"] > 0.8
     assert code == 1  # the first motion has no joint centres
     assert list(content["failed"]) == ["Subject_1_01_kicking_PG1"]
