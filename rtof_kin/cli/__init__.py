@@ -92,6 +92,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         reporting,
         start,
         training,
+        validation,
         view,
     )
 
@@ -120,6 +121,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         batch,
         bundle,
         protocols,
+        validation,
         view,
     ):
         module.add_commands(commands)
