@@ -93,6 +93,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         reporting,
         start,
         training,
+        validation,
         view,
     )
 
@@ -122,6 +123,7 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         batch,
         bundle,
         protocols,
+        validation,
         view,
     ):
         module.add_commands(commands)
