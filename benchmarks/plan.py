@@ -191,6 +191,22 @@ def _pooled(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, tuple[float, 
             )  # type: ignore[misc]
 
 
+def pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each plan, set of sensors and angle."""
+    return [
+        {
+            "plan": plan,
+            "sensors": sensors,
+            "angle": name,
+            "expected_deg": round(e, 2),
+            "achieved_deg": round(a, 2),
+        }
+        for plan in dict.fromkeys(row["plan"] for row in rows)
+        for sensors in SENSORS
+        for name, (e, a) in _pooled([r for r in rows if (r["plan"], r["sensors"]) == (plan, sensors)])
+    ]
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -212,7 +228,7 @@ def main(arguments: list[str] | None = None) -> int:
             rows += found
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = f"`python -m benchmarks.plan {words}`\n\n{table(rows)}"
-    harness.write_results(options.out, {"command": words, "rows": rows}, text)
+    harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text)
     print(text)
     return 0
 

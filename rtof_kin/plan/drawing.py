@@ -20,7 +20,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.plan.placing import CameraPlace, camera_place, sensor_places
+from rtof_kin.plan.placing import Framing, framing, sensor_places
 
 BODY, LEFT, RIGHT, CAMERA, SENSOR = "#555555", "#c0392b", "#0072b2", "#2e8b57", "#e69f00"
 _LABEL_WIDTH: Final = 26
@@ -30,7 +30,7 @@ _LABEL_STEP: Final = 0.275
 
 def draw_setup(
     poses: PoseSequence, skeleton: SkeletonModel, camera: Camera, sensors: Sequence[str], path: Path
-) -> CameraPlace:
+) -> Framing:
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
     Args:
@@ -47,7 +47,7 @@ def draw_setup(
     if path.suffix not in (".png", ".svg"):
         raise InvalidInputError(f"{path}: a drawing is written as .png or .svg")
     places = sensor_places(skeleton, sensors)
-    place = camera_place(poses, skeleton, camera)
+    place = framing(poses, skeleton, camera)
     figure = Figure(figsize=(12.4, 6.0), layout="constrained")
     figure.set_canvas(FigureCanvasAgg(figure))  # no global pyplot state
     grid = figure.add_gridspec(2, 3, height_ratios=(1.9, 1), width_ratios=(1.0, 1.2, 1.2))
@@ -69,7 +69,7 @@ def _behind(skeleton: SkeletonModel, sensor: str) -> bool:
     return bool(skeleton.sensors[sensor][1][0] < -0.02)
 
 
-def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: CameraPlace) -> None:
+def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None:
     """Draw the plan with the path, the person's facing and the camera's field of view."""
     path, start = poses.p_world_joint[:, 0, :2], poses.p_world_joint[0, 0, :2]
     at, axis = camera.center_world[:2], camera.R_camera_world[2, :2]
@@ -163,9 +163,7 @@ def _spread(heights: Sequence[float]) -> Array:
     return out
 
 
-def _picture(
-    ax: Any, poses: PoseSequence, skeleton: SkeletonModel, camera: Camera, place: CameraPlace
-) -> None:
+def _picture(ax: Any, poses: PoseSequence, skeleton: SkeletonModel, camera: Camera, place: Framing) -> None:
     """Draw the picture of the camera at the start and where the body is nearest to its borders."""
     size = np.array([camera.width_px, camera.height_px])
     points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)

@@ -17,11 +17,15 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import can_draw
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.plan.movements import MOVEMENTS, MovementInfo
+from rtof_kin.plan.operator_page import operator_page, operator_steps
+from rtof_kin.plan.placing import sensor_places
 from rtof_kin.plan.plan import Option, Plan
 from rtof_kin.plan.sentences import advice, cautions, headline
 
 TABLE: Final = "plan.csv"
 MARKER: Final = "plan.json"
+INSTRUCTIONS: Final = "instructions.html"
 COLUMNS: Final = (
     "angle", "shown", "sd_deg", "half_band_deg", "simulated_error_deg", "inside_95", "observed_share",
     "identifiable", "confused_with",
@@ -45,6 +49,32 @@ def write_plan(plan: Plan, folder: str | Path) -> None:
         from rtof_kin.plan.figures import write_plan_figures
 
         write_plan_figures(plan, folder)
+        _write_instructions(plan, folder)
+
+
+def _write_instructions(plan: Plan, folder: Path) -> None:
+    """Write the operator's page with the drawing of the set-up."""
+    from rtof_kin.plan.drawing import draw_setup
+
+    setup, drawing = plan.setup, folder / "setup.svg"
+    framed = draw_setup(setup.poses, setup.skeleton, setup.camera, setup.sensors, drawing)
+    own = MOVEMENTS.get(plan.protocol.movement, _recorded(plan.protocol.movement))
+    repetitions = plan.protocol.repetitions or own.repetitions
+    seconds = float(setup.poses.times[-1] - setup.poses.times[0])
+    places = sensor_places(setup.skeleton, setup.sensors)
+    steps = operator_steps(own, framed, places, repetitions, seconds)
+    title = f"Recording: {own.name.replace('_', ' ')}"
+    page = operator_page(title, own, steps, drawing.read_text(encoding="utf-8"), cautions(plan))
+    write_text(folder / INSTRUCTIONS, page)
+
+
+def _recorded(movement: str) -> MovementInfo:
+    """A movement that is not of the library."""
+    name = Path(movement).name
+    return MovementInfo(
+        name, f"The movement of {name}.", "do the same movement as in the recording planned from",
+        (), (), "the whole movement", 1, "",
+    )  # fmt: skip
 
 
 def plan_data(plan: Plan) -> dict[str, Any]:

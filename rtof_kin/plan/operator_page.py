@@ -9,7 +9,7 @@ from typing import Final
 
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.plan.movements import MovementInfo
-from rtof_kin.plan.placing import CameraPlace
+from rtof_kin.plan.placing import Framing
 from rtof_kin.report.html import bullets, fill, source_hash
 
 MOST_STEPS: Final = 12
@@ -86,7 +86,7 @@ def operator_page(
 
 
 def operator_steps(
-    movement: MovementInfo, place: CameraPlace, sensors: dict[str, str], repetitions: int, seconds: float
+    movement: MovementInfo, place: Framing, sensors: dict[str, str], repetitions: int, seconds: float
 ) -> list[str]:
     """Return what the operator does, in order.
 

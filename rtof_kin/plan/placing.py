@@ -32,7 +32,7 @@ _NEAR_END: Final = 0.04
 
 
 @dataclass(frozen=True)
-class CameraPlace:
+class Framing:
     """Place of a camera relative to a movement."""
 
     distance: float
@@ -76,23 +76,21 @@ class CameraPlace:
         return f"the whole body stays in the picture, with {100 * self.margin:.0f} % of its height to spare"
 
 
-def camera_place(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> CameraPlace:
+def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Framing:
     """Return where a camera stands relative to a movement, and whether it sees all of it.
 
     Args:
         poses: of the movement, finite, on the floor z = 0. skeleton: body. camera: upright.
     """
-    path = poses.p_world_joint[:, 0, :2]
-    middle = (path.min(axis=0) + path.max(axis=0)) / 2
+    middle = centre_of(poses)[:2]
     centre, axis = camera.center_world, camera.R_camera_world[2]
     way = centre[:2] - middle
-    facing = float(so3.heading(poses.R_world_bone[:1, 0])[0])
-    angle = np.degrees(np.arctan2(way[1], way[0]) - facing)
+    angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
     uv = camera.project(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
     size = np.array([camera.width_px, camera.height_px])
     least = np.minimum(uv, size - uv).min(axis=(1, 2)) / camera.height_px
     fields = 2 * np.arctan(size / 2 / np.diag(camera.K)[:2])
-    return CameraPlace(
+    return Framing(
         distance=float(np.linalg.norm(way)),
         height=float(centre[2]),
         angle_deg=float((angle + 180) % 360 - 180),
@@ -102,6 +100,26 @@ def camera_place(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -
         inside=float(np.mean(least >= 0)),
         margin=float(least.min()),
     )
+
+
+def centre_of(poses: PoseSequence) -> Array:
+    """Return the middle (3,) m of a movement: of the pelvis' path on the floor, and of the body's height.
+
+    Args:
+        poses: of the movement, pelvis first.
+    """
+    path, heights = poses.p_world_joint[:, 0, :2], poses.p_world_joint[..., 2]
+    middle = (path.min(axis=0) + path.max(axis=0)) / 2
+    return np.array([*middle, (heights.min() + heights.max()) / 2])
+
+
+def facing_of(poses: PoseSequence) -> float:
+    """Return the heading of the pelvis in the first frame, rad from world's x.
+
+    Args:
+        poses: of the movement, pelvis first.
+    """
+    return float(so3.heading(poses.R_world_bone[:1, 0])[0])
 
 
 def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, str]:

@@ -14,12 +14,12 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.plan.placing import centre_of, facing_of
 
 DETECTORS: Final = ("mediapipe33", "coco17")
 """Layouts of detectors that can be simulated: the measured one, and its points that COCO has too."""
@@ -37,7 +37,7 @@ class CameraPlace:
     angle_deg: float = 45.0
     """[deg] see the module."""
     distance_m: float = 4.0
-    """[m] horizontal, from the middle of the movement."""
+    """[m] horizontal, from the middle of the pelvis' path."""
     height_m: float = 1.2
     """[m] over the floor."""
     focal_px: float = 1400.0
@@ -70,8 +70,7 @@ class CameraPlace:
         Args:
             poses: the movement, world z up, floor at 0.
         """
-        centre, forward = centre_of(poses), facing_of(poses)
-        angle = np.arctan2(forward[1], forward[0]) + np.radians(self.angle_deg)
+        centre, angle = centre_of(poses), facing_of(poses) + np.radians(self.angle_deg)
         at = centre + self.distance_m * np.array([np.cos(angle), np.sin(angle), 0.0])
         at[2] = self.height_m
         return Camera.looking_at(at, centre, self.focal_px, self.width_px, self.height_px)
@@ -208,26 +207,6 @@ def _camera(section: Section) -> tuple[CameraPlace, tuple[CameraPlace, ...] | No
     return camera, found
 
 
-def centre_of(poses: PoseSequence) -> Array:
-    """Return the middle (3,) m of the space that a movement takes.
-
-    Args:
-        poses: the movement.
-    """
-    p = poses.p_world_joint
-    return np.asarray((p.min(axis=(0, 1)) + p.max(axis=(0, 1))) / 2)
-
-
-def facing_of(poses: PoseSequence) -> Array:
-    """Return the horizontal unit vector (3,) in which the pelvis faces in the first frame.
-
-    Args:
-        poses: the movement, pelvis first; its x axis points forward.
-    """
-    forward = poses.R_world_bone[0, 0, :, 0] * [1.0, 1.0, 0.0]
-    return np.asarray(forward / np.linalg.norm(forward))
-
-
 def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace:
     """Return where a camera stands relative to a movement.
 
@@ -235,8 +214,7 @@ def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace
         camera: of a recording. poses: the movement. rate_hz: frames per second.
     """
     off = camera.center_world - centre_of(poses)
-    forward = facing_of(poses)
-    angle = np.degrees(np.arctan2(off[1], off[0]) - np.arctan2(forward[1], forward[0]))
+    angle = np.degrees(np.arctan2(off[1], off[0]) - facing_of(poses))
     return CameraPlace(
         angle_deg=round(float((angle + 180) % 360 - 180), 1),
         distance_m=round(float(np.hypot(*off[:2])), 2),

@@ -15,7 +15,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.drawing import draw_setup
 from rtof_kin.plan.movements import MOVEMENTS, movement
 from rtof_kin.plan.operator_page import MOST_TEXT, operator_page, operator_steps
-from rtof_kin.plan.placing import camera_place, sensor_places
+from rtof_kin.plan.placing import framing, sensor_places
 
 SKELETON = SkeletonModel.default()
 SQUAT = movement("squat", SKELETON, 1, rate_hz=20.0)
@@ -32,7 +32,7 @@ def camera_at(angle_deg: float, distance: float, height: float = 1.1, focal_px: 
 
 @pytest.mark.parametrize("angle_deg, side", [(40, "left"), (-75, "right"), (120, "left")])
 def test_a_planted_camera_is_found_again(angle_deg: float, side: str) -> None:
-    place = camera_place(SQUAT, SKELETON, camera_at(angle_deg, 3.5))
+    place = framing(SQUAT, SKELETON, camera_at(angle_deg, 3.5))
     assert place.distance == pytest.approx(3.5)
     assert place.angle_deg == pytest.approx(angle_deg, abs=1.0)  # he sways by less
     assert place.height == pytest.approx(1.1)
@@ -44,19 +44,19 @@ def test_a_planted_camera_is_found_again(angle_deg: float, side: str) -> None:
 
 
 def test_straight_ahead_behind_and_tilted_are_said() -> None:
-    assert "in front" in camera_place(SQUAT, SKELETON, camera_at(0, 3.0)).side
-    assert "behind" in camera_place(SQUAT, SKELETON, camera_at(180, 3.0)).side
+    assert "in front" in framing(SQUAT, SKELETON, camera_at(0, 3.0)).side
+    assert "behind" in framing(SQUAT, SKELETON, camera_at(180, 3.0)).side
     down = Camera.looking_at([3.0, 0, 2.0], [0, 0, 1.0], 1000.0)
-    assert camera_place(SQUAT, SKELETON, down).tilt_deg == pytest.approx(np.degrees(np.arctan(1 / 3)))
+    assert framing(SQUAT, SKELETON, down).tilt_deg == pytest.approx(np.degrees(np.arctan(1 / 3)))
 
 
 def test_a_camera_that_loses_the_body_is_said_with_the_remedy() -> None:
-    near = camera_place(SQUAT, SKELETON, camera_at(0, 1.0))
+    near = framing(SQUAT, SKELETON, camera_at(0, 1.0))
     assert near.inside < 1
     assert near.margin < 0
     assert "move the camera back" in near.view
     away = Camera.looking_at([3.0, 0, 1.0], [6.0, 0, 1.0], 1000.0)
-    assert camera_place(SQUAT, SKELETON, away).inside == 0
+    assert framing(SQUAT, SKELETON, away).inside == 0
 
 
 def test_places_of_sensors_are_those_of_the_table() -> None:
@@ -97,7 +97,7 @@ def test_the_drawing_is_a_picture_too_and_nothing_else(tmp_path: Path) -> None:
 
 def page(poses: PoseSequence = SQUAT, doubts: tuple[str, ...] = ("Knee <rotation> is unknown",)) -> str:
     info, places = MOVEMENTS["squat"], sensor_places(SKELETON, SENSORS)
-    place = camera_place(poses, SKELETON, camera_at(-30, 3.27))
+    place = framing(poses, SKELETON, camera_at(-30, 3.27))
     steps = operator_steps(info, place, places, 3, 12.0)
     return operator_page("Knee & hip", info, steps, "<svg>http://www.w3.org</svg>", doubts)
 
@@ -138,7 +138,7 @@ def test_more_than_a_sheet_holds_is_refused() -> None:
 
 @pytest.mark.parametrize("name", MOVEMENTS)
 def test_every_movement_with_all_sensors_fits(name: str) -> None:
-    place = camera_place(SQUAT, SKELETON, camera_at(-30, 3.27))
+    place = framing(SQUAT, SKELETON, camera_at(-30, 3.27))
     info = MOVEMENTS[name]
     steps = operator_steps(info, place, sensor_places(SKELETON, SENSORS), info.repetitions, 30.0)
     assert operator_page(name, info, steps, "<svg/>", ["x" * 100] * 5)

@@ -17,7 +17,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import plan as planning
 from rtof_kin.plan.calibration_time import ENOUGH, PLANTED, CalibrationTime, calibration_time, planted
-from rtof_kin.plan.files import COLUMNS, MARKER, TABLE, write_plan
+from rtof_kin.plan.files import COLUMNS, INSTRUCTIONS, MARKER, TABLE, write_plan
 from rtof_kin.plan.identifiability import ROOT, Information
 from rtof_kin.plan.plan import Plan, plan
 from rtof_kin.plan.prediction import Prediction
@@ -111,6 +111,9 @@ def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:
     assert data["headline"] == headline(made)
     assert data["sensors"][0]["name"] == "Pelvis"
     assert (tmp_path / "plan.png").stat().st_size > 10_000
+    page = (tmp_path / INSTRUCTIONS).read_text()
+    assert "4.50 m from the cross" in page
+    assert all(sensor in page for sensor in made.protocol.sensors)
 
 
 def test_a_plan_without_search_compares_nothing(stubbed: Setup, tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import identifiability
 from rtof_kin.plan.identifiability import NOT_IDENTIFIABLE, ROOT, Information, information
+from rtof_kin.plan.placing import centre_of
 from rtof_kin.plan.prediction import Prediction, predict
-from rtof_kin.plan.protocol import centre_of
 from rtof_kin.plan.setup import Setup, seen_share
 from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.covariance import confidence_of
@@ -77,7 +77,8 @@ def test_a_smaller_detector_shows_fewer_points(setup: Setup) -> None:
 
 
 def test_the_share_in_the_image(setup: Setup) -> None:
-    near = Camera.looking_at(centre_of(setup.poses) + [0.6, 0.0, 0.0], centre_of(setup.poses), 1250.0)
+    centre = centre_of(setup.poses)
+    near = Camera.looking_at(centre + np.array([0.6, 0.0, 0.0]), centre, 1250.0)
     assert seen_share(setup) > 0.9
     assert seen_share(replace(setup, camera=near)) < 0.7
 

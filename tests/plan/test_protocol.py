@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.plan.protocol import CameraPlace, Protocol, centre_of, direction, facing_of, place_of
+from rtof_kin.plan.placing import centre_of, facing_of
+from rtof_kin.plan.protocol import CameraPlace, Protocol, direction, place_of
 from rtof_kin.plan.setup import Setup
 
 WHOLE = """
@@ -95,7 +96,9 @@ def test_a_camera_stands_where_its_place_says(setup: Setup, angle_deg: float) ->
     place = CameraPlace(angle_deg=angle_deg, distance_m=3.5, height_m=1.4)
     camera = place.camera(setup.poses)
     off = camera.center_world - centre_of(setup.poses)
-    forward, left = facing_of(setup.poses), np.cross([0.0, 0.0, 1.0], facing_of(setup.poses))
+    facing = facing_of(setup.poses)
+    forward = np.array([np.cos(facing), np.sin(facing), 0.0])
+    left = np.cross([0.0, 0.0, 1.0], forward)
     assert np.hypot(*off[:2]) == pytest.approx(3.5)
     assert camera.center_world[2] == pytest.approx(1.4)
     assert off @ forward == pytest.approx(3.5 * np.cos(np.radians(angle_deg)))
