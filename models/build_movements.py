@@ -131,7 +131,7 @@ def standing(R: Array) -> Key:
     return Key(R, np.array([0.05, 0.0, 0.985]), ankles + ball, np.zeros(2))
 
 
-def legs_begin(R_local: Array, R_feet: Array, mean: Array) -> Array:
+def legs_begin(R_local: Array, R_feet: Array) -> Array:
     """Return rotations with legs whose knees point as the feet do, for `planted` to bend."""
     names = [f"{side}{part}" for side in SIDES for part in ("UpLeg", "Leg", "Foot")]
     R_local = R_local.copy()
@@ -154,10 +154,9 @@ def through(keys: Sequence[Key], seconds: Sequence[float], lift: tuple[int, floa
     """
     at = np.arange(round(seconds[-1] * STORED_RATE_HZ) + 1) / STORED_RATE_HZ
     knots = np.asarray(seconds) * (at[-1] / seconds[-1])
-    rest = [(1, 0.0), (2, 0.0)]
 
     def spline(values: Array) -> Array:
-        ends = [(order, np.zeros(values.shape[1:])) for order, _ in rest]
+        ends = [(order, np.zeros(values.shape[1:])) for order in (1, 2)]
         return np.asarray(make_interp_spline(knots, values, k=5, bc_type=(ends, ends))(at))
 
     steps = np.stack([so3.log(keys[0].R.swapaxes(-1, -2) @ key.R) for key in keys])
@@ -167,7 +166,7 @@ def through(keys: Sequence[Key], seconds: Sequence[float], lift: tuple[int, floa
         share = at / at[-1]
         balls[:, lift[0], 2] += lift[1] * 64 * (share * (1 - share)) ** 3
     R_feet = foot_rotations(pitch)
-    return Piece(legs_begin(R, R_feet, keys[0].R), R_feet, hips, balls)
+    return Piece(legs_begin(R, R_feet), R_feet, hips, balls)
 
 
 def still(key: Key, seconds: float) -> Piece:
@@ -202,13 +201,13 @@ def write(folder: Path, name: str, before: Piece, cycle: Piece, after: Piece) ->
     print(f"{name}: {times[-1]:.1f} s, {size / 1000:.0f} kB, lowered by {lowered:.3f} m")
 
 
-def squat(stand: Key, crouch: Array, deep: float = 1.0) -> Key:
+def squat(stand: Key, crouch: Array) -> Key:
     """Return the lowest posture of a squat."""
     R = stand.R.copy()
     trunk = SKELETON.index("Hips", "Spine", "Spine1", "Spine2", "Spine3")
     R[trunk] = crouch[trunk]
     R = turned(arms(R, 75.0, "y"), Neck=("y", -25.0))
-    return replace(stand, R=R, hips=np.array([-0.20, 0.0, 0.60 / deep]))
+    return replace(stand, R=R, hips=np.array([-0.20, 0.0, 0.60]))
 
 
 def seat(stand: Key, crouch: Array) -> tuple[Key, Key, Key]:
@@ -303,12 +302,12 @@ def main(corpus: Path) -> None:
     folder.mkdir(exist_ok=True)
     stride = mean_stride(clip_of(corpus, *STRIDE), SKELETON, LEG)
     neutral = symmetric(stride.neutral)
-    neutral[0] = so3.about_axis("y", 0.0)
+    neutral[0] = np.eye(3)
     stand = standing(neutral)
     crouched = clip_of(corpus, "CMU001", "01_01").poses
-    crouch = symmetric(kinematics.local_rotations(SKELETON.parents, crouched.R_world_bone)[98])
-    yaw = so3.heading(kinematics.local_rotations(SKELETON.parents, crouched.R_world_bone)[98, 0])
-    tilt = so3.about_axis("z", -yaw) @ crouched.R_world_bone[98, 0]
+    R_crouch = crouched.R_world_bone[98]
+    crouch = symmetric(kinematics.local_rotations(SKELETON.parents, R_crouch))
+    tilt = so3.about_axis("z", -so3.heading(R_crouch[0])) @ R_crouch[0]
     crouch[0] = so3.about_axis("y", float(np.arctan2(tilt[0, 2], tilt[2, 2])))
     write_sway(folder, clip_of(corpus, "CMU (martial, 135?)", "martial_04"), slice(478, 615))
     rest, short = still(stand, 1.0), still(stand, 0.4)
@@ -342,7 +341,7 @@ def _walk(stride: Stride, stand: Key, strides: int) -> Piece:
     print(
         f"walk of {strides} strides: hips lowered by {LEG * lowered.min():.3f} to {LEG * lowered.max():.3f} m"
     )
-    return Piece(legs_begin(R, R_feet, stand.R), R_feet, hips, balls)
+    return Piece(legs_begin(R, R_feet), R_feet, hips, balls)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ from rtof_kin.plan.movements import MovementInfo
 from rtof_kin.plan.placing import Framing
 from rtof_kin.report.html import bullets, fill, source_hash
 
-MOST_STEPS: Final = 12
-MOST_TEXT: Final = 2900
-"""Characters of all texts together that fit on the sheet beside the drawing."""
+MOST_LINES: Final = 29
+"""Lines of all texts together that fit on the sheet beside the drawing."""
+_LINE: Final = 100  # characters, of a wide font
 
 _STYLE: Final = """
 @page { size: A4; margin: 10mm }
@@ -68,11 +68,11 @@ def operator_page(
         InvalidInputError: more text than fits on the sheet.
     """
     person = movement.instructions[:1].upper() + movement.instructions[1:] + "."
-    length = sum(map(len, (title, person, *steps, *doubts)))
-    if len(steps) > MOST_STEPS or length > MOST_TEXT:
+    lines = sum(1 + len(text) // _LINE for text in (title, person, *steps, *doubts))
+    if lines > MOST_LINES:
         raise InvalidInputError(
-            f"operator's page: {len(steps)} steps and {length} characters do not fit on one sheet; give at "
-            f"most {MOST_STEPS} steps and {MOST_TEXT} characters, title, steps and doubts together"
+            f"operator's page: {lines} lines do not fit on one sheet; shorten steps and doubts to "
+            f"{MOST_LINES} lines of {_LINE} characters together with the title and the words to the person"
         )
     drawing = base64.b64encode(drawing_svg.encode()).decode()
     warnings = f'<div class="doubts"><h2>Before you begin</h2>{bullets(doubts)}</div>' if doubts else ""

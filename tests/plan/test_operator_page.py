@@ -14,7 +14,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.drawing import draw_setup
 from rtof_kin.plan.movements import MOVEMENTS, movement
-from rtof_kin.plan.operator_page import MOST_TEXT, operator_page, operator_steps
+from rtof_kin.plan.operator_page import MOST_LINES, operator_page, operator_steps
 from rtof_kin.plan.placing import framing, sensor_places
 
 SKELETON = SkeletonModel.default()
@@ -130,10 +130,10 @@ def test_the_page_needs_no_network() -> None:
 
 
 def test_more_than_a_sheet_holds_is_refused() -> None:
-    with pytest.raises(InvalidInputError, match=str(MOST_TEXT)):
+    with pytest.raises(InvalidInputError, match=str(MOST_LINES)):
         page(doubts=("word " * 600,))
-    with pytest.raises(InvalidInputError, match="13 steps"):
-        operator_page("t", MOVEMENTS["squat"], ["step"] * 13, "<svg/>", [])
+    with pytest.raises(InvalidInputError, match="shorten"):
+        operator_page("t", MOVEMENTS["squat"], ["step"] * MOST_LINES, "<svg/>", [])
 
 
 @pytest.mark.parametrize("name", MOVEMENTS)
@@ -141,5 +141,5 @@ def test_every_movement_with_all_sensors_fits(name: str) -> None:
     place = framing(SQUAT, SKELETON, camera_at(-30, 3.27))
     info = MOVEMENTS[name]
     steps = operator_steps(info, place, sensor_places(SKELETON, SENSORS), info.repetitions, 30.0)
-    assert operator_page(name, info, steps, "<svg/>", ["x" * 100] * 5)
+    assert operator_page(name, info, steps, "<svg/>", ["x" * 90] * 6)
     assert "0 sensor" not in " ".join(operator_steps(info, place, {}, 1, 30.0))
