@@ -59,8 +59,9 @@ def cautions(plan: Plan) -> tuple[str, ...]:
         apart = own.error > _APART * own.sigma
     names = [name.replace("_", " ") for name, far in zip(own.names, apart, strict=True) if far]
     if names:
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         found.append(
-            f"simulated errors of {', '.join(names)} are more than {_APART:g} times the standard deviation "
+            f"simulated errors of {', '.join(names[:3])}{more} are more than {_APART:g} times the standard deviation "
             f"stated, over {own.draws} simulated recording(s)"
         )
     return tuple(found)
