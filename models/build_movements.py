@@ -37,6 +37,8 @@ LEG = sum(SKELETON.bone_lengths[name] for name in ("LeftLeg", "LeftFoot"))
 BALL = SKELETON.landmarks["LeftToeBase"][1]
 STANCE, TOE_OUT = 0.135, np.radians(8.0)
 """[leg] half distance of the ankles; [rad] direction of the feet."""
+SPARE = 0.008
+"""Of the square of a leg's reach in walking, which keeps the knees bent by ten degrees."""
 CLAVICLE_UP = 0.2
 """Of the elevation of an arm, rad/rad."""
 SWAY_SECONDS, SWAY_WAVES = 2.28, 4
@@ -319,7 +321,7 @@ def main(corpus: Path) -> None:
     write(folder, "sit_to_stand", seated, up.then(short, down, still(seat(stand, crouch)[0], 0.5)), seated)
     write(folder, "lunge", rest, lunge(stand, 1).then(short, lunge(stand, 0), short), rest)
     write(folder, "shoulder_raises", rest, raises(stand), rest)
-    gait, go, few = (_walk(stride, stand, strides) for strides in (11, 8, 6))
+    gait, go, few = (_walk(stride, stand, strides) for strides in (11, 9, 6))
     write(folder, "gait", rest, gait.then(rest), still(stand, 0.2))
     write(folder, "timed_up_and_go", seated, up.then(go, down, seated), still(seat(stand, crouch)[0], 0.2))
     exercises = one_squat.then(short, one_squat, short, raises(stand), twist(stand))
@@ -333,9 +335,9 @@ def _walk(stride: Stride, stand: Key, strides: int) -> Piece:
     offsets = SKELETON.joint_offsets[SKELETON.index("LeftUpLeg", "RightUpLeg")]
     hip = hips[:, None] + np.einsum("tij,sj->tsi", R[:, 0], offsets - offsets.mean(axis=0)) / LEG
     way = hip - ankles
-    reach = np.sqrt(MOST_EXTENDED**2 - 0.004 - np.sum(way[..., :2] ** 2, axis=-1))
+    reach = np.sqrt(MOST_EXTENDED**2 - SPARE - np.sum(way[..., :2] ** 2, axis=-1))
     missing = np.maximum(way[..., 2] - reach, 0.0).max(axis=1)
-    lowered = gaussian_filter1d(maximum_filter1d(missing, 17), 4.0)
+    lowered = gaussian_filter1d(maximum_filter1d(missing, 21), 4.0)
     ends = smoother(np.minimum(np.arange(len(hips)), np.arange(len(hips))[::-1]) / 12)
     hips[:, 2] -= lowered * ends
     print(

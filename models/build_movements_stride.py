@@ -28,7 +28,7 @@ LOW = 0.010
 """[leg] Largest height of such a ball."""
 EARLY = 0.12
 """Strides at start and stop in which both feet stand."""
-TURN, TURN_STEP = 1.9, 0.7
+TURN, TURN_STEP = 1.9, 0.55
 """[leg] length of a half turn's path; share of a step within it."""
 FOOT, SOFT = 0.245, 0.005
 """[leg] distance from heel to ball; roundness of a foot's meeting with the floor."""
