@@ -11,10 +11,9 @@ those of 6,702 strides of patients and whose scale is that of 166 healthy childr
 
 - The features are those of the reference's own people. What differs in no way in which healthy people differ
   is outside of them, and not in the index; `DeviationIndex.explained` is the share that is inside.
-- D_r of a person is that from mean and features of the *others*. With the few people of an own reference,
-  distances from a mean and features that a person has shaped are too small, so that every other healthy
-  person would have an index below 100. So scaled, the people of the reference have mean 100 and standard
-  deviation 10 exactly.
+- D_r of a person is that from mean and features of the *others*. Features fitted to a person contain all of
+  that person's deviation and less of another's, so with few people every other healthy person would have an
+  index above 100. So scaled, the people of the reference have mean 100 and standard deviation 10 exactly.
 
 The band is that of D by the same bound as for the scores (`gait_scores`): D differs from its true value by at
 most 1.96 sqrt(sum of s^2) in at least 95 of 100 cases, and the index falls monotonically with D.

@@ -2,8 +2,10 @@
 
 Headings of pelvis and foot are relative to the **direction of progression** of each stride: that of the way
 of the pelvis from heel strike to heel strike, or, on a treadmill, against the way of the heel in mid stance.
-Foot progression is the heading of the foot's long axis in the horizontal plane. Obliquity and rotation of
-the pelvis have the sign of the side whose cycle it is. Only straight strides of walking count.
+Foot progression is the rotation of the foot in the sequence of the pelvis (Baker 2001), the heading of its
+lateral axis: with a flat foot that of its long axis, which has none where the toes point down at toe off.
+Obliquity and rotation of the pelvis have the sign of the side whose cycle it is. Only straight strides of
+walking count.
 """
 
 from __future__ import annotations
@@ -80,10 +82,10 @@ class GaitCycles:
         Args:
             side: 'right' or 'left'.
         """
-        none = (~self.complete(side).any(axis=0)).tolist()
+        seen = self.complete(side)
         return {
             name: _NEEDS.get(name, "to be observed and reliable throughout a stride")
-            for name, unknown in zip(NAMES, none, strict=True) if unknown
+            for v, name in enumerate(NAMES) if not seen[:, v].any()
         }  # fmt: skip
 
     @property
