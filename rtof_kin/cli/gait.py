@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rtof_kin.data.gait_reference import GaitReference
     from rtof_kin.report.gait.result import ScoredGait
 
-_BAR = 14
+_BAR = 9
 """Longest bar of the printed profile, characters."""
 
 
@@ -166,7 +166,8 @@ def _print_profile(found: ScoredGait) -> None:
     scores = list(rows(found))
     largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
     first = Column("MAP [deg]", no_wrap=True)
-    table = Table(first, "right", "", "left", "", "reference", title="95 % bands in brackets")
+    sides = [Column(name, no_wrap=True) for name in ("right", "", "left", "")]
+    table = Table(first, *sides, "people", title="95 % bands in brackets; people: median of the reference")
     for name in dict.fromkeys(row["score"] for row in scores):
         own = {row["side"]: row for row in scores if row["score"] == name}
         cells = []

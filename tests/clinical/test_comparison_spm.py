@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import spm1d
 from comparison_support import one
 from numpy.typing import NDArray
 from scipy import stats
@@ -25,28 +26,41 @@ def smooth(rng: np.random.Generator, count: int) -> Array:
     return np.asarray(noise * np.sqrt(2 * np.sqrt(np.pi) * 10))
 
 
-def strides_of(name: str, curves: Array, sigma: float | None = None) -> Compared:
+def strides_of(name: str, curves: Array, sigma: float | None = None, late: float = 0.0) -> Compared:
     """A motion whose right strides of one second have these knee flexions, degrees."""
-    times = np.arange(curves.shape[0] * 101 + 1) / 100
+    times = late + np.arange(curves.shape[0] * 101 + 1) / 100
     values = np.append(curves.ravel(), curves[-1, -1])
-    gapless = [(k * 1.01, k * 1.01 + 1.0) for k in range(len(curves))]
+    gapless = [(late + k * 1.01, late + k * 1.01 + 1.0) for k in range(len(curves))]
     return replace(one(name, times, {KNEE: values}, sigma), strides={"right": gapless})
 
 
-def mapped(a: Array, b: Array, sigma: float | None = None) -> tuple[Comparison, ComparisonSpm]:
-    found = compare(strides_of("a", a, sigma), strides_of("b", b, sigma), "cycle")
+def mapped(
+    a: Array, b: Array, sigma: float | None = None, late: float = 0.5
+) -> tuple[Comparison, ComparisonSpm]:
+    """SPM of B, whose strides are those of A if neither is later."""
+    found = compare(strides_of("a", a, sigma), strides_of("b", b, sigma, late), "cycle")
     return found, compare_spm(found)
 
 
 def test_t_is_that_of_every_phase() -> None:
     rng = np.random.default_rng(1)
     a, b = 20 + smooth(rng, 6), 21 + 2 * smooth(rng, 8)
-    _, found = mapped(a, b)
+    angle = mapped(a, b)[1].angles[0]
     welch = stats.ttest_ind(b, a, axis=0, equal_var=False)
-    np.testing.assert_allclose(np.abs(found.angles[0].t), np.abs(welch.statistic), rtol=0.35, atol=0.1)
-    same = 20 + smooth(rng, 7), 21 + smooth(rng, 7)  # of equal size the two statistics are one
-    t = stats.ttest_ind(same[1], same[0], axis=0).statistic
-    np.testing.assert_allclose(mapped(*same)[1].angles[0].t, t, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(angle.t, welch.statistic, rtol=1e-6, atol=1e-6)
+    paired = mapped(a, a + 1 + smooth(rng, 6), late=0.0)[1].angles[0]
+    assert paired.paired
+
+
+def test_threshold_and_clusters_are_those_of_spm1d_where_both_apply() -> None:
+    rng = np.random.default_rng(9)
+    a, b = 20 + smooth(rng, 10), 20 + smooth(rng, 10) + 3 * np.exp(-((np.arange(101) - 60) ** 2) / 200)
+    own = mapped(a, b)[1].angles[0]
+    peer = spm1d.stats.ttest2(np.radians(b), np.radians(a), equal_var=True).inference(0.05, two_tailed=True)
+    assert own.threshold == pytest.approx(peer.zstar, rel=0.02)
+    assert len(own.clusters) == len(peer.clusters) == 1
+    ends = np.array(peer.clusters[0].endpoints) / 100
+    assert [own.clusters[0].start, own.clusters[0].stop] == pytest.approx(ends, abs=0.01)
 
 
 def test_threshold_lies_between_one_test_and_bonferroni() -> None:
@@ -67,13 +81,14 @@ def test_threshold_agrees_with_a_permutation_test() -> None:
     assert angle.threshold == pytest.approx(np.quantile(largest, 0.95), rel=0.1)
 
 
-def test_false_clusters_are_as_rare_as_stated() -> None:
+@pytest.mark.parametrize("count, spread", [(8, 1.0), (20, 3.0)])
+def test_false_clusters_are_as_rare_as_stated(count: int, spread: float) -> None:
     rng = np.random.default_rng(4)
     false = sum(
-        bool(mapped(20 + smooth(rng, 8), 20 + smooth(rng, 8))[1].angles[0].clusters) for _ in range(150)
+        bool(mapped(20 + smooth(rng, count), 20 + spread * smooth(rng, 8))[1].angles[0].clusters)
+        for _ in range(100)
     )
-    assert false <= stats.binom.ppf(0.999, 150, 0.05)
-    assert false >= stats.binom.ppf(0.001, 150, 0.05)
+    assert stats.binom.ppf(0.001, 100, 0.05) <= false <= stats.binom.ppf(0.999, 100, 0.05)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -99,7 +114,7 @@ def test_a_cluster_within_the_bands_is_said() -> None:
 def test_the_same_repeats_are_paired() -> None:
     rng = np.random.default_rng(7)
     a = 20 + 5 * smooth(rng, 9)
-    found = mapped(a, a + 1 + 0.3 * smooth(rng, 9))[1].angles[0]
+    found = mapped(a, a + 1 + 0.3 * smooth(rng, 9), late=0.0)[1].angles[0]
     assert found.paired
     assert found.dof == 8
     assert found.clusters

@@ -69,7 +69,7 @@ def write_spm(found: ComparisonSpm, comparison: Comparison, folder: str | Path) 
 
 def _plain(one: AngleSpm) -> dict[str, Any]:
     return {
-        "angle": one.name, "test": "paired" if one.paired else "two-sample, unequal variances",
+        "angle": one.name, "test": "paired" if one.paired else "two-sample, Welch",
         "repeats": list(one.repeats), "degrees_of_freedom": one.dof, "threshold": one.threshold,
         "t": [float(f"{value:.6g}") for value in one.t],
         "clusters": [
