@@ -125,7 +125,7 @@ def deviation_index(curves: SideCurves, features: GaitFeatures) -> DeviationInde
         return DeviationIndex(*[float("nan")] * 4)
     along = difference @ features.basis
     distance, total = float(np.linalg.norm(along)), float(np.linalg.norm(difference))
-    sums = [float(np.sum(v)) for v in (curves.pose_variance, curves.stride_variance)]
+    sums = [float(np.sum(v)) for v in (curves.pose_variance, curves.stride_bound)]
     half = BAND_95 * float(np.sqrt(np.nansum(sums)))
     ends = np.array([distance, distance + half, max(distance - half, 0.0)])
     value, low, high = features.index(ends).tolist()

@@ -24,8 +24,8 @@ often exceeds a limit beyond 1.24 of its root (Szekely and Bakirov, Probability 
 
 in at least 95 of 100 cases, for errors that are independent from frame to frame as for those that last
 through the whole recording, are shared by several angles, or anything between. Strides do not average errors
-out. The mean over n strides has its own variance v / n, which is added to s^2, times the ratio of Student's
-to the normal quantile squared, as v is estimated.
+out. The mean over n strides has its own variance v / n, which is added to s^2: to the bias as it is, to the
+band times the ratio of Student's to the normal quantile squared, as v is estimated.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ class Score:
     """Root of the mean variance of the curves by the covariances of the poses; NaN if these are unknown."""
     stride_sigma: float
     """The same by the number of strides and their spread; NaN for one stride."""
+    stride_bound: float
+    """The same widened by Student's quantile, as the spread is estimated."""
     spread: float
     """Standard deviation of the score between strides; NaN for fewer than two."""
     strides: int
@@ -68,7 +70,7 @@ class Score:
     @property
     def half_width(self) -> float:
         """Half width of the 95 % band, from what is known of the errors."""
-        return BAND_95 * self.noise
+        return BAND_95 * float(np.sqrt(np.nansum([self.pose_sigma**2, self.stride_bound**2])))
 
     @property
     def low(self) -> float:
@@ -87,7 +89,7 @@ class Score:
 
 
 _NAN: Final = float("nan")
-NOT_COMPUTED: Final = Score(_NAN, _NAN, _NAN, _NAN, 0)
+NOT_COMPUTED: Final = Score(_NAN, _NAN, _NAN, _NAN, _NAN, 0)
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,8 @@ class SideCurves:
     """(9, 51) rad^2, by the covariances; NaN if unknown."""
     stride_variance: Array
     """(9, 51) rad^2, of a mean over these strides; NaN for a single one."""
+    stride_bound: Array
+    """(9, 51) rad^2, the same times the ratio of Student's to the normal quantile squared."""
     strides: Array
     """(n, 9, 51) rad, of the single strides."""
 
@@ -146,7 +150,7 @@ def side_curves(cycles: GaitCycles, side: str) -> SideCurves:
     """
     known = cycles.complete(side)
     own = np.where(known[..., None], cycles.curves, np.nan)[known.any(axis=1)]
-    mean, pose, strides = (np.full(cycles.curves.shape[1:], np.nan) for _ in range(3))
+    mean, pose, strides, bound = (np.full(cycles.curves.shape[1:], np.nan) for _ in range(4))
     for v in range(len(NAMES)):
         rows = cycles.curves[known[:, v], v]
         if not (n := len(rows)):
@@ -155,9 +159,9 @@ def side_curves(cycles: GaitCycles, side: str) -> SideCurves:
         if cycles.sigma is not None:  # errors last: strides do not make them smaller
             pose[v] = cycles.sigma[known[:, v], v].mean(axis=0) ** 2
         if n > 1:
-            inflation = (stats.t.ppf(0.975, n - 1) / BAND_95) ** 2
-            strides[v] = inflation * rows.var(axis=0, ddof=1) / n
-    return SideCurves(mean, pose, strides, own)
+            strides[v] = rows.var(axis=0, ddof=1) / n
+            bound[v] = (stats.t.ppf(0.975, n - 1) / BAND_95) ** 2 * strides[v]
+    return SideCurves(mean, pose, strides, bound, own)
 
 
 def _score(curves: SideCurves, reference: Array, variables: Sequence[int]) -> Score:
@@ -169,9 +173,9 @@ def _score(curves: SideCurves, reference: Array, variables: Sequence[int]) -> Sc
     single = [_rms(own[index] - reference[index]) for own in curves.strides]
     single = [one for one in single if np.isfinite(one)]
     spread = float(np.std(single, ddof=1)) if len(single) > 1 else float("nan")
-    return Score(
-        value, _root(curves.pose_variance[index]), _root(curves.stride_variance[index]), spread, len(single)
-    )
+    variances = (curves.pose_variance, curves.stride_variance, curves.stride_bound)
+    pose, stride, bound = (_root(one[index]) for one in variances)
+    return Score(value, pose, stride, bound, spread, len(single))
 
 
 def _overall(curves: Mapping[str, SideCurves], reference: Array) -> Score:
@@ -184,8 +188,9 @@ def _overall(curves: Mapping[str, SideCurves], reference: Array) -> Score:
     if np.isnan(value):
         return NOT_COMPUTED
     strides = sum(len(own.strides) for own in curves.values())
-    pose, spread = _root(stacked("pose_variance")), _root(stacked("stride_variance"))
-    return Score(value, pose, spread, float("nan"), strides)
+    names = ("pose_variance", "stride_variance", "stride_bound")
+    pose, stride, bound = (_root(stacked(name)) for name in names)
+    return Score(value, pose, stride, bound, float("nan"), strides)
 
 
 def _rms(differences: Array) -> float:

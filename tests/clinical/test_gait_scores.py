@@ -113,7 +113,8 @@ def test_strides_average_their_spread_and_not_the_errors_of_the_poses() -> None:
     cycles = GaitCycles(("right",) * 40, curves, np.full(curves.shape, np.radians(4)), np.full(40, 1.2), "")
     score = gait_scores(cycles, means_only()).sides["right"]
     assert np.degrees(score.pose_sigma) == pytest.approx(4)
-    assert np.degrees(score.stride_sigma) == pytest.approx(2 / np.sqrt(40) * 2.0227 / 1.96, rel=0.03)
+    assert np.degrees(score.stride_sigma) == pytest.approx(2 / np.sqrt(40), rel=0.03)
+    assert score.stride_bound / score.stride_sigma == pytest.approx(2.0227 / 1.95996, rel=1e-4)
     assert score.strides == 40
     assert np.degrees(score.corrected) < 0.5
 

@@ -76,7 +76,7 @@ def _curve(ax: Any, found: ScoredGait, v: int) -> None:
         if not np.isfinite(own.mean[v]).all():
             continue
         y = np.degrees(own.mean[v])
-        variance = np.nan_to_num(own.pose_variance[v]) + np.nan_to_num(own.stride_variance[v])
+        variance = np.nan_to_num(own.pose_variance[v]) + np.nan_to_num(own.stride_bound[v])
         half = BAND_95 * np.degrees(np.sqrt(variance))
         ax.plot(PERCENT, y, color=SIDE_COLORS[side], lw=1.2)
         ax.fill_between(PERCENT, y - half, y + half, color=SIDE_COLORS[side], alpha=0.15, lw=0)

@@ -14,6 +14,7 @@ from rtof_kin.report.gait.result import ScoredGait
 
 LEAST_EXPLAINED: Final = 0.8
 """Share of a deviation outside of which the features do not describe it."""
+_FEW_STRIDES: Final = 4
 _ZEROS: Final = {MODEL_ZERO: "the model's anatomical posture", STANDING_ZERO: "each person's quiet standing"}
 
 
@@ -138,6 +139,9 @@ def _about_bands(found: ScoredGait) -> list[str]:
         noise = np.degrees(np.sqrt(np.mean([one.noise**2 for one in known])))
         size = np.degrees(np.sqrt(np.mean([one.value**2 for one in known])))
         left = np.sqrt(max(0.0, size**2 - noise**2))
+        fewest = min(one.strides for one in known)
+        if fewest < _FEW_STRIDES:
+            lines.append(f"{fewest} strides of a side: their spread is hardly known, so bands are wide")
         lines.append(
             f"errors of the curves make scores too large: they alone would give {noise:.1f} deg, and without "
             f"them the root mean square of {size:.1f} deg would be about {left:.1f}"
