@@ -36,6 +36,8 @@ def spm_lines(found: ComparisonSpm) -> list[str]:
                 f"{'B' if cluster.sign > 0 else 'A'} larger, {p}, {band[cluster.beyond_bands]}"
             )
     head = f"SPM{{t}} of {count} angles, each at level {found.level:.2g}: {len(lines) or 'no'} clusters"
+    if not count:
+        head = "SPM{t}: no angle can be tested"
     caution = (
         "SPM knows the spread between repeats alone: errors that last through a recording make clusters "
         "too, so a cluster within the band of B - A is no change that was shown"
