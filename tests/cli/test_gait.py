@@ -142,21 +142,19 @@ def test_standing_alone_is_no_reference(cli: Any, tmp_path: Path) -> None:
 
 
 def test_compare_writes_spm(cli: Any, healthy: Path, tmp_path: Path) -> None:
-    arguments = (
-        "compare",
-        healthy / "r0",
-        healthy / "r5",
-        "--by",
-        "cycle",
-        "--angles",
-        "right_knee_flexion,right_hip_flexion",
-    )
+    for name, speed in (("a", 0.9), ("b", 1.4)):
+        folder_of(walking(9.0, speed=speed, jitter=0.01), tmp_path / name, recording=name)
+    arguments = ("compare", tmp_path / "a", tmp_path / "b", "--by", "cycle", "--angles", "right_hip_flexion")
     done = cli(*arguments, "--spm", "-o", tmp_path / "out")
     assert done.code == 0, done.err
-    assert "SPM{t} of" in done.out
+    assert "SPM{t} of 1 angles" in done.out
+    assert "B larger" in done.out
     data = json.loads((tmp_path / "out" / "spm.json").read_text())
     assert data["correction"] == "Bonferroni over angles"
-    assert (tmp_path / "out" / "spm.png").exists() == bool(data["angles"])
+    assert data["angles"][0]["clusters"]
+    assert (tmp_path / "out" / "spm.png").exists()
+    alike = cli("compare", healthy / "r0", healthy / "r5", "--by", "cycle", "--spm")
+    assert "no angle can be tested" in alike.out or "SPM not computed" in alike.out
     refused = cli("compare", healthy / "r0", healthy / "r5", "--by", "range", "--spm")
     assert refused.code == 2
     assert "--by cycle" in refused.err
