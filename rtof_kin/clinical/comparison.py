@@ -26,7 +26,7 @@ from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison_alignment import Alignment
 from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
-from rtof_kin.clinical.comparison_samples import Pair, Spans, in_time, over_phases, whole
+from rtof_kin.clinical.comparison_samples import Pair, Samples, Spans, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import BodyPaths, body_paths
@@ -92,6 +92,10 @@ class AngleComparison:
     """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
     sigmas: tuple[Array | None, Array | None] = (None, None)
     """(P,) rad, standard deviations of the curves; None without bands."""
+    repeated: tuple[Samples, Samples] | None = None
+    """Single strides or repetitions of A and B; None for other axes."""
+    paired: bool = False
+    """Whether these are the same repeats."""
 
     @property
     def difference_sigma(self) -> Array | None:
@@ -322,6 +326,7 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
             one = replace(
                 one, errors=curve_errors(axis, *curves), curves=curves,
                 sigmas=(pair.a.curve_sigma, pair.b.curve_sigma),
+                repeated=(pair.a, pair.b) if repeated else None, paired=pair.paired,
             )  # fmt: skip
         out.append(one)
     return out
