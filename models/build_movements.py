@@ -130,7 +130,7 @@ def standing(R: Array) -> Key:
     """Return the posture in which all movements begin and end."""
     ankles = np.array([[0.0, STANCE, 0.0], [0.0, -STANCE, 0.0]])
     ball = foot_rotations(np.zeros((1, 2)))[0] @ [BALL[0], 0, 0] / LEG
-    return Key(R, np.array([0.05, 0.0, 0.985]), ankles + ball, np.zeros(2))
+    return Key(R, np.array([0.035, 0.0, 0.995]), ankles + ball, np.zeros(2))
 
 
 def legs_begin(R_local: Array, R_feet: Array) -> Array:
