@@ -180,8 +180,9 @@ def _write_cycles(path: Path, curves: Sequence[CycleCurves]) -> None:
 
 def _write_torques(path: Path, torques: JointTorques) -> None:
     wrenches = [f"{kind}_{c}" for kind in ("outer", "unexplained") for c in WRENCH_COLUMNS]
-    series = (torques.torques, torques.root_wrench, torques.unexplained)
-    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches]
+    series = (torques.torques, torques.root_wrench, torques.unexplained, *torques.sigma_parts)
+    sigmas = [f"{name}_sigma_{part}_Nm" for part in ("motion", "masses") for name in torques.dof_names]
+    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches, *sigmas]
     _write_series(path, columns, torques.times, lambda frames: np.hstack([one[frames] for one in series]))
     _write_json(
         path.with_suffix(".json"),
@@ -191,6 +192,8 @@ def _write_torques(path: Path, torques: JointTorques) -> None:
             "torques": "about the URDF's revolutes of that name, positive along their axes",
             "outer": "external force and moment about the root that the motion requires, world axes",
             "unexplained": "the part of it that is assigned to no foot; not a measurement",
+            "sigma": "columns ..._sigma_motion_Nm, ..._sigma_masses_Nm: standard deviations by the errors of "
+            "the motion and of the masses of segments; the whole is the root of the sum of their squares",
             "notes": list(torques.notes),
         },
     )
