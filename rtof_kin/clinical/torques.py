@@ -6,7 +6,7 @@ either
 
 * none is assigned: torques of limbs without contact are correct, those of a leg on the floor are those of a
   hanging leg; or
-* the one foot that bears load is known (`single_support`): the whole external wrench acts on it, which
+* the one foot that bears load is known (`foot_contacts`): the whole external wrench acts on it, which
   gives the torques of that leg. The load sharing of two feet is unknown: then torques of the legs are NaN.
 """
 
@@ -25,7 +25,6 @@ from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
 from rtof_kin.clinical.body_dynamics import MASS_SIGMA, UNKNOWN, BodyDynamics
-from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.pose_errors import pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.clinical.torque_confidence import dynamics_confidence, interpolated, node_frames
@@ -75,7 +74,8 @@ class JointTorques:
     @property
     def sigma(self) -> Array:
         """(T, D) N m, standard deviations of the torques by both components."""
-        return np.asarray(np.sqrt(np.sum(self.sigma_parts.astype(float) ** 2, axis=0)))
+        motion, masses = self.sigma_parts.astype(float)
+        return np.asarray(np.hypot(motion, masses))
 
 
 def joint_torques(
@@ -93,7 +93,7 @@ def joint_torques(
         motion: with the bone lengths of the subject. weight_kg: body mass, kg.
         height: standing height, m; a skeleton more than 5 % off is noted, nothing is rescaled.
         sex: de Leva's column, None for the mean.
-        support: (T,) the foot that bears all load, see `single_support`; None if unknown.
+        support: (T,) the foot that bears all load, see `FootContacts.support`; None if unknown.
 
     Raises:
         InvalidInputError: no body mass, implausible values, or wrong support.
@@ -164,27 +164,6 @@ class _Arrays:
         for name, array in vars(self).items():
             own = np.nan if part is None else getattr(part, name)
             array[(slice(None), frames) if array.ndim > 2 else frames] = own
-
-
-def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
-    """Return (T,) the foot that bears load while the other swings: 0 right, 1 left, `UNKNOWN` otherwise.
-
-    It is unknown while both swing (running) and outside complete strides.
-
-    Args:
-        gait: strides of both feet.
-    """
-    times = gait.events.times
-    swings, stands = np.zeros((2, len(SIDES), len(times)), dtype=np.bool_)
-    for stride in gait.strides:
-        side = SIDES.index(stride.side)
-        own = stride.frames(times)
-        swings[side, own] |= (times[own] > stride.toe_off) & (times[own] < stride.stop)
-        stands[side, own] |= (times[own] >= stride.start) & (times[own] <= stride.toe_off)
-    out = np.full(len(times), UNKNOWN)
-    for side in range(len(SIDES)):
-        out[stands[side] & swings[1 - side]] = side
-    return out
 
 
 def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list[str]:

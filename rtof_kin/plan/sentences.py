@@ -61,8 +61,8 @@ def cautions(plan: Plan) -> tuple[str, ...]:
     if names:
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
         found.append(
-            f"simulated errors of {', '.join(names[:3])}{more} are more than {_APART:g} times the standard deviation "
-            f"stated, over {own.draws} simulated recording(s)"
+            f"simulated errors of {', '.join(names[:3])}{more} are more than {_APART:g} times the standard "
+            f"deviation stated, over {own.draws} simulated recording(s)"
         )
     return tuple(found)
 

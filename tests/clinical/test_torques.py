@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.body_dynamics import UNKNOWN
+from rtof_kin.clinical.foot_contacts import single_support
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import body_paths
-from rtof_kin.clinical.torques import JointTorques, joint_torques, single_support
+from rtof_kin.clinical.torques import JointTorques, joint_torques
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.poses import PoseSequence, Provenance
