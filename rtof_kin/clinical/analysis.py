@@ -9,13 +9,15 @@ from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_of
 from rtof_kin.clinical.decomposition import DecomposedAngles
+from rtof_kin.clinical.foot_contacts import foot_contacts
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.ground_reaction import GroundReaction, ground_reaction
 from rtof_kin.clinical.neutral import relative_to_standing
 from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions
-from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques, single_support
+from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.errors import InvalidInputError
 
@@ -36,6 +38,8 @@ class MotionAnalysis:
     """None if not requested."""
     torques: JointTorques | None
     """None without a body mass."""
+    ground_reaction: GroundReaction | None
+    """None without a body mass."""
     paths: BodyPaths
     """Of pelvis and feet, and what was observed of the motion."""
 
@@ -45,6 +49,8 @@ class MotionAnalysis:
         out = {"angles": self.angles.notes, "gait": self.gait.notes, "travel": self.travel.notes}
         if self.repetitions is not None:
             out["repetitions"] = self.repetitions.notes
+        if self.ground_reaction is not None:
+            out["ground reaction"] = self.ground_reaction.notes
         return out | {"torques": (NO_WEIGHT,) if self.torques is None else self.torques.notes}
 
 
@@ -77,13 +83,14 @@ def analyse_motion(
         angles = relative_to_standing(angles, paths)
     counted = find_repetitions(paths, angles, repetitions) if repetitions is not None else None
     gait = analyse_gait(gait_events(paths), angles)
-    torques = None
+    torques, reaction = None, None
     if weight_kg is not None:
-        support = single_support(gait) if gait.strides else None
-        torques = joint_torques(source, weight_kg, height, sex, support)
+        contacts = foot_contacts(paths, gait)
+        torques = joint_torques(source, weight_kg, height, sex, contacts.support if gait.strides else None)
+        reaction = ground_reaction(torques, contacts, paths)
     return MotionAnalysis(
         paths.table, angles, ranges_of_motion(angles), gait, travel(paths, gait.verdict),
-        cycle_curves(angles, gait), counted, torques, paths,
+        cycle_curves(angles, gait), counted, torques, reaction, paths,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ travel.json                     way and turning of the pelvis
 gait_cycles.csv                 mean and standard deviation of each angle over the gait cycle
 repetitions.json                depth and tempo, on request
 torques.csv, torques.json       joint torques and the external wrench, with a body mass only
+ground_reaction.csv, .json      force of the floor and centre of pressure, with a body mass only
 notes.json                      what could not be determined, and why
 ==============================  ==================================================================
 
@@ -32,7 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.foot_contacts import STATUS, Contact
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
+from rtof_kin.clinical.ground_reaction import GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
@@ -85,6 +89,8 @@ def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
         _write_json(folder / "repetitions.json", _repetition_data(analysis.repetitions))
     if analysis.torques is not None:
         _write_torques(folder / "torques.csv", analysis.torques)
+    if analysis.ground_reaction is not None:
+        _write_reaction(folder / "ground_reaction.csv", analysis.ground_reaction)
     _write_json(folder / "notes.json", {part: list(notes) for part, notes in analysis.notes.items()})
 
 
@@ -180,8 +186,9 @@ def _write_cycles(path: Path, curves: Sequence[CycleCurves]) -> None:
 
 def _write_torques(path: Path, torques: JointTorques) -> None:
     wrenches = [f"{kind}_{c}" for kind in ("outer", "unexplained") for c in WRENCH_COLUMNS]
-    series = (torques.torques, torques.root_wrench, torques.unexplained)
-    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches]
+    series = (torques.torques, torques.root_wrench, torques.unexplained, *torques.sigma_parts)
+    sigmas = [f"{name}_sigma_{part}_Nm" for part in ("motion", "masses") for name in torques.dof_names]
+    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches, *sigmas]
     _write_series(path, columns, torques.times, lambda frames: np.hstack([one[frames] for one in series]))
     _write_json(
         path.with_suffix(".json"),
@@ -191,7 +198,49 @@ def _write_torques(path: Path, torques: JointTorques) -> None:
             "torques": "about the URDF's revolutes of that name, positive along their axes",
             "outer": "external force and moment about the root that the motion requires, world axes",
             "unexplained": "the part of it that is assigned to no foot; not a measurement",
+            "sigma": "columns ..._sigma_motion_Nm, ..._sigma_masses_Nm: standard deviations by the errors of "
+            "the motion and of the masses of segments; the whole is the root of the sum of their squares",
             "notes": list(torques.notes),
+        },
+    )
+
+
+def _write_reaction(path: Path, reaction: GroundReaction) -> None:
+    axes = ("x", "y", "z")
+    columns = [
+        "status", *(f"force_{c}_N" for c in axes), *(f"force_{c}_sigma_N" for c in axes),
+        "pressure_x_m", "pressure_y_m", "pressure_x_sigma_m", "pressure_y_sigma_m", "outside_soles_m",
+        *(f"{side}_vertical_{end}_N" for side in SIDES for end in ("least", "most")),
+    ]  # fmt: skip
+    series = (
+        reaction.force, reaction.force_sigma, reaction.pressure, reaction.pressure_sigma,
+        reaction.outside[:, None], reaction.vertical.reshape(-1, 4),
+    )  # fmt: skip
+
+    def rows() -> Iterator[list[str]]:
+        for start in range(0, len(reaction.times), _BLOCK):
+            frames = slice(start, start + _BLOCK)
+            values = np.hstack([one[frames] for one in series]).tolist()
+            for time, state, row in zip(
+                reaction.times[frames].tolist(), reaction.state[frames].tolist(), values, strict=True
+            ):
+                yield [repr(time), STATUS[Contact(state)], *map(_cell, row)]
+
+    _write_csv(path, ("time", *columns), rows())
+    _write_json(
+        path.with_suffix(".json"),
+        {
+            "file": path.name,
+            "weight_kg": reaction.weight_kg,
+            "floor_m": _number(reaction.floor),
+            "status": {contact.name.lower(): words for contact, words in STATUS.items()},
+            "force": "of all external contacts together, world axes, with standard deviations",
+            "pressure": "centre of pressure of both feet together on the floor, world; standard deviations "
+            "relative to the feet",
+            "outside_soles": "distance of the centre of pressure from the soles on the floor; 0 inside",
+            "vertical": "least and most vertical force on each foot; equal where one foot bears all, an "
+            "interval where two share it",
+            "notes": list(reaction.notes),
         },
     )
 

@@ -1,12 +1,12 @@
 """Joint torques by inverse dynamics, and the external wrench that a motion requires.
 
-``tau = M(q) a + h(q, v)`` (Pinocchio's recursive Newton-Euler). The first six rows, the force and moment on
-the root, are not made by muscles: they are the sum of all external forces (floor, seat, rail), and of errors
-of masses and motion. External forces are not measured, so either
+The wrench that a motion needs from outside (`BodyDynamics`) is not made by muscles: it is the sum of all
+external forces (floor, seat, rail), and of errors of masses and motion. External forces are not measured, so
+either
 
 * none is assigned: torques of limbs without contact are correct, those of a leg on the floor are those of a
   hanging leg; or
-* the one foot that bears load is known (`single_support`): the whole external wrench acts on it, which
+* the one foot that bears load is known (`foot_contacts`): the whole external wrench acts on it, which
   gives the torques of that leg. The load sharing of two feet is unknown: then torques of the legs are NaN.
 """
 
@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
-from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
-from rtof_kin.clinical.gait import GaitAnalysis
+from rtof_kin.clinical.body_dynamics import MASS_SIGMA, UNKNOWN, BodyDynamics
+from rtof_kin.clinical.pose_errors import pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
+from rtof_kin.clinical.torque_confidence import dynamics_confidence, interpolated, node_frames
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -34,7 +35,6 @@ from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.joint_trajectory import joint_velocities
 
-UNKNOWN: Final = -1  # in `single_support`: both feet, none, or unknown
 SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twice
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
 _EDGE: Final = 0.1
@@ -61,6 +61,21 @@ class JointTorques:
     weight_kg: float
     """Body mass, kg."""
     notes: tuple[str, ...]
+    sigma_parts: NDArray[np.float32]
+    """(2, T, D) N m, standard deviations of the torques by the motion's errors and by those of the masses
+    (`torque_confidence`). The first is NaN where the motion has no confidence."""
+    wrench: Array
+    """(T, 6) external force and moment about `reference`, world axes."""
+    wrench_covariances: NDArray[np.float32]
+    """(2, T, 6, 6) of `wrench`, by the same two components, N and N m."""
+    reference: Array
+    """(T, 3) m, the middle between heel and toe: of the foot that bears all load, else the mean of both."""
+
+    @property
+    def sigma(self) -> Array:
+        """(T, D) N m, standard deviations of the torques by both components."""
+        motion, masses = self.sigma_parts.astype(float)
+        return np.asarray(np.hypot(motion, masses))
 
 
 def joint_torques(
@@ -78,7 +93,7 @@ def joint_torques(
         motion: with the bone lengths of the subject. weight_kg: body mass, kg.
         height: standing height, m; a skeleton more than 5 % off is noted, nothing is rescaled.
         sex: de Leva's column, None for the mean.
-        support: (T,) the foot that bears all load, see `single_support`; None if unknown.
+        support: (T,) the foot that bears all load, see `FootContacts.support`; None if unknown.
 
     Raises:
         InvalidInputError: no body mass, implausible values, or wrong support.
@@ -95,8 +110,7 @@ def joint_torques(
     carries: NDArray[np.int_] = readonly("support", given, (T,), np.int_)
     if not np.all(np.isin(carries, (UNKNOWN, *range(len(SIDES))))):
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
-    tau = np.full((T, skeleton.nv), np.nan)
-    wrench, unexplained = np.full((T, 6), np.nan), np.full((T, 6), np.nan)
+    whole = _Arrays.unknown(T, skeleton.nv)
     short = 0
     for start, stop in signals.runs(source.masks.known & source.masks.valid.all(axis=1)):
         times = source.times[start:stop]
@@ -104,45 +118,52 @@ def joint_torques(
             short += 1
             continue
         step = float(np.median(np.diff(times)))
-        for frames, parts in _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop]):
-            for whole, part in zip((tau, wrench, unexplained), parts, strict=True):
-                whole[start:stop][frames] = part
+        for frames, part in _inverse_dynamics(skeleton, source[start:stop], 1 / step, carries[start:stop]):
+            whole.put(slice(start + frames.start, start + frames.stop), part)
         edge = max(2, round(_EDGE / step))
-        for whole in (tau, wrench, unexplained):
-            whole[start : start + edge] = whole[stop - edge : stop] = np.nan
+        for frames in (slice(start, start + edge), slice(stop - edge, stop)):
+            whole.put(frames, None)
     if short:
         notes.append(f"{short} stretch(es) shorter than {SHORTEST:g} s have no torques")
     if support is not None:
-        tau[np.ix_(carries == UNKNOWN, _leg_velocities(skeleton))] = np.nan
+        legs = [column - 6 for column in _leg_velocities(skeleton)]
+        whole.torques[np.ix_(carries == UNKNOWN, legs)] = np.nan
+        whole.sigma_parts[np.ix_((0, 1), carries == UNKNOWN, legs)] = np.nan
         notes.append(
             f"torques of the legs in {100 * np.mean(carries != UNKNOWN):.0f} % of the frames, in which one "
             "foot bears all load; load sharing of two feet is unknown without a force plate"
         )
+    notes += _confidence_notes(whole)
     return JointTorques(
-        source.times, tau[:, 6:], skeleton.dof_names, wrench, unexplained,
-        skeleton.table.mass_kg, tuple(notes),
+        times=source.times, dof_names=skeleton.dof_names, weight_kg=skeleton.table.mass_kg,
+        notes=tuple(notes), **vars(whole),
     )  # fmt: skip
 
 
-def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
-    """Return (T,) the foot that bears load while the other swings: 0 right, 1 left, `UNKNOWN` otherwise.
+@dataclass(frozen=True)
+class _Arrays:
+    """The arrays of `JointTorques`."""
 
-    It is unknown while both swing (running) and outside complete strides.
+    torques: Array
+    root_wrench: Array
+    unexplained: Array
+    wrench: Array
+    reference: Array
+    sigma_parts: NDArray[np.float32]
+    wrench_covariances: NDArray[np.float32]
 
-    Args:
-        gait: strides of both feet.
-    """
-    times = gait.events.times
-    swings, stands = np.zeros((2, len(SIDES), len(times)), dtype=np.bool_)
-    for stride in gait.strides:
-        side = SIDES.index(stride.side)
-        own = stride.frames(times)
-        swings[side, own] |= (times[own] > stride.toe_off) & (times[own] < stride.stop)
-        stands[side, own] |= (times[own] >= stride.start) & (times[own] <= stride.toe_off)
-    out = np.full(len(times), UNKNOWN)
-    for side in range(len(SIDES)):
-        out[stands[side] & swings[1 - side]] = side
-    return out
+    @classmethod
+    def unknown(cls, frames: int, nv: int) -> _Arrays:
+        """Return arrays of NaN."""
+        wide = (np.full((frames, width), np.nan) for width in (nv - 6, 6, 6, 6, 3))
+        parts = (np.full((2, frames, *shape), np.nan, np.float32) for shape in ((nv - 6,), (6, 6)))
+        return cls(*wide, *parts)
+
+    def put(self, frames: slice, part: _Arrays | None) -> None:
+        """Set some frames; None: to NaN."""
+        for name, array in vars(self).items():
+            own = np.nan if part is None else getattr(part, name)
+            array[(slice(None), frames) if array.ndim > 2 else frames] = own
 
 
 def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list[str]:
@@ -169,46 +190,56 @@ def _notes(motion: MotionSource, height: float | None, no_support: bool) -> list
     return notes
 
 
+def _confidence_notes(found: _Arrays) -> list[str]:
+    """Notes on the standard deviations."""
+    known = np.isfinite(found.torques).any(axis=1)
+    stated = np.isfinite(found.sigma_parts[0]).any(axis=1)
+    if not known.any():
+        return []
+    if not stated.any():
+        return [
+            "the motion has no confidence, so the standard deviations contain only those of the masses "
+            f"({100 * MASS_SIGMA:.0f} % of each segment)"
+        ]
+    return [
+        f"standard deviations: errors of the motion by its confidence, masses of segments to "
+        f"{100 * MASS_SIGMA:.0f} %; bone lengths, body mass and impacts faster than {CUTOFF_HZ:g} Hz are not "
+        "in them"
+    ]
+
+
 def _inverse_dynamics(
     skeleton: SkeletonModel, motion: MotionSource, rate_hz: float, carries: NDArray[np.int_]
-) -> Iterator[tuple[slice, tuple[Array, Array, Array]]]:
-    """Frames of a stretch in blocks, with `_wrenches` of each."""
-    for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz)):
-        times, own = block.motion.times, block.own
+) -> Iterator[tuple[slice, _Arrays]]:
+    """Frames of a stretch in blocks, with their dynamics."""
+    body = BodyDynamics(skeleton)
+    for block in motion.blocks(margin=math.ceil(_MARGIN * rate_hz), confidence=True):
+        times, own, supports = block.motion.times, block.own, carries[block.frames]
         q = np.array(smoothed(block.motion.q, rate_hz, CUTOFF_HZ))
         q[:, 3:7] = so3.unit(q[:, 3:7])  # the quaternion of the root is continuous, so it can be filtered
         v = joint_velocities(skeleton, q, times)
         a = np.gradient(v, times, axis=0)
-        yield block.frames, _wrenches(skeleton, q[own], v[own], a[own], carries[block.frames])
-
-
-def _wrenches(
-    skeleton: SkeletonModel, q: Array, v: Array, a: Array, carries: NDArray[np.int_]
-) -> tuple[Array, Array, Array]:
-    """Tau (T, nv), external wrench (T, 6) and its unassigned part (T, 6), about the root in world axes."""
-    model, data = skeleton.model, skeleton.model.createData()
-    table = angle_table(skeleton.table)
-    feet = [_link_joint(skeleton, table.segments[f"{side} foot"]) for side in SIDES]
-    root = model.getJointId("root_joint")
-    tau, wrench, left = np.empty_like(v), np.empty((len(q), 6)), np.empty((len(q), 6))
-    for t in range(len(q)):
-        pin.forwardKinematics(model, data, q[t])  # rnea does not compute joint placements in world
-        tau[t] = pin.rnea(model, data, q[t], v[t], a[t])
-        to_world = pin.SE3(data.oMi[root].rotation, np.zeros(3))
-        wrench[t] = left[t] = to_world.act(pin.Force(tau[t, :6])).vector
-        if carries[t] != UNKNOWN:
-            foot = feet[carries[t]]
-            outside = [pin.Force.Zero() for _ in range(model.njoints)]
-            outside[foot] = data.oMi[foot].actInv(data.oMi[root].act(pin.Force(tau[t, :6])))
-            tau[t] = pin.rnea(model, data, q[t], v[t], a[t], outside)
-            left[t] = to_world.act(pin.Force(tau[t, :6])).vector
-    return tau, wrench, left
-
-
-def _link_joint(skeleton: SkeletonModel, name: str) -> int:
-    """Pinocchio's index of the last of the three revolutes of a joint, which carries its link."""
-    joint = skeleton.table.joints[skeleton.names.index(name)]
-    return int(skeleton.model.getJointId(joint.dofs[-1].urdf))
+        q, v, a = q[own], v[own], a[own]
+        nodes = node_frames(len(q), rate_hz)
+        stated, errors = block.motion.confidence, None
+        if stated is not None:
+            R = skeleton.forward_kinematics(q[nodes])[1]
+            errors = pose_errors(skeleton, q[nodes], stated[own.start + nodes], R)
+        sure = dynamics_confidence(body, q[nodes], v[nodes], a[nodes], supports[nodes], errors, rate_hz)
+        torques, wrenches = (interpolated(nodes, part, len(q)) for part in (sure.torques, sure.wrench))
+        found = [body.at(*frame) for frame in zip(q, v, a, supports.tolist(), strict=True)]
+        yield (
+            block.frames,
+            _Arrays(
+                torques=np.array([one.tau[6:] for one in found]),
+                root_wrench=np.array([one.root_wrench for one in found]),
+                unexplained=np.array([one.left for one in found]),
+                wrench=np.array([one.wrench for one in found]),
+                reference=np.array([one.reference for one in found]),
+                sigma_parts=np.sqrt(np.maximum(torques, 0.0)).astype(np.float32),
+                wrench_covariances=wrenches.astype(np.float32),
+            ),
+        )
 
 
 def _leg_velocities(skeleton: SkeletonModel) -> list[int]:

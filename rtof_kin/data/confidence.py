@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_names, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
@@ -63,7 +63,7 @@ class Confidence:
     def __len__(self) -> int:
         return len(self.times)
 
-    def __getitem__(self, frames: slice) -> Self:
+    def __getitem__(self, frames: slice | Index) -> Self:
         cut: dict[str, Any] = {name: getattr(self, name)[frames] for name in ("times", *_COVARIANCES)}
         return replace(self, **cut)
 

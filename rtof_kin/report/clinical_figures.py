@@ -10,8 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait import PHASES
+from rtof_kin.clinical.ground_reaction import GroundReaction
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import side_and_name
@@ -31,7 +33,8 @@ SHOWN: Final = (
 
 
 def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list[Path]:
-    """Write ``angles.png``, and ``gait_cycles.png`` if the motion is gait; return their paths.
+    """Write ``angles.png``, ``gait_cycles.png`` of gait, and ``ground_reaction.png`` where the body mass is
+    known; return their paths.
 
     Args:
         analysis: of the motion. folder: to write.
@@ -39,7 +42,44 @@ def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list
     figures = {"angles": angles_over_time(analysis)}
     if analysis.curves and analysis.gait.is_gait:
         figures["gait_cycles"] = gait_cycles(analysis)
+    if analysis.ground_reaction is not None and np.isfinite(analysis.ground_reaction.force).any():
+        figures["ground_reaction"] = ground_reaction_over_time(analysis.ground_reaction)
     return save_figures(figures, folder)
+
+
+def ground_reaction_over_time(found: GroundReaction) -> Figure:
+    """Plot the vertical force with its band and the interval of each foot, and the centre of pressure.
+
+    Args:
+        found: of a motion.
+    """
+    figure = Figure(figsize=(10.0, 7.5), layout="constrained")
+    force, each, sole = figure.subplots(3, 1, sharex=True)
+    step = max(1, math.ceil(len(found.times) / MOST_DRAWN))
+    times, weight = found.times[::step], found.body_weight
+    total, band = found.force[::step, 2], BAND_95 * found.force_sigma[::step, 2]
+    force.fill_between(times, total - band, total + band, color="0.8", lw=0, label="95 % band")
+    force.plot(times, total, color="0.2", lw=1.0, label="both feet together")
+    force.axhline(weight, color="0.5", lw=0.7, ls="--", label="body weight")
+    force.set_ylabel("vertical force [N]")
+    right = force.secondary_yaxis("right", functions=(lambda n: 100 * n / weight, lambda w: w * weight / 100))
+    right.set_ylabel("% of body weight")
+    for side, interval in zip(SIDES, np.moveaxis(found.vertical[::step], 1, 0), strict=True):
+        colour = SIDE_COLORS[side]
+        each.fill_between(times, *interval.T, color=colour, alpha=0.3, lw=0)
+        alone = np.where(interval[:, 0] == interval[:, 1], interval[:, 0], np.nan)
+        each.plot(times, alone, color=colour, lw=1.2, label=f"{side} foot; area: not identifiable")
+    each.set_ylabel("vertical force\non each foot [N]")
+    for axis, name, style in ((0, "x", "-"), (1, "y", ":")):
+        at, spread = found.pressure[::step, axis], BAND_95 * found.pressure_sigma[::step, axis]
+        sole.fill_between(times, at - spread, at + spread, color="0.85", lw=0)
+        sole.plot(times, at, style, color="0.2", lw=1.0, label=f"{name}, world")
+    sole.set_ylabel("centre of pressure [m]")
+    sole.set_xlabel("time [s]")
+    for ax in (force, each, sole):
+        ax.legend(fontsize=8, loc="upper right")
+        ax.grid(alpha=0.3)
+    return figure
 
 
 def gait_cycles(analysis: MotionAnalysis) -> Figure:

@@ -28,6 +28,7 @@ from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.report.clinical_figures import SHOWN, angles_over_time, gait_cycles
 
 BODY = SkeletonModel.default()
+REACTION = {"ground_reaction.csv", "ground_reaction.json"}
 ALWAYS = {
     "angles.csv", "angles.json", "angles_provenance.csv", "angles_trusted.csv", "range_of_motion.csv",
     "gait.json", "notes.json", "travel.json",
@@ -97,7 +98,7 @@ def test_sidecar_describes_each_angle(analysis: MotionAnalysis, folder: Path) ->
 
 def test_gait_torques_and_repetitions_are_written(analysis: MotionAnalysis, folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == ALWAYS | {
-        "gait_cycles.csv", "repetitions.json", "torques.csv", "torques.json",
+        "gait_cycles.csv", "repetitions.json", "torques.csv", "torques.json", *REACTION,
     }  # fmt: skip
     gait = read(folder / "gait.json")
     cadence = gait["summary"]["right"]["cadence_steps_per_min"]
@@ -227,8 +228,16 @@ def test_command_writes_the_folder_and_prints_tables(
     for part in ("right_knee_flexion", "cadence steps/min", "torques of the legs in", "m forward, without"):
         assert part in text
     names = {p.name for p in out.iterdir()}
-    assert names == ALWAYS | {"gait_cycles.csv", "torques.csv", "torques.json", "figures", MANIFEST}
-    for name in ("angles.png", "gait_cycles.png"):
+    assert names == ALWAYS | {
+        "gait_cycles.csv",
+        "torques.csv",
+        "torques.json",
+        "ground_reaction.csv",
+        "ground_reaction.json",
+        "figures",
+        MANIFEST,
+    }
+    for name in ("angles.png", "gait_cycles.png", "ground_reaction.png"):
         assert (out / "figures" / name).read_bytes().startswith(b"\x89PNG")
 
 

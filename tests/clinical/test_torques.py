@@ -13,10 +13,12 @@ from clinical_support import walk
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.clinical.body_dynamics import UNKNOWN
+from rtof_kin.clinical.foot_contacts import single_support
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import body_paths
-from rtof_kin.clinical.torques import UNKNOWN, JointTorques, joint_torques, single_support
+from rtof_kin.clinical.torques import JointTorques, joint_torques
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.poses import PoseSequence, Provenance
@@ -141,7 +143,7 @@ def test_implausible_input_is_rejected(weight: float | None, options: dict[str, 
 def test_a_height_that_differs_from_the_skeleton_is_noted() -> None:
     notes = joint_torques(static(), 70.0, height=1.95).notes
     assert any("the height given 1.95 m" in note for note in notes)
-    assert len(joint_torques(static(), 70.0, height=BODY.height).notes) == 1
+    assert len(joint_torques(static(), 70.0, height=BODY.height).notes) == 2
 
 
 def test_gaps_and_short_stretches_have_no_torques() -> None:

@@ -1,0 +1,274 @@
+"""Ground reaction force and centre of pressure from the motion, and what of them is not identifiable.
+
+The wrench that a motion needs from outside (`JointTorques.wrench`) is what the floor exerts, where nothing
+else touches the person. Its force F and the point of the floor about which it has no horizontal moment, the
+centre of pressure, follow in single and in double support. With one foot on the floor they are that foot's.
+How two feet share the force is not identifiable from the motion: forces between the feet along the line of
+their centres of pressure leave the motion as it is. What is known is an interval: both centres of pressure
+lie inside the soles, and no foot pulls. The share s of the right foot satisfies
+
+::
+
+    p = s p_right + (1 - s) p_left      p_right, p_left inside their soles
+
+for the centre of pressure p of both, and its extremes are vertices of a linear programme, solved in closed
+form. The interval stated is the widest over p and its 95 % band.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.foot_contacts import Contact, FootContacts
+from rtof_kin.clinical.paths import BodyPaths
+from rtof_kin.clinical.torques import JointTorques
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.imu import STANDARD_GRAVITY
+
+HALF_WIDTH: Final = 0.05
+"""[m] of a sole, to either side of the line from heel to toe."""
+BEYOND: Final = 0.02
+"""[m] of a sole behind the heel's point and before the toe's."""
+LEAST_FORCE: Final = 0.1
+"""Share of the body weight below which there is no centre of pressure: it would be force over noise."""
+OUTSIDE: Final = 0.03
+"""[m] outside the soles at which a centre of pressure contradicts the contacts."""
+MANY: Final = 10.0
+"""[%] of the frames from which on a contradiction is noted."""
+_FRICTION: Final = 0.9
+"""Largest coefficient of friction between shoes and floors."""
+_BLOCK: Final = 2000
+"""[frames] of the linear programmes at a time."""
+
+
+@dataclass(frozen=True)
+class GroundReaction:
+    """Force of the floor on the person; NaN where unknown, two sides in the order of `SIDES`."""
+
+    times: Array
+    """(T,) s."""
+    weight_kg: float
+    """Body mass, kg."""
+    state: NDArray[np.uint8]
+    """(T,) `Contact`."""
+    force: Array
+    """(T, 3) N, of all external contacts together, world axes."""
+    force_sigma: Array
+    """(T, 3) N, its standard deviations."""
+    pressure: Array
+    """(T, 2) m, centre of pressure of both feet together on the floor, world."""
+    pressure_sigma: Array
+    """(T, 2) m, its standard deviations relative to the feet."""
+    outside: Array
+    """(T,) m, distance of the centre of pressure from the soles on the floor; 0 inside."""
+    vertical: Array
+    """(T, 2, 2) N, lowest and highest vertical force on each foot; equal where one foot bears all."""
+    floor: float
+    """[m] height of the floor in world."""
+    notes: tuple[str, ...]
+
+    @property
+    def body_weight(self) -> float:
+        """Body weight, N."""
+        return self.weight_kg * STANDARD_GRAVITY
+
+    @property
+    def is_identifiable(self) -> Mask:
+        """(T,) frames in which the force on each foot is known."""
+        return np.isin(self.state, (Contact.RIGHT, Contact.LEFT)) & np.isfinite(self.force[:, 2])
+
+
+def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
+    """Return force and centre of pressure.
+
+    Args:
+        torques: with the wrench from outside. contacts: of the feet. paths: of the same motion.
+    """
+    state, force = contacts.state, torques.wrench[:, :3]
+    covariance = _total(torques.wrench_covariances)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
+    weight = torques.weight_kg * STANDARD_GRAVITY
+    on_floor = np.isin(state, (Contact.RIGHT, Contact.LEFT, Contact.BOTH))
+    loaded = (force[:, 2] > LEAST_FORCE * weight) & on_floor
+    pressure, pressure_covariance = _pressure(torques, covariance, contacts.floor)
+    pressure[~loaded], pressure_covariance[~loaded] = np.nan, np.nan
+    soles = np.stack([_sole(paths, side) for side in SIDES], axis=1)
+    soles[:, [side in contacts.by_ankle for side in SIDES]] = np.nan
+    outside = _outside(pressure, soles, state)
+    vertical = _vertical(force[:, 2], pressure, pressure_covariance, soles, state)
+    found = GroundReaction(
+        torques.times, torques.weight_kg, state, force, sigma, pressure,
+        np.sqrt(np.maximum(np.diagonal(pressure_covariance, axis1=1, axis2=2), 0.0)), outside, vertical,
+        contacts.floor, (),
+    )  # fmt: skip
+    return GroundReaction(**{**vars(found), "notes": (*_notes(found), *contacts.notes)})
+
+
+def _total(parts: NDArray[np.float32]) -> Array:
+    """Sum (T, 6, 6) of the covariances (2, T, 6, 6) by motion, where it is known, and masses."""
+    total = parts.astype(float)
+    missing = np.isnan(total[0]).all(axis=(1, 2))
+    return np.asarray(np.where(missing[:, None, None], 0.0, total[0]) + total[1])
+
+
+def _pressure(torques: JointTorques, covariance: Array, floor: float) -> tuple[Array, Array]:
+    """Centre of pressure (T, 2), m, and its covariance (T, 2, 2) relative to the reference."""
+    force, moment = torques.wrench[:, :3], torques.wrench[:, 3:]
+    height = torques.reference[:, 2] - floor
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per = 1 / force[:, 2]
+        x = -(moment[:, 1] + height * force[:, 0]) * per
+        y = (moment[:, 0] - height * force[:, 1]) * per
+        J = np.zeros((len(force), 2, 6))
+        J[:, 0, 0] = J[:, 1, 1] = -height * per
+        J[:, 0, 2], J[:, 1, 2] = -x * per, -y * per
+        J[:, 0, 4], J[:, 1, 3] = -per, per
+        spread = J @ covariance @ np.swapaxes(J, -1, -2)
+    return torques.reference[:, :2] + np.stack([x, y], axis=1), np.asarray(spread)
+
+
+def _sole(paths: BodyPaths, side: str) -> Array:
+    """(T, 4, 2) m, corners of a sole on the floor, in order around it."""
+    heel, toe = (paths.points[f"{side} {word}"][:, :2] for word in ("heel", "toe"))
+    way = toe - heel
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = way / np.linalg.norm(way, axis=1, keepdims=True)
+    across = HALF_WIDTH * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    back, front = heel - BEYOND * along, toe + BEYOND * along
+    return np.stack([back - across, front - across, front + across, back + across], axis=1)
+
+
+def _outside(pressure: Array, soles: Array, state: NDArray[np.uint8]) -> Array:
+    """(T,) m, distance of points (T, 2) from the convex hull of the soles (T, 2, 4, 2) on the floor."""
+    out = np.full(len(pressure), np.nan)
+    for contact, sides in {Contact.RIGHT: [0], Contact.LEFT: [1], Contact.BOTH: [0, 1]}.items():
+        frames = np.flatnonzero((state == contact) & np.isfinite(pressure[:, 0]))
+        frames = frames[np.isfinite(soles[frames][:, sides]).all(axis=(1, 2, 3))]
+        corners = soles[frames][:, sides].reshape(len(frames), 4 * len(sides), 2)
+        out[frames] = _hull_distance(pressure[frames], corners)
+    return out
+
+
+def _hull_distance(points: Array, corners: Array) -> Array:
+    """Distances (n,) of points (n, 2) from the convex hulls of corners (n, k, 2).
+
+    The hull's edges are among the segments between corners. A point is inside where no line through it has
+    all corners on one side: the corners' directions leave no gap of half a turn.
+    """
+    if not len(points):
+        return np.zeros(0)
+    off = corners - points[:, None]
+    direction = np.sort(np.arctan2(off[..., 1], off[..., 0]), axis=1)
+    gaps = np.diff(direction, axis=1, append=direction[:, :1] + 2 * np.pi)
+    inside = gaps.max(axis=1) <= np.pi
+    i, j = np.array(list(combinations(range(corners.shape[1]), 2))).T
+    a, edge = corners[:, i], corners[:, j] - corners[:, i]
+    share = np.sum((points[:, None] - a) * edge, axis=-1) / np.maximum(np.sum(edge**2, axis=-1), 1e-12)
+    nearest = a + np.clip(share, 0, 1)[..., None] * edge
+    distance = np.linalg.norm(points[:, None] - nearest, axis=-1).min(axis=1)
+    return np.asarray(np.where(inside, 0.0, distance))
+
+
+def _vertical(
+    force: Array, pressure: Array, covariance: Array, soles: Array, state: NDArray[np.uint8]
+) -> Array:
+    """(T, 2, 2) N, lowest and highest vertical force on each foot."""
+    out = np.full((len(force), 2, 2), np.nan)
+    for side, contact in enumerate((Contact.RIGHT, Contact.LEFT)):
+        alone = state == contact
+        out[alone, side], out[alone, 1 - side] = force[alone, None], 0.0
+    out[state == Contact.NONE] = 0.0
+    both = np.flatnonzero((state == Contact.BOTH) & (force > 0))
+    out[both] = np.stack([np.zeros(len(both)), force[both]], axis=1)[:, None]  # without soles
+    seen = both[np.isfinite(pressure[both, 0]) & np.isfinite(soles[both]).all(axis=(1, 2, 3))]
+    for start in range(0, len(seen), _BLOCK):
+        own = seen[start : start + _BLOCK]
+        low, high = _shares(_band(pressure[own], covariance[own]), soles[own])
+        known = np.isfinite(low)
+        F = force[own][known]
+        out[own[known], 0] = np.stack([low[known] * F, high[known] * F], axis=1)
+        out[own[known], 1] = np.stack([(1 - high[known]) * F, (1 - low[known]) * F], axis=1)
+    return out
+
+
+def _band(pressure: Array, covariance: Array) -> Array:
+    """(n, 5, 2) the centres of pressure and the ends of the axes of their 95 % ellipses."""
+    sizes, axes = np.linalg.eigh(np.nan_to_num(covariance))
+    ends = BAND_95 * np.swapaxes(axes, -1, -2) * np.sqrt(np.maximum(sizes, 0.0))[..., None]
+    steps = np.concatenate([np.zeros((len(pressure), 1, 2)), ends, -ends], axis=1)
+    return np.asarray(pressure[:, None] + steps)
+
+
+def _shares(points: Array, soles: Array) -> tuple[Array, Array]:
+    """Least and largest share (n,) of the right foot for any of the points (n, k, 2); NaN where none of them
+    lies between the soles (n, 2, 4, 2).
+
+    The extremes of a linear programme with three equations are at weights of at most three corners.
+    """
+    corners = soles.reshape(len(soles), 8, 2)
+    right = np.arange(8) < 4
+    low, high = np.full((2, len(points)), np.nan)
+    for chosen in combinations(range(8), 3):
+        index = list(chosen)
+        A = np.concatenate([np.swapaxes(corners[:, index], 1, 2), np.ones((len(soles), 1, 3))], axis=1)
+        usable = np.abs(np.linalg.det(A)) > 1e-9
+        A[~usable] = np.eye(3)
+        ones = np.ones((len(soles), 1, points.shape[1]))
+        targets = np.concatenate([np.swapaxes(points, 1, 2), ones], axis=1)
+        weights = np.linalg.solve(A, targets)
+        feasible = usable[:, None] & (weights >= -1e-9).all(axis=1)
+        share = np.where(feasible, np.clip(weights[:, right[index]].sum(axis=1), 0.0, 1.0), np.nan)
+        low, high = np.fmin(low, np.fmin.reduce(share, axis=1)), np.fmax(high, np.fmax.reduce(share, axis=1))
+    return low, high
+
+
+def _notes(found: GroundReaction) -> list[str]:
+    """What is not identifiable, and what contradicts the contacts."""
+    known = np.isfinite(found.force[:, 2])
+    if not known.any():
+        return ["no frame has a ground reaction force"]
+
+    def percent(of: Mask) -> float:
+        return 100 * float(np.mean(of))
+
+    both, flight = found.state == Contact.BOTH, found.state == Contact.NONE
+    notes = []
+    if percent(both[known]) > 0:
+        notes.append(
+            f"in {percent(both[known]):.0f} % of the frames both feet are on the floor: their sum and its "
+            "centre of pressure are given, the share of each is not identifiable; its interval is"
+        )
+    seen = np.isfinite(found.outside)
+    far = found.outside[seen] > OUTSIDE
+    if seen.any() and percent(far) > MANY:
+        notes.append(
+            f"in {percent(far):.0f} % of the frames the centre of pressure lies outside the soles, by up to "
+            f"{100 * np.max(found.outside[seen]):.0f} cm, which cannot be: something else bears load "
+            "(a seat, a rail, the hands), or contacts, masses or motion are wrong"
+        )
+    with np.errstate(invalid="ignore"):
+        slides = np.hypot(found.force[:, 0], found.force[:, 1]) > _FRICTION * np.abs(found.force[:, 2])
+        pulls = found.force[:, 2] < -LEAST_FORCE * found.body_weight
+    stands = known & (found.state != Contact.NOT_KNOWN) & ~flight
+    if stands.any() and percent((slides | pulls)[stands]) > MANY:
+        notes.append(
+            f"in {percent((slides | pulls)[stands]):.0f} % of the frames with a foot on the floor the force "
+            "would make it slide or pull: contacts or motion are wrong there"
+        )
+    if percent(flight[known]) > 0:
+        residual = np.linalg.norm(found.force[known & flight], axis=1) / found.body_weight
+        notes.append(
+            "without a foot on the floor the force should be zero, and is "
+            f"{np.sqrt(np.mean(residual**2)):.2f} body weights (root mean square): the error of the motion's "
+            "acceleration, or of the contacts; something else may bear load"
+        )
+    if percent((found.state == Contact.NOT_KNOWN)[known]) > 0:
+        notes.append("where a foot is unobserved, it is not known which feet bear load")
+    return notes
