@@ -17,7 +17,7 @@ form. The interval stated is the widest over p and its 95 % band.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
@@ -36,6 +36,8 @@ HALF_WIDTH: Final = 0.05
 """[m] of a sole, to either side of the line from heel to toe."""
 BEYOND: Final = 0.02
 """[m] of a sole behind the heel's point and before the toe's."""
+MISSED: Final = 0.3
+"""Share of the body weight that cannot be an error in flight: some contact was missed."""
 LEAST_FORCE: Final = 0.1
 """Share of the body weight below which there is no centre of pressure: it would be force over noise."""
 OUTSIDE: Final = 0.03
@@ -91,10 +93,12 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
     Args:
         torques: with the wrench from outside. contacts: of the feet. paths: of the same motion.
     """
-    state, force = contacts.state, torques.wrench[:, :3]
+    force = torques.wrench[:, :3]
     covariance = _total(torques.wrench_covariances)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
     weight = torques.weight_kg * STANDARD_GRAVITY
+    missed = (contacts.state == Contact.NONE) & (force[:, 2] > MISSED * weight)
+    state = np.where(missed, Contact.NOT_KNOWN, contacts.state).astype(np.uint8)
     on_floor = np.isin(state, (Contact.RIGHT, Contact.LEFT, Contact.BOTH))
     loaded = (force[:, 2] > LEAST_FORCE * weight) & on_floor
     pressure, pressure_covariance = _pressure(torques, covariance, contacts.floor)
@@ -108,7 +112,7 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
         np.sqrt(np.maximum(np.diagonal(pressure_covariance, axis1=1, axis2=2), 0.0)), outside, vertical,
         contacts.floor, (),
     )  # fmt: skip
-    return GroundReaction(**{**vars(found), "notes": (*_notes(found), *contacts.notes)})
+    return replace(found, notes=(*_notes(found, missed), *contacts.notes))
 
 
 def _total(parts: NDArray[np.float32]) -> Array:
@@ -229,7 +233,7 @@ def _shares(points: Array, soles: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def _notes(found: GroundReaction) -> list[str]:
+def _notes(found: GroundReaction, missed: Mask) -> list[str]:
     """What is not identifiable, and what contradicts the contacts."""
     known = np.isfinite(found.force[:, 2])
     if not known.any():
@@ -262,13 +266,18 @@ def _notes(found: GroundReaction) -> list[str]:
             f"in {percent((slides | pulls)[stands]):.0f} % of the frames with a foot on the floor the force "
             "would make it slide or pull: contacts or motion are wrong there"
         )
+    if missed.any():
+        notes.append(
+            f"in {percent(missed[known]):.0f} % of the frames the motion needs a force, but no foot seems "
+            "to be on the floor: a contact was missed, or something else bears load"
+        )
     if percent(flight[known]) > 0:
         residual = np.linalg.norm(found.force[known & flight], axis=1) / found.body_weight
         notes.append(
             "without a foot on the floor the force should be zero, and is "
             f"{np.sqrt(np.mean(residual**2)):.2f} body weights (root mean square): the error of the motion's "
-            "acceleration, or of the contacts; something else may bear load"
+            "acceleration"
         )
-    if percent((found.state == Contact.NOT_KNOWN)[known]) > 0:
+    if percent(((found.state == Contact.NOT_KNOWN) & ~missed)[known]) > 0:
         notes.append("where a foot is unobserved, it is not known which feet bear load")
     return notes
