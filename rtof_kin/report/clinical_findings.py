@@ -85,5 +85,6 @@ def _torques(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         "torques", "share of torques that could not be computed", "joints", 100 * (1 - known), "%",
         50.0, 99.9, _USER, "no force was measured; which foot bears load is not always known",
     )  # fmt: skip
-    for note in torques.notes:
+    reaction = analysis.ground_reaction
+    for note in (*torques.notes, *(() if reaction is None else reaction.notes)):
         yield AuditResult.not_checked("torques", "torques", note)
