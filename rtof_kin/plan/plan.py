@@ -113,7 +113,7 @@ def plan(
     if search:
         compare = partial(_compared, shown=shown, seed=seed, lifter=lifter, workers=workers)
         part = replace(setup, poses=liveliest(setup.poses, _SEARCHED))
-        cameras = compare(part, _cameras(protocol, part), progress=_staged(report, "cameras"))
+        cameras = compare(part, _cameras(protocol, setup, part), progress=_staged(report, "cameras"))
         sensors = compare(part, _sensors(protocol, part), progress=_staged(report, "sensors"))
         if setup.sensors:
             calibration = calibration_time(
@@ -135,15 +135,20 @@ def usual_angles(skeleton: SkeletonModel, found: Information) -> tuple[str, ...]
     return tuple(row.name for row in rows if XZY in angle_name(row).shown.split() and row.name in free)
 
 
-def _cameras(protocol: Protocol, part: Setup) -> dict[str, Setup | str]:
-    """Setups by the place of the camera, or why a place is not possible."""
+def _cameras(protocol: Protocol, whole: Setup, part: Setup) -> dict[str, Setup | str]:
+    """Setups of a part of the movement by the place of the camera, which has to see the whole, or why a place
+    is not possible.
+    """
     out: dict[str, Setup | str] = {}
     for place in protocol.further_cameras:
-        own = place == protocol.camera
-        setup = part if own else replace(part, camera=place.camera(part.poses))
-        share = seen_share(setup)
+        if place == protocol.camera:
+            out[place.words] = part
+            continue
+        camera = place.camera(whole.poses)
+        share = seen_share(replace(whole, camera=camera))
+        possible = replace(part, camera=camera)
         out[place.words] = (
-            setup if own or share >= SEEN else f"only {100 * share:.0f} % of the body is in the image"
+            possible if share >= SEEN else f"only {100 * share:.0f} % of the body is in the image"
         )
     return out
 
