@@ -15,12 +15,13 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PICTURE = Path(__file__).with_name("architecture.svg")
 PLACES = {
-    "cli": (2.0, 0, "the command line,\nthe only place that prints"),
+    "cli": (2.5, 0, "the command line,\nthe only place that prints"),
     "setup": (0.0, 1, "raw files\nto a recording"),
-    "live": (1.0, 1, "pose while\nthe person moves"),
-    "view": (2.0, 1, "3D scene,\nskeleton on the video"),
-    "protocols": (3.0, 1, "papers' protocols\nand tables"),
-    "batch": (4.0, 1, "many recordings,\nresumable"),
+    "live": (2.0, 1, "pose while\nthe person moves"),
+    "view": (3.0, 1, "3D scene,\nskeleton on the video"),
+    "protocols": (1.0, 1, "protocols and tables\nof papers, data sets"),
+    "batch": (4.0, 1, "many recordings,\nresumable; bundles"),
+    "plan": (5.0, 1, "errors to expect,\nbefore recording"),
     "report": (2.75, 2, "audit, page,\nexport, study"),
     "reconstruction": (1.25, 3, "recording to motion:\nprepare, lift, SF², solve"),
     "calibration": (0.3, 4, "delay, mounting, bones\nfrom the motion"),
@@ -28,7 +29,7 @@ PLACES = {
     "clinical": (4.0, 4, "angles, gait,\nrepetitions, torques"),
     "solve": (0.0, 6, "energy, fragments,\nuncertainty"),
     "simulation": (2.2, 5, "recordings from\nmotion capture"),
-    "datasets": (3.2, 5, "Total Capture,\nHuman3.6M"),
+    "datasets": (3.2, 5, "Total Capture and other\npublic data sets"),
     "recording": (2.2, 6, "Recording\nand its folder"),
     "inertial": (0.6, 7, "physics, orientation,\nalignment of sensors"),
     "vision": (2.5, 7, "detectors, layouts,\ntracking"),
@@ -39,7 +40,7 @@ PLACES = {
 }
 """Folder -> column, row, what it is."""
 KINDS = {
-    "for people": ("cli", "setup", "live", "view", "protocols", "batch", "report", "clinical"),
+    "for people": ("cli", "setup", "live", "view", "protocols", "batch", "plan", "report", "clinical"),
     "the method": ("reconstruction", "calibration", "lifting", "solve"),
     "its data": ("simulation", "datasets", "recording"),
     "foundations": ("inertial", "vision", "formats", "body", "data", "core"),
@@ -134,7 +135,7 @@ def drawing() -> str:
     upwards = [pair for pair in arrows if PLACES[pair[0]][1] > PLACES[pair[1]][1]]
     if upwards:
         raise SystemExit(f"{upwards}: place the first of each pair above the second in PLACES")
-    width = LEFT * 2 + WIDTH + 4.2 * COLUMN
+    width = LEFT * 2 + WIDTH + 5.2 * COLUMN
     height = TOP + HEIGHT + 16 + ROW * max(row for _, row, _ in PLACES.values())
     keys = "".join(
         f'<rect class="k{i}" x="{LEFT + 150 * i}" y="14" width="18" height="18" rx="4"/>'

@@ -95,7 +95,7 @@ class Lifter:
         Raises:
             FileFormatError: no such file, or see `load_checkpoint`.
         """
-        name = DEFAULT_LIFTER if path is None else str(path)
+        name = DEFAULT_LIFTER if path is None else Path(path).name  # without folders, for reports
         path = lifter_path(path)
         network, description = load_checkpoint(path)
         return cls(network, description, hashlib.sha256(path.read_bytes()).hexdigest(), name)

@@ -29,6 +29,7 @@ FOLDERS = {
     "setup": "raw files to a recording",
     "clinical": "angles, gait, repetitions, torques",
     "report": "figures, report, audit, export",
+    "plan": "expected errors of a recording before it is made",
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
     "protocols": "the papers' protocols",
@@ -103,7 +104,7 @@ def test_heavy_packages_are_imported_only_where_they_belong() -> None:
     assert users["torch"] == users["yourdfpy"] == users["viser"] == users["av"] == set()
     assert users["pinocchio"] == set()  # body/rigid_bodies.py asks `optional` for it
     assert users["casadi"] == {"core", "solve"}
-    assert users["matplotlib"] == {"report", "protocols"}
+    assert users["matplotlib"] == {"report", "plan", "protocols"}
 
 
 def loaded_by(*statements: str, packages: Set[str] = HEAVY) -> list[tuple[set[str], float]]:
@@ -128,8 +129,10 @@ def test_importing_the_package_takes_less_than_a_second_and_loads_nothing_heavy(
 
 
 def test_command_line_is_imported_before_numpy() -> None:
-    ((names, _),) = loaded_by("import rtof_kin.cli", packages={"numpy"})
-    assert names == set()
+    """So that --threads and the default of one thread take effect."""
+    parsed = "rtof_kin.cli.parse(['reconstruct', 'FOLDER', '-o', 'OUT'])"
+    for names, _ in loaded_by("import rtof_kin.cli", parsed, packages={"numpy"}):
+        assert names == set()
 
 
 def test_name_of_the_front_door_loads_only_what_it_needs() -> None:

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 from docs.pictures.studio import Studio
 
 PICTURES = (
-    "placement", "report", "view", "overlay", "compare", "live", "skeletons", "study", "sensors_only",
-    "gallery",
+    "placement", "report", "view", "overlay", "compare", "follow", "live", "skeletons", "study",
+    "sensors_only", "gallery",
 )  # fmt: skip
 """Modules of this folder, each with ``make(studio) -> paths``."""
 

@@ -73,6 +73,13 @@ ENTRIES = (
         "The page of a comparison",
     ),
     Entry(
+        "rtof-kin follow visits -o out/follow",
+        "[Visits of one person](follow.md): improved, worse or not shown, and the smallest change that could "
+        "be.",
+        "follow.png",
+        "The page of three visits",
+    ),
+    Entry(
         "rtof-kin live SETUP --camera 0 --imus udp:9000 --view",
         "[Poses while a person moves](live.md), from a webcam, LSL, UDP, or recordings replayed as here.",
         "live.png",

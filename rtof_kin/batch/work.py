@@ -78,10 +78,16 @@ def process(command: Command, task: Task) -> dict[str, Any]:
         state.keep(row)
         return row.plain()
     except _StepError as error:
-        row = Row(task.name, step=error.step.command, error=str(error), log=_log_name(error.step))
+        said = _without_places(str(error), task)
+        row = Row(task.name, step=error.step.command, error=said, log=_log_name(error.step))
     except (RtofError, OSError) as error:
-        row = Row(task.name, error=str(error))
+        row = Row(task.name, error=_without_places(str(error), task))
     return _with_figures(row, task, state).plain()
+
+
+def _without_places(text: str, task: Task) -> str:
+    """Return a text with the recording by its name, and not where it lies: tables and pages are passed on."""
+    return text.replace(str(task.recording), task.name).replace(f"{task.out}/", "")
 
 
 class _StepError(Exception):

@@ -1,7 +1,7 @@
 """The command line ``rtof-kin``: the only place that prints.
 
-Exit codes: 0 done, 1 a check does not hold (inspect) or a recording failed (batch), 2 wrong input (one line
-says what, where and what to do), 130 interrupted.
+Exit codes: 0 done, 1 a check does not hold (inspect, reproduce) or a recording failed (batch), 2 wrong input
+(one line says what, where and what to do), 3 reproduced but for the last bits (reproduce), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -77,19 +77,24 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
 
     from rtof_kin.cli import (
         batch,
+        bundle,
         clinical,
         compare,
         conversion,
         detection,
+        follow,
+        gait,
         inspection,
         lifters,
         live,
         overlay,
+        plan,
         protocols,
         recordings,
         reporting,
         start,
         training,
+        validation,
         view,
     )
 
@@ -103,11 +108,14 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for module in (
         start,
+        plan,
         recordings,
         conversion,
         inspection,
         clinical,
         compare,
+        follow,
+        gait,
         reporting,
         overlay,
         detection,
@@ -115,7 +123,9 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         training,
         lifters,
         batch,
+        bundle,
         protocols,
+        validation,
         view,
     ):
         module.add_commands(commands)

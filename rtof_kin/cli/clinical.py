@@ -11,7 +11,6 @@ from typing import Any
 from rich.table import Column, Table
 
 from rtof_kin.cli.terminal import add_output, command, out, print_files
-from rtof_kin.data.confidence import BAND_95
 
 
 def add_commands(commands: Any) -> None:
@@ -106,6 +105,8 @@ def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | 
 
 
 def _print_ranges(analysis: Any) -> None:
+    from rtof_kin.data.confidence import BAND_95
+
     columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
     for row in analysis.ranges:

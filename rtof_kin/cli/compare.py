@@ -50,26 +50,37 @@ def add_commands(commands: Any) -> None:
         metavar="NAMES",
         help="angles to compare, separated by commas; fewer are tested more sharply",
     )
+    parser.add_argument(
+        "--spm", action="store_true",
+        help="by cycle or repetition: Student's t along the cycle with clusters, by spm1d (extra clinical)",
+    )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="DIR", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
 
 def _compare(options: argparse.Namespace) -> None:
+    from rtof_kin.clinical.comparison_spm import compare_spm
     from rtof_kin.core.files.folder import check_replaceable, new_folder
     from rtof_kin.report.comparison.files import MARKER, write_comparison
     from rtof_kin.report.comparison.sentences import cautions, opening
+    from rtof_kin.report.comparison.spm import spm_lines, write_spm
 
     if options.output:
         check_replaceable(options.output, MARKER, options.overwrite)
     found, why = _compared(options)
+    mapped = compare_spm(found) if options.spm else None
     for line in opening(found, why):
         out.print(line, style="bold", soft_wrap=True)
     for line in cautions(found):
         out.print(f"caution: {line}", style="yellow", soft_wrap=True)
     _print_angles(found, all_of_them=bool(options.angles))
+    for line in spm_lines(mapped) if mapped is not None else ():
+        out.print(line, soft_wrap=True)
     if options.output:
         with new_folder(options.output, MARKER, options.overwrite) as folder:
             write_comparison(found, folder, why)
+            if mapped is not None:
+                write_spm(mapped, found, folder)
         print_files(options.output)
 
 

@@ -75,7 +75,7 @@ def _total_capture(options: argparse.Namespace) -> None:
             from rtof_kin.protocols.pictures import write_pictures
 
             written += write_pictures(outcome, folder / name / "figures", table, 60.0)
-        _print_tables(tables)
+        print_tables(tables)
         out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
         outcomes.append(outcome)
     for outcome in outcomes:
@@ -114,7 +114,7 @@ def _human36m(options: argparse.Namespace) -> None:
         from rtof_kin.protocols.pictures import write_pictures
 
         written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
-    _print_tables(tables)
+    print_tables(tables)
     out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
     _refuse_if_nothing(outcome.done, outcome.failed)
 
@@ -141,7 +141,12 @@ def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
 # --- printing ------------------------------------------------------------------------------------
 
 
-def _print_tables(tables: Sequence[Table]) -> None:
+def print_tables(tables: Sequence[Table]) -> None:
+    """Print tables with their notes.
+
+    Args:
+        tables: in this order.
+    """
     for table in tables:
         rows = table.text()
         columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]

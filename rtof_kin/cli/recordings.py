@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
 
+from rtof_kin.cli.protocols import print_tables
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
@@ -29,7 +30,11 @@ from rtof_kin.cli.terminal import (
 )
 from rtof_kin.core.choices import MODES, Mode
 
+REPEATED = ("frames", "space", "backend", "paper", "guards", "lift_with_sensors", "calibrate")
+"""Options of a run that its numbers depend on, beside its mode, files and threads."""
+
 if TYPE_CHECKING:
+    from rtof_kin.body.skeleton import MotionSequence
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.recording.reader import RecordingSlices
     from rtof_kin.recording.recording import Recording
@@ -180,6 +185,7 @@ def reconstruct_and_export(
     from rtof_kin.report.export import MARKER, export_parts
 
     check_replaceable(options.output, MARKER, options.overwrite)
+    digest = recording.digest()
     how: Any = {
         "mode": mode, "lifter": lifter_of(options), "settings": settings_of(options, mode),
         "calibrate": options.calibrate, "known": _known(options),
@@ -189,7 +195,30 @@ def reconstruct_and_export(
             parts: Iterable[Reconstruction] = [reconstruct(recording, progress=update, **how)]
         else:
             parts = reconstruct_in_parts(recording, progress=update, **how)
-        return export_parts(parts, options.output, options.overwrite, not options.no_figures, inputs=inputs)
+        return export_parts(
+            parts, options.output, options.overwrite, not options.no_figures, inputs=inputs,
+            run=lambda: run_record(mode, options, digest),
+        )  # fmt: skip
+
+
+def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -> dict[str, Any]:
+    """Return what a run can be repeated by, for ``summary.json``; files are named by their SHA-256 alone.
+
+    Args:
+        mode: of the reconstruction. options: those of `add_reconstruction`. recording_digest: of the input.
+    """
+    from rtof_kin.core.environment import environment
+    from rtof_kin.core.files.manifest import file_digest
+    from rtof_kin.core.resources import lifter_path
+
+    calibration = None if options.calibration is None else Path(options.calibration)
+    return {
+        "options": {"mode": mode} | {name: getattr(options, name) for name in REPEATED},
+        "recording_sha256": recording_digest,
+        "model_sha256": file_digest(lifter_path(options.model)),
+        "calibration_sha256": None if calibration is None else file_digest(calibration),
+        "environment": environment(),
+    }
 
 
 def _reconstruct_to(
@@ -219,9 +248,13 @@ def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.body.metrics import comparable, evaluate
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
+    from rtof_kin.formats.opensim_table import SUFFIXES
     from rtof_kin.recording.recording import Recording
 
     motion = read_motion_npz(motion_path(options.motion))
+    if Path(options.truth).suffix.lower() in SUFFIXES:
+        _evaluate_angles(options, motion.motion(), None)
+        return
     recording = Recording.load(options.truth)
     if recording.truth is None:
         raise InvalidInputError(f"{options.truth}: the recording has no truth to compare with")
@@ -233,6 +266,25 @@ def _evaluate(options: argparse.Namespace) -> None:
     for joint, figures in metrics.per_joint.items():
         table.add_row(joint, *(figure_text(key, figures.get(key)) for key in columns))
     out.print(table)
+    if options.angles or options.output:
+        _evaluate_angles(options, motion.motion(), recording)
+
+
+def _evaluate_angles(
+    options: argparse.Namespace, motion: MotionSequence, recording: Recording | None
+) -> None:
+    """Print the errors of clinical angles, and write them if asked."""
+    from rtof_kin.protocols.angle_evaluation import against_opensim, against_recording
+
+    if recording is None:
+        found = against_opensim(motion, Path(options.truth), options.movement)
+    else:
+        found = against_recording(motion, recording, options.movement)
+    out.print(found.first, style="bold", soft_wrap=True)
+    print_tables(found.tables)
+    if options.output:
+        written = found.write(Path(options.output))
+        out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
 
 
 # --- their arguments ---
@@ -315,9 +367,19 @@ def _add_evaluate(commands: Any) -> None:
     parser = command(
         commands, "evaluate", _evaluate, "compare a reconstructed motion with the truth",
         "Prints position, acceleration, jerk and angle errors, pooled and per joint, beside a "
-        "predictor that never moves.",
+        "predictor that never moves; --angles: of clinical joint angles, as published for other systems.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     parser.add_argument(
-        "--truth", required=True, metavar="RECORDING", help="folder of a recording with the truth"
-    )
+        "--truth", required=True, metavar="TRUTH",
+        help="folder of a recording with the truth, or an OpenSim .mot or .sto (angles alone)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--angles", action="store_true",
+        help="also RMSE, mean and median absolute error of joint angles, beside published values",
+    )  # fmt: skip
+    parser.add_argument(
+        "--movement", default="other", choices=["walk", "squat", "sit-to-stand", "arms", "floor", "other"],
+        help="class of the movement, for that table",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="DIR", help="write the table of angles there too")

@@ -118,7 +118,7 @@ def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
         "--rate", type=float, metavar="HZ", help="frames per second of keypoints without times"
     )
     parser.add_argument(
-        "--size", type=_size, metavar="WxH", help="of the image, for keypoints without a video"
+        "--size", type=image_size, metavar="WxH", help="of the image, for keypoints without a video"
     )
     add_detector(parser)
     parser.add_argument(
@@ -133,7 +133,12 @@ def _add_synchronised(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _size(text: str) -> tuple[int, int]:
+def image_size(text: str) -> tuple[int, int]:
+    """Return width and height, px, of a text such as 1920x1080; raises ArgumentTypeError for another.
+
+    Args:
+        text: of the option.
+    """
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise argparse.ArgumentTypeError(f"{text!r} is not width x height, such as 1920x1080")

@@ -139,6 +139,20 @@ def angle_table(skeleton: SkeletonTable) -> AngleTable:
     Raises:
         UnknownNameError: the skeleton is not in that file.
     """
+    return _table(skeleton, "joint")
+
+
+def foot_table(skeleton: SkeletonTable) -> AngleTable:
+    """Return the table of the angles of both feet in world, from which foot progression is computed.
+
+    Args:
+        skeleton: as for `angle_table`, whose error is raised.
+    """
+    return _table(skeleton, "foot")
+
+
+def _table(skeleton: SkeletonTable, entries_of: str) -> AngleTable:
+    """Table of one list of entries of the file."""
     data = load_toml(model_path("clinical_angles.toml"))
     known = data["segments"]
     if skeleton.name not in known:
@@ -147,7 +161,9 @@ def angle_table(skeleton: SkeletonTable) -> AngleTable:
     for term, name in known[skeleton.name].items():
         for side in SIDES if "{" in name else ("",):
             segments[f"{side} {term}".strip()] = name.format(S=side.title(), s=side[:1].upper())
-    entries = [(entry, side) for entry in data["joint"] for side in (SIDES if entry.get("sides") else ("",))]
+    entries = [
+        (entry, side) for entry in data[entries_of] for side in (SIDES if entry.get("sides") else ("",))
+    ]
     return AngleTable(tuple(_joint(entry, side, segments, skeleton) for entry, side in entries), segments)
 
 

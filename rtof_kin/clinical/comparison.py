@@ -26,10 +26,10 @@ from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison_alignment import Alignment
 from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
-from rtof_kin.clinical.comparison_samples import Pair, Spans, in_time, over_phases, whole
+from rtof_kin.clinical.comparison_samples import Pair, Samples, Spans, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.paths import body_paths
+from rtof_kin.clinical.paths import BodyPaths, body_paths
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
@@ -92,6 +92,10 @@ class AngleComparison:
     """(P,) rad of A and B on the axis (means over repeats); None without a common axis."""
     sigmas: tuple[Array | None, Array | None] = (None, None)
     """(P,) rad, standard deviations of the curves; None without bands."""
+    repeated: tuple[Samples, Samples] | None = None
+    """Single strides or repetitions of A and B; None for other axes."""
+    paired: bool = False
+    """Whether these are the same repeats."""
 
     @property
     def difference_sigma(self) -> Array | None:
@@ -166,12 +170,22 @@ def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared
     angles, paths = clinical_angles(motion), body_paths(motion)
     gait = analyse_gait(gait_events(paths), angles)
     strides = {side: [(s.start, s.stop) for s in gait.strides if s.side == side] for side in SIDES}
-    repetitions: dict[str, list[tuple[float, float]]] = {}
+    repetitions = repetition_spans(paths, angles)
+    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes, not_gait=gait.why_not)
+
+
+def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list[tuple[float, float]]]:
+    """Return start and stop, s, of each repetition by its kind ('squat', 'sit_to_stand').
+
+    Args:
+        paths, angles: of a motion.
+    """
+    spans: dict[str, list[tuple[float, float]]] = {}
     for kind in KINDS:
         found = find_repetitions(paths, angles, kind).repetitions
         ways = [(r.descent if kind == "squat" else r.ascent, r.ascent) for r in found]
-        repetitions[kind] = [(first[0], last[1]) for first, last in ways if first and last]
-    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes, not_gait=gait.why_not)
+        spans[kind] = [(first[0], last[1]) for first, last in ways if first and last]
+    return spans
 
 
 def sides_of(one: Compared) -> tuple[Compared, Compared]:
@@ -312,6 +326,7 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
             one = replace(
                 one, errors=curve_errors(axis, *curves), curves=curves,
                 sigmas=(pair.a.curve_sigma, pair.b.curve_sigma),
+                repeated=(pair.a, pair.b) if repeated else None, paired=pair.paired,
             )  # fmt: skip
         out.append(one)
     return out

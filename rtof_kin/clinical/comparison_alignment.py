@@ -67,11 +67,13 @@ class Alignment:
         return bool(self.rival_agreement >= AMBIGUOUS * self.agreement)
 
 
-def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str]) -> Alignment:
+def align(
+    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: float = float("inf")
+) -> Alignment:
     """Estimate the shift with the best agreement, to a fraction of a frame.
 
     Args:
-        a, b: both motions. names: angles that both have.
+        a, b: both motions. names: angles that both have. reach: s, largest shift that is considered.
 
     Raises:
         InvalidInputError: there is no common angle, or too few samples to compare velocities.
@@ -84,7 +86,7 @@ def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str]) -> Alignme
     overlap = np.minimum(len(first), lags + len(second)) - np.maximum(lags, 0)
     shorter = min(len(first), len(second))
     least = min(max(_LEAST_OVERLAP * GRID_HZ, _LEAST_SHARE * shorter), shorter)
-    allowed = overlap >= least
+    allowed = (overlap >= least) & (np.abs(shifts) <= reach)
 
     def agreement(chosen: Array) -> Array:
         """R of all shifts from some of the angles."""

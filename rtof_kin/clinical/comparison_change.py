@@ -41,6 +41,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy import stats
 
+from rtof_kin.clinical.mixed_error import MixedError
 from rtof_kin.core.array_types import Array
 
 LEVEL: Final = 0.05
@@ -99,6 +100,8 @@ class Change:
     """Holm's, over all tests of the comparison."""
     detectable: float = float("nan")
     """[rad] a difference of this size is called changed whatever the other angles show."""
+    error: MixedError | None = None
+    """Distribution of the error of the difference; None for Student's t with `sigma` and `dof`."""
 
     @property
     def difference(self) -> float:
@@ -108,8 +111,18 @@ class Change:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the difference, rad, of this angle alone (without Holm's correction)."""
-        half = float(stats.t.ppf(1 - LEVEL / 2, self.dof)) * self.sigma
+        half = self.half_width(LEVEL)
         return self.difference - half, self.difference + half
+
+    def half_width(self, level: float) -> float:
+        """Return the difference whose p-value is a level; NaN if the error is unknown.
+
+        Args:
+            level: two-sided, of this test alone.
+        """
+        if self.error is not None:
+            return self.error.half_width(level)
+        return float(stats.t.ppf(1 - level / 2, self.dof)) * self.sigma
 
     @property
     def verdict(self) -> Verdict:
@@ -143,6 +156,19 @@ def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: boo
     return Change(measure, a.mean, b.mean, sigma if sigma > _NO_SIZE else float("nan"), float(dof), p)
 
 
+def change_with(measure: str, a: float, b: float, error: MixedError) -> Change:
+    """Return a difference whose error has a known distribution, not yet adjusted for others.
+
+    Args:
+        measure: its name. a, b: of both, in one unit. error: of the difference; not tested if it has none.
+    """
+    p, known = float("nan"), error.sigma > _NO_SIZE
+    if known and np.isfinite(b - a):
+        p = error.p(b - a)
+    sigma = error.sigma if known else float("nan")
+    return Change(measure, a, b, sigma, error.effective_dof, p, error=error if known else None)
+
+
 def _of_spread(own: Measured, other: Measured) -> tuple[float, float]:
     """Variance, rad^2, of the mean over repeats, and its degrees of freedom; (0, inf) if it is unknown."""
     known = own if len(own.values) > 1 else other
@@ -161,6 +187,7 @@ def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
     out, largest = list(changes), 0.0
     for rank, i in enumerate(sorted(tested, key=lambda i: changes[i].p)):
         largest = max(largest, min(1.0, (len(tested) - rank) * changes[i].p))
-        quantile = float(stats.t.ppf(1 - LEVEL / (2 * len(tested)), changes[i].dof))
-        out[i] = replace(changes[i], p_adjusted=largest, detectable=quantile * changes[i].sigma)
+        out[i] = replace(
+            changes[i], p_adjusted=largest, detectable=changes[i].half_width(LEVEL / len(tested))
+        )
     return tuple(out)

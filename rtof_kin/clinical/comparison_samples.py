@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
@@ -75,6 +76,19 @@ class Samples:
             ends = zip(self.sigma[rows, low].tolist(), self.sigma[rows, high].tolist(), strict=True)
             band = float(np.mean([range_deviation(*pair) for pair in ends]))
         return Measured(self.values[rows, high] - self.values[rows, low], band)
+
+    def high(self) -> Measured:
+        """Return the largest angle of each repeat."""
+        return self._at(np.nanargmax(self.values, axis=1))
+
+    def low(self) -> Measured:
+        """Return the smallest angle of each repeat."""
+        return self._at(np.nanargmin(self.values, axis=1))
+
+    def _at(self, phase: NDArray[np.intp]) -> Measured:
+        rows = np.arange(len(self.values))
+        band = 0.0 if self.sigma is None else float(np.mean(self.sigma[rows, phase]))
+        return Measured(self.values[rows, phase], band)
 
 
 @dataclass(frozen=True)
@@ -149,10 +163,10 @@ def over_phases(
     """
     pairs = []
     for name in names:
-        side = _side(name, spans_a, spans_b)
+        side = own_side(name, spans_a, spans_b)
         if side is None:
             continue
-        first, second = _repeats(a, name, spans_a[side]), _repeats(b, name, spans_b[side])
+        first, second = repeats_of(a, name, spans_a[side]), repeats_of(b, name, spans_b[side])
         paired = list(spans_a[side]) == list(spans_b[side]) and np.array_equal(a.times, b.times)
         if paired:
             both = first.complete & second.complete
@@ -170,15 +184,23 @@ def over_phases(
     return pairs
 
 
-def _side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
-    """Side whose repeats an angle is taken over; None without repeats."""
+def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
+    """Return the side whose repeats an angle is taken over; None without repeats.
+
+    Args:
+        name: of the angle. spans_a, spans_b: repeats of both motions.
+    """
     own = next((side for side in SIDES if name.startswith(f"{side}_")), None)
     wanted = ("", own) if own else ("", *SIDES)
     return next((side for side in wanted if spans_a.get(side) and spans_b.get(side)), None)
 
 
-def _repeats(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
-    """All repeats of one angle, on one turn."""
+def repeats_of(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, float]]) -> Samples:
+    """Return all repeats of one angle at `PHASES`, on one turn.
+
+    Args:
+        angles: of a motion. name: of the angle. spans: start and stop of each repeat, s.
+    """
     values, sigma = usable(angles.select([name]))
     at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
     gap, shape = _GAP / angles.rate_hz, (len(spans), len(PHASES))

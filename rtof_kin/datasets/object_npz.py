@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.arrays import LARGEST_BYTES, check_sizes, read_npy_header
+from rtof_kin.core.files.archive import check_sizes
+from rtof_kin.core.files.arrays import LARGEST_BYTES, read_npy_header
 from rtof_kin.core.files.pickles import PlainUnpickler, RefusedError, numbers_of, unpickled
 from rtof_kin.core.files.text import check_file
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -40,6 +41,17 @@ from rtof_kin.solve.solution import FragmentSolution
 
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Silence the warnings of `WARNINGS_LOGGER`, where many versions of one recording are reconstructed."""
+    logger = logging.getLogger(WARNINGS_LOGGER)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def reconstruct(

@@ -54,7 +54,7 @@ def read_camera(section: Section) -> Camera:
         distortion = section.array("distortion", (5,)) if section.has("distortion") else np.zeros(5)
         assumed = section.optional_names("assumed") or ()
         stabilised = section.flag("stabilised")
-        drift = float(np.radians(section.number("heading_drift_deg_s", 0.0)))
+        drift = section.number("heading_drift_deg_s", 0.0) * float(np.radians(1.0))
         camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
@@ -89,20 +89,20 @@ def _intrinsics(section: Section, width: int, height: int) -> Array:
 
 
 def camera_table(camera: Camera) -> dict[str, Any]:
-    """Return the table that `read_camera` reads back exactly (the uncertainty to rounding).
+    """Return the table that `read_camera` reads back exactly.
 
     Args:
-        camera: to write.
+        camera: to write; of uncertainties that were not read from a table, the last bit may change.
     """
     more: dict[str, Any] = {"assumed": list(camera.assumed)} if camera.assumed else {}
     if camera.stabilised:
         more["stabilised"] = True
     if camera.heading_drift:
-        more["heading_drift_deg_s"] = float(np.degrees(camera.heading_drift))
+        more["heading_drift_deg_s"] = _number_of(camera.heading_drift, float(np.radians(1.0)))
     if camera.uncertainty is not None:
         own = vars(camera.uncertainty)
         given = {name: pair for name, pair in _FIELDS.items() if own[name] is not None}
-        more[_UNCERTAINTY] = {field: own[name] / unit for name, (field, unit) in given.items()}
+        more[_UNCERTAINTY] = {field: _number_of(own[name], unit) for name, (field, unit) in given.items()}
         if camera.uncertainty.of_motion:
             more[_UNCERTAINTY][_OF_MOTION] = True
     return more | {
@@ -113,3 +113,10 @@ def camera_table(camera: Camera) -> dict[str, Any]:
         "t_camera_world_m": camera.t_camera_world.tolist(),
         "distortion": camera.distortion.tolist(),
     }
+
+
+def _number_of(value: float, unit: float) -> float:
+    """Return the number whose product with the unit is the value, exactly where there is one."""
+    near = float(value / unit)
+    about = (near, float(np.nextafter(near, np.inf)), float(np.nextafter(near, -np.inf)))
+    return next((number for number in about if number * unit == value), near)

@@ -12,6 +12,7 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
+from rtof_kin.recording.digest import recording_digest
 from rtof_kin.recording.files import naming
 from rtof_kin.recording.index import index_of, read_index
 from rtof_kin.recording.recording import Recording
@@ -48,6 +49,9 @@ class RecordingSlices(Protocol):
 
     def between(self, start_s: float, stop_s: float) -> Recording:
         """Return what was recorded in a closed interval; see `Recording.between`."""
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from; see `Recording.digest`."""
 
 
 class RecordingReader(TimeAxis):
@@ -128,6 +132,10 @@ class RecordingReader(TimeAxis):
             FileFormatError: the files have changed or cannot be read any more.
         """
         return self._first.cut(self._streams, start_s, stop_s)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from, as `Recording.digest` of the whole does."""
+        return recording_digest(self._first.index(), self._streams)
 
     def whole(self) -> Recording:
         """Return all of it, as `Recording.load` does."""

@@ -28,6 +28,7 @@ from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
+from rtof_kin.recording.digest import recording_digest
 from rtof_kin.recording.files import TRUTH, naming
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, index_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
@@ -234,6 +235,10 @@ class Recording(TimeAxis):
         if parts["keypoints"] is not None and streams.keypoints is not None:
             before = rows_between(streams.keypoints.times, start_s, stop_s).start
         return replace(self, **parts, first_frame=self.first_frame + before, is_part=True)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from: the samples and facts, not the labels."""
+        return recording_digest(self.index(), self._streams)
 
     # --- files -----------------------------------------------------------------------------------
 

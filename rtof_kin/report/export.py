@@ -20,7 +20,7 @@ OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.format
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
@@ -82,13 +82,15 @@ def export_parts(
     figures: bool = True,
     formats: Sequence[str] | None = None,
     inputs: Mapping[str, str] | None = None,
+    run: Callable[[], Mapping[str, Any]] | None = None,
 ) -> ReconstructionStatistics:
     """Write a reconstruction part by part as `export` does; none of the parts is kept.
 
     Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
 
     Args:
-        parts: in the order of time, e.g. of `reconstruct_in_parts`. The others: as for `export`.
+        parts: in the order of time, e.g. of `reconstruct_in_parts`. run: returns what the run can be repeated
+            by, for the summary, when all parts are made. The others: as for `export`.
 
     Returns:
         Statistics of the whole.
@@ -120,7 +122,8 @@ def export_parts(
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
         with MotionReader(temporary / MARKER) as reader:
             write_motion_files(temporary, reader.source(), formats)
-        text = json.dumps(summary(statistics), indent=2)
+        contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
+        text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
         if figures and whole is not None and can_draw():
             from rtof_kin.report.figures import write_figures

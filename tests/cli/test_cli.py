@@ -22,7 +22,7 @@ from rtof_kin.recording.recording import Recording
 
 COMMANDS = (
     "demo", "reconstruct", "inspect", "calibrate", "analyse", "evaluate", "simulate", "train", "export",
-    "report", "study", "live", "compare", "batch",
+    "report", "study", "live", "compare", "batch", "bundle", "reproduce",
 )  # fmt: skip
 MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 OWN = ("notes.txt", "report.html", "clinical/angles.csv")

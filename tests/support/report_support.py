@@ -21,7 +21,7 @@ from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.report.plot_data import MISSING
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-_VOID = {"meta", "input", "br"}
+_VOID = {"meta", "input", "br", "img"}
 
 
 def folder_of(motion: MotionSequence, folder: Path, **fields: Any) -> Path:

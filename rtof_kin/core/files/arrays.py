@@ -13,7 +13,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.archive import check_sizes
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
 
@@ -32,8 +33,6 @@ LARGEST_BYTES = 4 * 2**30
 """Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30
 _CSV = "a CSV file; its first line names the columns"
-_UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
-"""Archives above this size with a higher compression ratio are refused."""
 
 
 def read_npz(
@@ -163,25 +162,6 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
     ) as error:  # fmt: skip
         raise ValueError(f"{type(error).__name__}: {str(error)[:200]}") from error
     return shape, fortran, dtype
-
-
-def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
-    """Check that an archive does not exhaust the memory.
-
-    Args:
-        path: of the archive, for the error message. members: to be unpacked. limit: of their sizes, bytes.
-
-    Raises:
-        FileFormatError: it is too large, or large and compressed beyond any recording.
-    """
-    full = sum(member.file_size for member in members)
-    packed = sum(member.compress_size for member in members)
-    if full > limit:
-        raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
-    if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
-        raise FileFormatError(
-            path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened"
-        )
 
 
 def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -> NDArray[Any]:

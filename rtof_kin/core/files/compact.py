@@ -15,12 +15,12 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``.
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
 
     Args:
         values: of any shape. bits: after the point.
     """
-    return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits))
+    return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 
 def short_floats(values: ArrayLike, bits: int) -> NDArray[np.float32]:

@@ -44,7 +44,7 @@ def write_manifest(
     for path in sorted(folder.rglob("*") if paths is None else paths):
         sync(path)
         if path.is_file():
-            files[path.relative_to(folder).as_posix()] = _digest(path)
+            files[path.relative_to(folder).as_posix()] = file_digest(path)
     content = {"kind": kind, "sha256": files} | ({"inputs": dict(inputs)} if inputs else {})
     partial = folder / f"{MANIFEST}.part"
     partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -82,7 +82,7 @@ def read_contents(folder: Path) -> Contents:
                 continue
             if relative not in files:
                 foreign.append(relative)
-            elif path.is_symlink() or files[relative] != _digest(path):
+            elif path.is_symlink() or files[relative] != file_digest(path):
                 foreign.append(f"{relative} (changed)")
             else:
                 own.append(path)
@@ -120,7 +120,7 @@ def fingerprint(*parts: object) -> str:
         paths = sorted(p for p in part.rglob("*") if p.is_file()) if part.is_dir() else [part]
         for path in paths:
             if path.name != MANIFEST:
-                whole.update(f"{path.relative_to(part)} {_digest(path)}\n".encode())
+                whole.update(f"{path.relative_to(part)} {file_digest(path)}\n".encode())
     return whole.hexdigest()
 
 
@@ -168,8 +168,12 @@ def _read_manifest(path: Path) -> tuple[str, dict[str, str]]:
         return "", {}
 
 
-def _digest(path: Path) -> str:
-    """Return the SHA-256 of a regular file; '' of anything else."""
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a regular file; '' of anything else.
+
+    Args:
+        path: of the file.
+    """
     if not path.is_file():
         return ""
     with path.open("rb") as stream:

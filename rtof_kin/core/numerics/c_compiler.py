@@ -24,6 +24,8 @@ from rtof_kin.core.resources import cache_folder
 Built = TypeVar("Built")
 _log = logging.getLogger(__name__)
 _OPTIONS = ("-O1", "-shared", "-fPIC")
+_USED: dict[str, str] = {}
+"""What evaluates each kind of library in this process: its file, or that it is interpreted."""
 COMPILERS = ("cc", "gcc", "clang")
 SWITCH = "RTOF_KIN_COMPILE"
 """Environment variable; 'never' turns compilation off."""
@@ -67,6 +69,7 @@ def built(
         options: further compiler options; if any, the library is specific to this kind of processor.
         name: of the library; compiling an 'energy', which takes long, is logged.
     """
+    _USED[name] = "interpreted"
     if os.environ.get(SWITCH) == "never":
         return None
     try:
@@ -74,7 +77,13 @@ def built(
             return _loaded(_identity(made_of, options), source, loaded, options, name)
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         _log.warning("the energy could not be compiled (%s): it is interpreted, which is slower", error)
+        _USED[name] = "interpreted"
         return None
+
+
+def evaluated() -> str:
+    """Return how this process evaluated the energy, which differs in the last bits: compiled, or not."""
+    return ", ".join(sorted(set(_USED.values()))) or "interpreted"
 
 
 def _loaded(
@@ -88,11 +97,13 @@ def _loaded(
         raise OSError("there is no C compiler")
     folder = trusted(given)
     if compiler is None:  # accept the library of any compiler
+        _USED[name] = "compiled before"
         there = sorted(folder.glob(f"{name}_{identity[:24]}_*.so"))
         if library := next((found for found in there if kept(found, identity)), None):
             return loaded(library)
         raise OSError("there is no C compiler")
     origin = Origin(identity, _version(compiler))
+    _USED[name] = f"compiled by {origin.compiler}"
     of_compiler = hashlib.sha256(origin.compiler.encode()).hexdigest()[:8]
     library = folder / f"{name}_{identity[:24]}_{of_compiler}.so"
 

@@ -40,7 +40,7 @@ def is_imu_mat(head: str) -> bool:
 def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
     """Implement `files.Format.read`; a declared `rate_hz` replaces the vector of times."""
     declaration = Declaration().changed(**declared)
-    variables = _variables(path)
+    variables = matlab_variables(path)
     found = {name: fields for name, value in variables.items() if (fields := _sensor(path, name, value))}
     if not found:
         raise FileFormatError(path, f"no struct in it has a field {', '.join(_FIELDS)}")
@@ -55,8 +55,17 @@ def read_imu_mat(path: Path, **declared: Any) -> SensorLog:
     return sensor_log([path], TITLE, sensors, declaration, lost(times))
 
 
-def _variables(path: Path) -> dict[str, Any]:
-    """Load all variables after summing their uncompressed sizes."""
+def matlab_variables(path: Path) -> dict[str, Any]:
+    """Load all variables of a MATLAB file (v5 to v7) after summing their uncompressed sizes.
+
+    Structs are `scipy.io.matlab.mat_struct` in arrays of objects. Nothing in the file is executed.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileFormatError: no such file, of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
+    """
     try:
         with path.open("rb") as stream:
             if stream.read(len(_NEWER)) == _NEWER.encode():

@@ -39,15 +39,19 @@ def read_compared(path: str | Path) -> Compared:
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
-    """Return names of both that differ.
+    """Return names of both that differ, with as many of their folders as tell them apart.
 
     Args:
         a, b: what is compared. paths: where they were read.
     """
     if a.name != b.name:
         return a.name, b.name
-    longer = tuple(str(path) for path in paths)
-    return (longer[0], longer[1]) if longer[0] != longer[1] else (f"{a.name}, first", f"{b.name}, second")
+    parts = [Path(path).resolve().parts[1:] for path in paths]
+    for count in range(1, max(map(len, parts)) + 1):
+        first, second = ("/".join(own[-count:]) for own in parts)
+        if first != second:
+            return first, second
+    return f"{a.name}, first", f"{b.name}, second"
 
 
 def _name(path: Path) -> str:

@@ -6,11 +6,9 @@ A run is named by its set, one digit for each sensor of the recording: ``1111111
 
 from __future__ import annotations
 
-import logging
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +21,7 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import JobResult, Outcome, run_jobs
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.pipeline import WARNINGS_LOGGER, reconstruct
+from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
 from rtof_kin.reconstruction.prepare import cleaned
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -87,7 +85,7 @@ def measure_full(run: Run) -> JobResult:
         run: with all sensors.
     """
     begun = time.process_time()
-    with _without_warnings():
+    with without_warnings():
         result = run.reconstructed()
     angles = clinical_angles(result.motion)
     angles = angles.select(
@@ -113,7 +111,7 @@ def measure(run: Run) -> JobResult:
     """
     assert run.full is not None
     begun = time.process_time()
-    with _without_warnings():
+    with without_warnings():
         angles = clinical_angles(run.reconstructed().motion).select(run.full.names)
     found = measure_set(run.sensors, angles, run.full, run.truth)
     return JobResult(found.facts | {"seconds": time.process_time() - begun}, found.arrays)
@@ -126,17 +124,6 @@ def _arrays_of(name: str, angles: ClinicalAngles) -> dict[str, Any]:
 def _angles_of(name: str, arrays: Mapping[str, Any], rows: tuple[AngleRow, ...]) -> ClinicalAngles:
     fields = {field: arrays[f"{name}_{field}"] for field in _ANGLES}
     return ClinicalAngles(arrays["times"], rows=rows, **fields)
-
-
-@contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Silence warnings of the recording, which are the same at every run and part of the verdict."""
-    logger = logging.getLogger(WARNINGS_LOGGER)
-    before, logger.disabled = logger.disabled, True
-    try:
-        yield
-    finally:
-        logger.disabled = before
 
 
 class Runs:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
-
-import numpy as np
 
 from rtof_kin.core.errors import InvalidInputError
 
@@ -42,7 +41,7 @@ class OverlaySettings:
     def __post_init__(self) -> None:
         for name in ("shift", "start", "stop"):
             value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
+            if value is not None and not math.isfinite(value):
                 raise InvalidInputError(f"overlay {name}: {value} s is not finite")
         if self.start is not None and self.stop is not None and self.start >= self.stop:
             raise InvalidInputError(f"overlay: from {self.start:g} to {self.stop:g} s is no interval")

@@ -1,0 +1,101 @@
+"""The command plan: what to expect of a recording before it is made."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from rtof_kin.cli.solver_options import use_threads
+from rtof_kin.cli.terminal import add_model, add_output, command, out, print_files, progress
+
+
+def add_commands(commands: Any) -> None:
+    """Declare the command.
+
+    Args:
+        commands: subparsers of the command line.
+    """
+    parser = command(
+        commands, "plan", _plan, "expected errors of a recording before it is made, and how to lower them",
+        "PLAN is a protocol's TOML file, the name of a movement (--movements lists them), the folder of a "
+        "recording, or the output of reconstruct. The recording is simulated with the errors of a real "
+        "detector and real sensors and solved as a real one. Prints the standard deviation to expect of "
+        "every clinical angle, what camera and sensors do not identify and why, the best place of the "
+        "camera and of one more sensor, and how long to move for the calibration; -o writes tables, a "
+        "figure and a page of instructions for the operator.",
+    )  # fmt: skip
+    parser.add_argument("plan", metavar="PLAN", nargs="?", help="what is to be recorded")
+    parser.add_argument("--movements", action="store_true", help="list the movements of the library and exit")
+    add_output(parser, "", "folder to write; nothing is written without")
+    parser.add_argument(
+        "--draws", type=int, default=3, metavar="N",
+        help="simulated recordings of the plan, each with other errors of person, detector and sensors",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of the first one")
+    parser.add_argument(
+        "--no-search", dest="search", action="store_false",
+        help="predict only: compare no cameras, sensors and lengths for the calibration",
+    )  # fmt: skip
+    parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
+    parser.add_argument("--threads", type=int, metavar="N", help="threads of numerical libraries")
+    add_model(parser)
+
+
+def _plan(options: argparse.Namespace) -> None:
+    use_threads(options)
+    from lifting.predict import Lifter
+    from rtof_kin.core.errors import InvalidInputError
+    from rtof_kin.core.files.folder import check_replaceable, new_folder
+    from rtof_kin.plan.files import MARKER, write_plan
+    from rtof_kin.plan.movements import MOVEMENTS
+    from rtof_kin.plan.plan import plan
+    from rtof_kin.plan.sentences import advice, cautions, headline
+    from rtof_kin.plan.sources import planned
+
+    if options.movements:
+        table = Table("movement", "what it is")
+        for name, movement in MOVEMENTS.items():
+            table.add_row(name, movement.description)
+        out.print(table)
+        return
+    if options.plan is None:
+        raise InvalidInputError("plan: name a protocol's file, a movement, a recording or a motion")
+    folder = Path(options.output) if options.output else None
+    if folder is not None:
+        check_replaceable(folder, MARKER, options.overwrite)
+    lifter = Lifter.load(options.model)
+    protocol, setup = planned(options.plan, lifter)
+    with progress() as update:
+        found = plan(
+            protocol, setup, draws=options.draws, seed=options.seed, lifter=lifter, search=options.search,
+            workers=options.workers, progress=update,
+        )  # fmt: skip
+    out.print(headline(found), style="bold", soft_wrap=True)
+    for line in cautions(found):
+        out.print(f"caution: {line}", style="yellow", soft_wrap=True)
+    _print_angles(found)
+    for line in advice(found):
+        out.print(line, soft_wrap=True)
+    if folder is not None:
+        with new_folder(folder, MARKER, options.overwrite) as new:
+            write_plan(found, new)
+        print_files(folder)
+
+
+def _print_angles(found: Any) -> None:
+    import numpy as np
+
+    from rtof_kin.data.confidence import BAND_95
+
+    weak = {weakness.angle for weakness in found.weaknesses}
+    own = found.prediction.select(found.shown)
+    table = Table("angle [deg]", "sd", "\u00b1 95 %", "simulated error", "")
+    for name, sigma, error in zip(own.names, np.degrees(own.sigma), np.degrees(own.error), strict=True):
+        known = np.isfinite(sigma)
+        cells = [f"{v:.1f}" if known else "" for v in (sigma, BAND_95 * sigma, error)]
+        remark = "not identifiable" if name in weak else "" if known else "not observed"
+        table.add_row(name.replace("_", " "), *cells, remark)
+    out.print(table)

@@ -1,0 +1,159 @@
+"""Errors of clinical joint angles against a reference, pooled over takes, joints and classes of movement.
+
+With the differences d = estimate - reference of n samples:
+
+=================  ==============================================================================
+rmse               sqrt(mean d^2)
+mae                mean |d|
+median             median |d|
+offset             mean d
+offset_removed     sqrt(mean (d - m)^2), m the mean of d over each take's own curve of each angle
+within             share of the samples with |d| <= 1.96 s, s the estimate's own standard deviation
+=================  ==============================================================================
+
+Samples are pooled: a longer take counts more. They are not independent; the number of takes says more about
+how sure a value is than the number of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angles import ClinicalAngles
+from rtof_kin.clinical.comparison import HEADINGS
+from rtof_kin.clinical.comparison_samples import in_time
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95
+
+ALL: Final = "all"
+"""Stands for every angle, or every class of movement."""
+_FIXED: Final = np.radians(0.05)
+"""Range of a reference over a take below which its model holds it fixed."""
+
+
+@dataclass(frozen=True)
+class AngleDifferences:
+    """Differences of one angle in one take."""
+
+    angle: str
+    """Clinical name with its side."""
+    movement: str
+    """Class of the movement."""
+    take: str
+    difference: Array
+    """(n,) rad, estimate - reference, n > 0."""
+    sigma: Array | None = None
+    """(n,) rad, the estimate's own standard deviation; None without bands."""
+
+    @property
+    def joint_angle(self) -> str:
+        """The name without its side: both sides are one row of a table."""
+        return next(
+            (self.angle.removeprefix(f"{s}_") for s in SIDES if self.angle.startswith(f"{s}_")), self.angle
+        )
+
+
+@dataclass(frozen=True)
+class AngleErrors:
+    """Errors of a set of differences; angles in rad."""
+
+    angle: str
+    """Joint angle, or `ALL`."""
+    movement: str
+    """Class, or `ALL`."""
+    takes: int
+    samples: int
+    rmse: float
+    mae: float
+    median: float
+    offset_removed: float
+    offset: float
+    within: float
+    """NaN where the estimate has no bands."""
+
+
+def angle_differences(
+    estimate: ClinicalAngles, reference: ClinicalAngles, movement: str, take: str,
+    names: Sequence[str] = (), shift: float = 0.0,
+) -> tuple[tuple[AngleDifferences, ...], dict[str, str]]:  # fmt: skip
+    """Return the differences of the angles that both have at the same instants, and why others are left out.
+
+    Args:
+        estimate, reference: angles; samples that are unobserved, unreliable or singular in either do not
+        count. movement, take: labels. names: angles of the reference to use; all without any.
+        shift: s, added to the times of the reference.
+    """
+    left_out: dict[str, str] = {}
+    chosen = []
+    for name in names or reference.names:
+        known = reference[name][np.isfinite(reference[name])] if name in reference.names else np.empty(0)
+        if name in HEADINGS:
+            left_out[name] = "depends on the direction of the world's axes"
+        elif not len(known):
+            left_out[name] = "not in the reference"
+        elif np.ptp(known) < _FIXED:
+            left_out[name] = "does not move in the reference: its model holds it fixed"
+        elif name not in estimate.names or not np.isfinite(estimate[name]).any():
+            left_out[name] = "not observed in the estimate"
+        else:
+            chosen.append(name)
+    found = []
+    for pair in in_time(estimate, reference, chosen, shift)[1] if chosen else ():
+        difference = (pair.a.values - pair.b.values)[0]
+        known = np.isfinite(difference)
+        sigma = None if pair.a.sigma is None else pair.a.sigma[0][known]
+        found.append(AngleDifferences(pair.name, movement, take, difference[known], sigma))
+    for name in set(chosen) - {one.angle for one in found}:
+        left_out[name] = "no common instant is observed and reliable in both"
+    return tuple(found), left_out
+
+
+def angle_errors(
+    differences: Iterable[AngleDifferences], angle: str = ALL, movement: str = ALL
+) -> AngleErrors:
+    """Return the errors of a set of differences.
+
+    Args:
+        differences: not empty. angle, movement: labels of the set.
+    """
+    own = list(differences)
+    d = np.concatenate([one.difference for one in own])
+    centred = np.concatenate([one.difference - one.difference.mean() for one in own])
+    banded = [one for one in own if one.sigma is not None]
+    size = np.concatenate([np.abs(one.difference) for one in banded]) if banded else np.empty(0)
+    sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
+    stated = np.isfinite(sigma)
+    return AngleErrors(
+        angle, movement, len({one.take for one in own}), len(d),
+        rmse=float(np.sqrt(np.mean(d**2))), mae=float(np.mean(np.abs(d))), median=float(np.median(np.abs(d))),
+        offset_removed=float(np.sqrt(np.mean(centred**2))), offset=float(np.mean(d)),
+        within=float(np.mean(size[stated] <= BAND_95 * sigma[stated])) if stated.any() else float("nan"),
+    )  # fmt: skip
+
+
+def error_rows(differences: Sequence[AngleDifferences], movements: Sequence[str]) -> tuple[AngleErrors, ...]:
+    """Return the errors of everything, of each class, of each joint angle, and of each angle in each class.
+
+    Args:
+        differences: of all takes. movements: classes in the order of the table.
+    """
+    names = list(dict.fromkeys(one.joint_angle for one in differences))
+    classes = [m for m in movements if any(one.movement == m for one in differences)]
+    wanted: list[tuple[str, str]] = [(ALL, ALL), *((ALL, m) for m in classes)]
+    for name in names:
+        wanted += [(name, ALL), *((name, m) for m in classes)]
+    rows = []
+    for name, movement in wanted:
+        fits = _fits(name, movement)
+        if own := [one for one in differences if fits(one)]:
+            rows.append(angle_errors(own, name, movement))
+    return tuple(rows)
+
+
+def _fits(name: str, movement: str) -> Callable[[AngleDifferences], bool]:
+    return lambda one: name in (ALL, one.joint_angle) and movement in (ALL, one.movement)

@@ -1,0 +1,360 @@
+"""Did a person change over visits? Measures of every visit, their errors, and changes from the baseline.
+
+`measurement_error` has the mathematics, `visit_measures` the measures. The changes of all measures and
+visits are tested together: with Holm's correction (`comparison_change.adjusted`) the chance of even one false
+verdict is at most 5 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, Verdict, adjusted, change_with
+from rtof_kin.clinical.measurement_error import (
+    BandShares,
+    MeasurementErrors,
+    measurement_errors,
+    shown_mostly,
+)
+from rtof_kin.clinical.visit_measures import BETTER, BETTERS, Better, Measure, Movement, measures_of
+from rtof_kin.clinical.visit_movement import movement
+from rtof_kin.clinical.visits import Trial, Visit, incomparable
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+
+_TURN: Final = 2 * np.pi
+
+
+class Outcome(StrEnum):
+    """Answer for one measure and visit; its value is its name in words."""
+
+    IMPROVED = "improved"
+    WORSE = "worse"
+    CHANGED = "changed"
+    """Changed, but no direction is known to be better, or it is not shown which."""
+    NOT_SHOWN = "not shown"
+    NOT_TESTED = "not tested"
+
+
+class Repeated(StrEnum):
+    """What repeats within a visit."""
+
+    TRIALS = "trials"
+    STRIDES = "strides"
+    """Strides or repetitions of the single trial of each visit."""
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One measure over all visits."""
+
+    measure: Measure
+    better: Better | None
+    """Direction that is better: 'up', 'down', towards 'zero'; None where none is known or declared."""
+    visits: tuple[Measured | None, ...]
+    """Of each visit: the values of its trials (of its strides, see `FollowUp.repeated`), and their mean band;
+    None where it was not observed."""
+    baseline: int
+    """Index of the visit that the others are compared with."""
+    errors: MeasurementErrors
+    changes: tuple[Change | None, ...]
+    """Of each visit from the baseline; None for the baseline and where either was not observed."""
+    why_not: str = ""
+    """Why no change is tested; '' if it is."""
+
+    @property
+    def estimates(self) -> Array:
+        """(V,) means of the visits, in the unit of computation; NaN where not observed."""
+        return np.array([np.nan if one is None else one.mean for one in self.visits])
+
+    @property
+    def sigmas(self) -> Array:
+        """(V,) standard deviations of the estimates by bands and repeats; NaN where nothing states them."""
+        known = [np.nan if one is None else self.errors.of_value(one).sigma for one in self.visits]
+        return np.array([sigma if sigma > 0 else np.nan for sigma in known])
+
+    @property
+    def half_bands(self) -> Array:
+        """(V,) halves of the 95 % intervals of the estimates; NaN where nothing states them."""
+        return np.array([
+            np.nan if one is None else self.errors.of_value(one).half_width(LEVEL) for one in self.visits
+        ])  # fmt: skip
+
+    def outcome(self, visit: int) -> Outcome:
+        """Return the answer for a visit.
+
+        Args:
+            visit: its index.
+        """
+        change = self.changes[visit]
+        if change is None or change.verdict is Verdict.NOT_TESTED:
+            return Outcome.NOT_TESTED
+        if change.verdict is Verdict.NOT_SHOWN:
+            return Outcome.NOT_SHOWN
+        if self.better is None:
+            return Outcome.CHANGED
+        gain = change.difference
+        if self.better == "down":
+            gain = -gain
+        elif self.better == "zero":
+            if not self.nearer_shown(visit):
+                return Outcome.CHANGED
+            gain = -change.difference * (change.a + change.b)
+        return Outcome.IMPROVED if gain > 0 else Outcome.WORSE
+
+    def changed(self, visit: int) -> bool:
+        """Return whether a change from the baseline is shown, in whichever direction.
+
+        Args:
+            visit: its index.
+        """
+        change = self.changes[visit]
+        return change is not None and change.verdict is Verdict.CHANGED
+
+    def nearer_shown(self, visit: int) -> bool:
+        """Return whether it is shown which of a visit and the baseline is nearer to zero, if they differ.
+
+        b is nearer than a if b - a and b + a have opposite signs, so the sign of the sum has to be shown too.
+
+        Args:
+            visit: its index.
+        """
+        change, first = self.changes[visit], self.visits[self.baseline]
+        own = self.visits[visit]
+        if change is None or first is None or own is None:
+            return False
+        wider = self.errors.of_sum(first, own) / change.sigma
+        return abs(change.a + change.b) >= change.detectable * max(1.0, wider)
+
+    def mostly(self, visit: int) -> float:
+        """Return the true change that would be shown with a probability of 80 %; NaN if not tested.
+
+        Args:
+            visit: its index.
+        """
+        change = self.changes[visit]
+        if change is None or change.error is None:
+            return float("nan")
+        return shown_mostly(change.error, change.detectable)
+
+
+@dataclass(frozen=True)
+class FollowUp:
+    """Answer for all measures."""
+
+    visits: tuple[Visit, ...]
+    """In order."""
+    baseline: int
+    by: Movement
+    kind: str
+    """Of the repetitions; '' for others."""
+    why: str
+    """Why it is measured by this; '' if it was asked for."""
+    repeated: Repeated
+    measures: tuple[Followed, ...]
+    incomparable: tuple[str, ...]
+    """What makes visits not comparable, in sentences, the gravest first."""
+    left_out: Mapping[str, str]
+    """Trials and measures that are left out -> why."""
+
+    @property
+    def last(self) -> int:
+        """Index of the visit that the verdict is about: the last one, or the one before of the baseline."""
+        return len(self.visits) - 1 if self.baseline != len(self.visits) - 1 else self.baseline - 1
+
+    def of(self, outcome: Outcome, visit: int) -> tuple[Followed, ...]:
+        """Return the measures with an outcome.
+
+        Args:
+            outcome: any. visit: its index.
+        """
+        return tuple(one for one in self.measures if one.outcome(visit) is outcome)
+
+
+def follow_up(
+    visits: Sequence[Visit], *, baseline: int = 0, by: Movement | None = None, kind: str = "",
+    better: Mapping[str, Better] | None = None, names: Sequence[str] = (), shares: BandShares | None = None,
+) -> FollowUp:  # fmt: skip
+    """Compare the visits of one person with a baseline, measure by measure.
+
+    Args:
+        visits: two or more, in their order, each with trials of the same movement.
+        baseline: index of the visit that the others are compared with.
+        by: what is measured over; by default gait cycles if all visits are walking, else repetitions that all
+            trials have two of, else the whole recordings. kind: of the repetitions.
+        better: measure -> direction that is better, beside `BETTER`.
+        names: measures to follow, or angles with all of theirs; none for all. Fewer are tested more sharply.
+        shares: how the variance of the bands is divided.
+
+    Raises:
+        InvalidInputError: fewer than two visits, a motion that occurs twice, no common measure, or a trial
+            without what is asked for. UnknownNameError: a measure that there is not, or no such direction.
+    """
+    visits, shares = tuple(visits), shares or BandShares()
+    _check(visits, baseline)
+    chosen, kind, why, out = movement(visits, by, kind)
+    used = [[one for one in visit.trials if f"{visit.name}, {one.name}" not in out] for visit in visits]
+    values = [[measures_of(one, chosen, kind) for one in trials] for trials in used]
+    measures = list(dict.fromkeys(m for visit in values for one in visit for m in one))
+    known = [measure.name for measure in measures]
+    indices_of("measure", list(better or {}), known)
+    names = _expanded(names, known)
+    if wrong := set((better or {}).values()) - set(BETTERS):
+        raise UnknownNameError("direction that is better", sorted(wrong), BETTERS)
+    repeated = _repeated(used, values)
+    series: dict[Measure, list[Measured | None]] = {}
+    for measure in measures:
+        if names and measure.name not in names:
+            continue
+        own = [_of_visit(visit, measure, repeated) for visit in values]
+        if own[baseline] is None or sum(one is not None for one in own) < 2:
+            absent = [visit.name for visit, one in zip(visits, own, strict=True) if one is None]
+            out[measure.name] = f"not observed, or not reliably, in {', '.join(absent)}"
+            continue
+        series[measure] = own
+    if not series:
+        raise InvalidInputError("follow: no measure is observed in the baseline and in another visit")
+    followed = follow_measures(series, baseline, repeated, better or {}, shares)
+    unlike = [f"{name}: {reason}" for name, reason in out.items() if name not in known]
+    causes = (*incomparable(visits, baseline), *unlike)
+    return FollowUp(visits, baseline, chosen, kind, why, repeated, followed, causes, out)
+
+
+def follow_measures(
+    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated,
+    better: Mapping[str, Better], shares: BandShares,
+) -> tuple[Followed, ...]:  # fmt: skip
+    """Return the errors and changes of measures whose values are known, tested together.
+
+    Args:
+        series: measure -> of each visit the values of its trials and their mean band, in the unit of
+            computation; None where it was not observed, but in the baseline.
+        baseline: index of the visit that the others are compared with. repeated: what the values are of.
+        better: measure -> direction that is better, beside `BETTER`.
+        shares: how the variance of the bands is divided.
+    """
+    directions = BETTER | dict(better)
+    return _together([
+        _followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()
+    ])  # fmt: skip
+
+
+def _expanded(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Measures by name; the name of an angle stands for all of its."""
+    out = []
+    for name in names:
+        own = [measure for measure in known if measure == name or measure.rpartition("_")[0] == name]
+        indices_of("measure", [] if own else [name], known)
+        out += own
+    return out
+
+
+def _check(visits: Sequence[Visit], baseline: int) -> None:
+    if len(visits) < 2:
+        raise InvalidInputError("follow: a change needs two visits or more")
+    if not 0 <= baseline < len(visits):
+        raise InvalidInputError(f"follow: no visit {baseline}; there are {len(visits)}")
+    seen: list[tuple[str, Array]] = []
+    for visit in visits:
+        if not visit.trials:
+            raise InvalidInputError(f"follow: visit {visit.name} has no motion")
+        for one in visit.trials:
+            name, values = f"{visit.name}, {one.name}", one.analysis.angles.values
+            for other, same in seen:
+                if np.array_equal(values, same, equal_nan=True):
+                    raise InvalidInputError(
+                        f"follow: {name} is the same motion as {other}, which is no repeat of it; "
+                        "remove one of them"
+                    )
+            seen.append((name, values))
+
+
+def _repeated(
+    used: Sequence[Sequence[Trial]], values: Sequence[Sequence[Mapping[Measure, Measured]]]
+) -> Repeated:
+    if any(len(trials) > 1 for trials in used):
+        return Repeated.TRIALS
+    most = max((len(one.values) for visit in values for own in visit for one in own.values()), default=0)
+    return Repeated.STRIDES if most > 1 else Repeated.NOTHING
+
+
+def _of_visit(
+    trials: Sequence[Mapping[Measure, Measured]], measure: Measure, repeated: Repeated
+) -> Measured | None:
+    """Values of the trials of one visit, or of the repeats within its single trial."""
+    own = [one[measure] for one in trials if measure in one and np.isfinite(one[measure].mean)]
+    if not own:
+        return None
+    if repeated is Repeated.TRIALS:
+        bands = [one.band_sigma for one in own if one.band_sigma > 0]
+        return Measured(np.array([one.mean for one in own]), float(np.mean(bands)) if bands else 0.0)
+    return own[0]
+
+
+def _followed(
+    measure: Measure, own: Sequence[Measured | None], baseline: int, repeated: Repeated,
+    better: Mapping[str, Better], shares: BandShares,
+) -> Followed:  # fmt: skip
+    if measure.unit == "deg" and not measure.name.endswith("_range"):
+        own = _one_turn(own, baseline)
+    own = _with_bands(own)
+    errors = measurement_errors([one for one in own if one is not None], shares)
+    why_not = _why_not(measure, errors, repeated)
+    first = own[baseline]
+    changes: list[Change | None] = []
+    for number, one in enumerate(own):
+        if number == baseline or one is None or first is None:
+            changes.append(None)
+            continue
+        found = change_with(measure.name, first.mean, one.mean, errors.of_change(first, one))
+        changes.append(replace(found, p=float("nan")) if why_not else found)
+    return Followed(measure, better.get(measure.name), tuple(own), baseline, errors, tuple(changes), why_not)
+
+
+def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) -> str:
+    if measure.is_gait and not (repeated is Repeated.TRIALS and errors.within[1]):
+        return (
+            "no visit has two trials of it, so nothing says how much it varies from one walk to the next; "
+            "record each walk two times or more"
+        )
+    if not errors.both.sem > 0:
+        return "nothing states its error: the motions have no bands, and it was not repeated"
+    return ""
+
+
+def _with_bands(own: Sequence[Measured | None]) -> list[Measured | None]:
+    """Visits without bands take the widest of the others."""
+    widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
+    return [
+        one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own
+    ]  # fmt: skip
+
+
+def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | None]:
+    """Values within half a turn of the baseline."""
+    first = own[baseline]
+    if first is None:
+        return list(own)
+    middle = np.median(first.values)
+    return [
+        None if one is None
+        else Measured(one.values - _TURN * np.round((one.values - middle) / _TURN), one.band_sigma)
+        for one in own
+    ]  # fmt: skip
+
+
+def _together(followed: Sequence[Followed]) -> tuple[Followed, ...]:
+    """The measures with changes that are adjusted for each other."""
+    places = [(m, v) for m, one in enumerate(followed) for v, c in enumerate(one.changes) if c is not None]
+    changes = [list(one.changes) for one in followed]
+    given = [change for one in followed for change in one.changes if change is not None]
+    for (m, v), change in zip(places, adjusted(given), strict=True):
+        changes[m][v] = change
+    return tuple(replace(one, changes=tuple(own)) for one, own in zip(followed, changes, strict=True))

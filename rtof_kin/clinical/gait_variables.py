@@ -1,0 +1,223 @@
+"""The nine variables of the gait scores over the strides of a motion.
+
+Headings of pelvis and foot are relative to the **direction of progression** of each stride: that of the way
+of the pelvis from heel strike to heel strike, or, on a treadmill, against the way of the heel in mid stance.
+Foot progression is the rotation of the foot in the sequence of the pelvis (Baker 2001), the heading of its
+lateral axis: with a flat foot that of its long axis, which has none where the toes point down at toe off.
+Obliquity and rotation of the pelvis have the sign of the side whose cycle it is. Only straight strides of
+walking count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.clinical.angle_table import SIDES, angle_table, foot_table
+from rtof_kin.clinical.angles import ClinicalAngles, angles_of
+from rtof_kin.clinical.comparison_samples import usable
+from rtof_kin.clinical.decomposition import DecomposedAngles
+from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
+from rtof_kin.clinical.gait_events import GaitEvents, gait_events
+from rtof_kin.clinical.gait_recognition import LEAST_PROGRESS, stride_shape
+from rtof_kin.clinical.neutral import relative_to_standing
+from rtof_kin.clinical.paths import BodyPaths, PathCollector
+from rtof_kin.clinical.strides import Stride
+from rtof_kin.core import signals
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE
+
+STRAIGHT: Final = np.radians(20.0)  # [rad] largest change of the pelvis's heading within a counted stride
+MID_STANCE: Final = np.array([0.2, 0.7])  # share of stance in which a heel moves with a treadmill's belt
+_GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
+_ANGLES: Final = (
+    ("pelvis_tilt", 1, False), ("pelvis_list", -1, False), ("pelvis_rotation", 1, True),
+    ("{side}_hip_flexion", 1, False), ("{side}_hip_adduction", 1, False),
+    ("{side}_hip_internal_rotation", 1, False), ("{side}_knee_flexion", 1, False),
+    ("{side}_ankle_dorsiflexion", 1, False), ("{side}_foot_rotation", 1, True),
+)  # fmt: skip
+"""Angle of each variable, its sign in a right cycle, and whether it is a heading."""
+_NEEDS: Final = {
+    "hip_adduction": "a sensor on the pelvis, or a camera that sees both hips",
+    "hip_rotation": "a sensor on the thigh",
+    "ankle_dorsiflexion": "sensors on shank and foot",
+    "foot_progression": "a sensor on the foot",
+}
+
+
+@dataclass(frozen=True)
+class GaitCycles:
+    """The nine variables over n strides, and what they are of."""
+
+    sides: tuple[str, ...]
+    """n sides, by the start of the stride."""
+    curves: Array
+    """(n, 9, 51) rad, in the order of `VARIABLES`; NaN as a whole where a curve is not complete."""
+    sigma: Array | None
+    """(n, 9, 51) rad, stated standard deviations; None if the motion has no bands."""
+    speeds: Array
+    """(n,) m/s; NaN on a treadmill."""
+    why_not: str
+    """One sentence on why the motion has no strides that count; '' if it has."""
+    notes: tuple[str, ...] = ()
+
+    def complete(self, side: str) -> Mask:
+        """Return a mask (n, 9) of the curves of one side that are known.
+
+        Args:
+            side: 'right' or 'left'.
+        """
+        known = np.isfinite(self.curves).all(axis=2)
+        own = np.array([one == side for one in self.sides], dtype=np.bool_)
+        return np.asarray(known & own[:, None])
+
+    def missing(self, side: str) -> dict[str, str]:
+        """Return the variables without a complete curve of one side, and what they need.
+
+        Args:
+            side: 'right' or 'left'.
+        """
+        seen = self.complete(side)
+        return {
+            name: _NEEDS.get(name, "to be observed and reliable throughout a stride")
+            for v, name in enumerate(NAMES) if not seen[:, v].any()
+        }  # fmt: skip
+
+    @property
+    def speed(self) -> float:
+        """Mean walking speed, m/s; NaN if unknown."""
+        known = self.speeds[np.isfinite(self.speeds)]
+        return float(known.mean()) if len(known) else float("nan")
+
+
+def joined_cycles(parts: Sequence[GaitCycles]) -> GaitCycles:
+    """Return the strides of several motions of one person.
+
+    Args:
+        parts: of the motions, at least one.
+    """
+    sigma = [part.sigma for part in parts if part.sigma is not None]
+    return GaitCycles(
+        tuple(side for part in parts for side in part.sides),
+        np.concatenate([part.curves for part in parts]),
+        np.concatenate(sigma) if len(sigma) == len(parts) else None,
+        np.concatenate([part.speeds for part in parts]),
+        "" if any(not part.why_not for part in parts) else parts[0].why_not,
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+
+
+def gait_cycles(motion: MotionSequence | MotionSource, *, from_standing: bool = False) -> GaitCycles:
+    """Return the nine variables over the strides of a motion; none if it is no gait, with the reason.
+
+    Args:
+        motion: reconstructed; read in blocks.
+        from_standing: whether angles are relative to the person's quiet standing.
+
+    Raises:
+        InvalidInputError: nobody stands still, but `from_standing` is set.
+    """
+    source = MotionSource.of(motion)
+    angles, feet, paths = _angles(source, from_standing)
+    if from_standing:
+        angles = relative_to_standing(angles, paths)
+    gait = analyse_gait(gait_events(paths), angles)
+    strides, why_not, notes = _counted(gait)
+    curves = np.full((len(strides), *SHAPE), np.nan)
+    sigma = None if angles.sigma is None else np.full(curves.shape, np.nan)
+    speeds = np.full(len(strides), np.nan)
+    for side in SIDES:
+        sampled = _Sampled.of(angles, feet, side)
+        for k, stride in enumerate(strides):
+            if stride.side == side:
+                curves[k], found = sampled.over(stride, _direction(stride, gait.events))
+                if sigma is not None and found is not None:
+                    sigma[k] = found
+                speeds[k] = stride.speed if not gait.verdict.on_the_spot else np.nan
+    return GaitCycles(tuple(s.side for s in strides), curves, sigma, speeds, why_not, notes)
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """Angles of one side's variables over time."""
+
+    side: str
+    times: Array
+    values: Array
+    """(T, 9) rad."""
+    sigma: Array | None
+
+    @classmethod
+    def of(cls, angles: ClinicalAngles, feet: ClinicalAngles, side: str) -> _Sampled:
+        """Select the angles of a side, NaN where unusable."""
+        names = [name.format(side=side) for name, _, _ in _ANGLES]
+        values, sigma = usable(angles.select(names[:-1]))
+        foot, foot_sigma = usable(feet.select(names[-1:]))
+        both = None if sigma is None or foot_sigma is None else np.hstack([sigma, foot_sigma])
+        return cls(side, angles.times, np.hstack([values, foot]), both)
+
+    def over(self, stride: Stride, direction: float) -> tuple[Array, Array | None]:
+        """Return values and standard deviations (9, 51) of a stride that leads in a direction, rad."""
+        own, at = stride.frames(self.times), stride.start + PERCENT / 100 * stride.stride_time
+        times, gap = self.times[own], _GAP * float(np.median(np.diff(self.times)))
+        values = signals.interpolate(times, self.values[own], at, gap).T
+        mirror = 1 if self.side == "right" else -1
+        for row, (name, sign, is_heading) in zip(values, _ANGLES, strict=True):
+            row *= sign * (mirror if name.startswith("pelvis_") and name != "pelvis_tilt" else 1)
+            if is_heading:
+                row -= mirror * direction
+                if np.isfinite(row).all():
+                    row -= 2 * np.pi * np.round(row.mean() / (2 * np.pi))
+        values[~np.isfinite(values).all(axis=1)] = np.nan
+        if self.sigma is None:
+            return values, None
+        return values, signals.interpolate(times, self.sigma[own], at, gap).T
+
+
+def _angles(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, ClinicalAngles, BodyPaths]:
+    """Angles of all joints, of the feet in world, and paths, in one pass over the frames."""
+    skeleton, times = source.skeleton, source.times
+    tables = angle_table(skeleton.table), foot_table(skeleton.table)
+    joints, feet = (DecomposedAngles(skeleton, table, times) for table in tables)
+    paths = PathCollector(skeleton, times, standing)
+    for block in source.blocks(margin=1, confidence=True):
+        for found in (joints, feet):
+            found.add(block.frames, block.motion.poses, block.own, block.motion.confidence)
+        paths.add(block.frames, block.motion.poses, block.own)
+    masks = source.masks
+    return angles_of(joints, masks), angles_of(feet, masks), paths.paths(masks)
+
+
+def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:
+    """Straight strides of walking; why there are none; notes."""
+    if not gait.is_gait:
+        return [], gait.why_not, ()
+    walking = gait.verdict.walking
+    straight = [s for s in walking if abs(stride_shape(s, gait.events).turn) <= STRAIGHT]
+    if not straight:
+        turn = f"{np.degrees(STRAIGHT):.0f} deg"
+        return [], f"The person turns by more than {turn} in every stride: walk straight ahead.", ()
+    notes = []
+    if left_out := len(walking) - len(straight):
+        notes.append(f"{left_out} of {len(walking)} strides are left out, in which the person turns")
+    if gait.verdict.on_the_spot:
+        notes.append("on a treadmill: the direction of progression is that of the belt")
+    return straight, "", tuple(notes)
+
+
+def _direction(stride: Stride, events: GaitEvents) -> float:
+    """Direction of progression from world x, rad."""
+    own = stride.frames(events.times)
+    times = events.times[own]
+    ends = signals.interpolate(times, events.pelvis[own], np.array([stride.start, stride.stop]))
+    way = (ends[1] - ends[0])[:2]
+    if np.linalg.norm(way) < LEAST_PROGRESS:
+        at = stride.start + (stride.toe_off - stride.start) * MID_STANCE
+        ends = signals.interpolate(times, events.feet[stride.side].heel[own], at)
+        way = (ends[0] - ends[1])[:2]
+    return float(np.arctan2(way[1], way[0]))

@@ -1,0 +1,113 @@
+"""What the last bits of a result depend on beside its inputs: versions of code and libraries, the processor.
+
+Nothing of it names a person, a machine or a folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+from rtof_kin.core.threads import threads
+
+PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")
+"""Dependencies that compute."""
+SWITCHES: Final = (
+    "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "ATEN_CPU_CAPABILITY",
+    "ONEDNN_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES",
+)  # fmt: skip
+"""Environment variables by which libraries choose a processor's instructions."""
+_ROOT: Final = Path(__file__).parents[2]
+_SOURCES: Final = ("rtof_kin/**/*.py", "rtof_kin/**/*.c", "lifting/**/*.py")
+_TABLES: Final = ("*.npz", "*.toml", "*.urdf")
+_UNKNOWN: Final = "unknown"
+
+
+def environment() -> dict[str, str]:
+    """Return versions, processor, way of evaluation and threads by name; to be called after a computation."""
+    return {
+        "rtof_kin": package_version("rtof_kin"),
+        "rtof_kin source": source_digest()[:16],
+        "python": platform.python_version(),
+        **{name: package_version(name) for name in PACKAGES},
+        **_blas(),
+        "C library": " ".join(platform.libc_ver()).strip() or _UNKNOWN,
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor(),
+        "instructions": " ".join(f"{n}={os.environ[n]}" for n in SWITCHES if n in os.environ) or "all",
+        "energy": _energy(),
+        "threads": str(threads() or _UNKNOWN),
+    }
+
+
+def differences(then: dict[str, str], now: dict[str, str]) -> list[str]:
+    """Return what differs between two environments, as 'numpy 2.1.0 -> 2.3.0'.
+
+    Args:
+        then, now: of `environment`.
+    """
+    names = [*then, *(name for name in now if name not in then)]
+    pairs = ((name, then.get(name, _UNKNOWN), now.get(name, _UNKNOWN)) for name in names)
+    return [f"{name} {before} -> {after}" for name, before, after in pairs if before != after]
+
+
+def package_version(name: str) -> str:
+    """Return the version of an installed package, else that it is not installed.
+
+    Args:
+        name: of its distribution.
+    """
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def source_digest() -> str:
+    """Return the SHA-256 of this package's code and tables, which tells versions of one number apart."""
+    models = next((m for m in (_ROOT / "models", _ROOT / "rtof_kin" / "models") if m.is_dir()), None)
+    paths = [path for pattern in _SOURCES for path in _ROOT.glob(pattern)]
+    paths += [path for pattern in _TABLES for path in (models.glob(pattern) if models else ())]
+    whole = hashlib.sha256()
+    for name, path in sorted((path.relative_to(_ROOT).as_posix(), path) for path in paths):
+        whole.update(f"{name.removeprefix('rtof_kin/models/')} ".encode())
+        whole.update(hashlib.sha256(path.read_bytes()).digest())
+    return whole.hexdigest()
+
+
+@cache
+def processor() -> str:
+    """Return the processor's model and a digest of its instruction sets."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    pairs = (line.partition(":") for line in reversed(lines))  # the first processor's win
+    facts = {name.strip(): value.strip() for name, _, value in pairs}
+    model = facts.get("model name") or facts.get("CPU part") or platform.machine()
+    flags = " ".join(sorted((facts.get("flags") or facts.get("Features") or "").split()))
+    return f"{model}, instructions {hashlib.sha256(flags.encode()).hexdigest()[:8]}"
+
+
+def _blas() -> dict[str, str]:
+    """Return the linear algebra that NumPy and SciPy were built with, if they are loaded."""
+    found = {}
+    for name in ("numpy", "scipy"):
+        if (module := sys.modules.get(name)) is not None:
+            blas = module.show_config(mode="dicts")["Build Dependencies"]["blas"]
+            found[f"BLAS of {name}"] = f"{blas.get('name', _UNKNOWN)} {blas.get('version', '')}".strip()
+    return found
+
+
+def _energy() -> str:
+    """Return how the energy was evaluated."""
+    from rtof_kin.core.numerics.c_compiler import evaluated
+
+    return evaluated()

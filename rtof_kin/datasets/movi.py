@@ -1,0 +1,239 @@
+"""BML-MoVi (Ghorbani et al., PLOS ONE 16, e0253157, 2021): round F, two calibrated cameras and 67 markers.
+
+Files are found by name at any depth::
+
+    F_PG1_Subject_1_L.avi                 video of camera PG1 (or PG2), 800 x 600 px, 30 Hz, all motions
+    F_v3d_Subject_1.mat                   struct Subject_1_F with move: markers, joint centres, 120 Hz
+    cameraParams_PG1.npz, Extrinsics_PG1.npz    calibration in MATLAB's convention, mm
+
+``move`` has ``motions_list`` and, from 1, the first and last frame of each motion in the video (``flags30``)
+and in motion capture (``flags120``). Joint centres are ``virtualMarkerLocation`` (T, 20, 3) in the order of
+`CENTRES`; 0 or NaN where missing. Rounds S1 and S2 have sensors but 17 markers, too few for any joint angle.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.arrays import read_npz
+from rtof_kin.data.camera import Camera
+from rtof_kin.datasets.joint_centres import hinge_table
+from rtof_kin.datasets.public_sets import (
+    Movement,
+    Take,
+    TakeInputs,
+    Truth,
+    checked_root,
+    kind_of,
+    natural,
+    some,
+)
+from rtof_kin.formats.sensors.imu_mat import matlab_variables
+
+CENTRES: Final = (
+    "head", "mid_hip", "pelvis", "thorax", "left_ankle", "left_elbow", "left_hip", "left_hand", "left_knee",
+    "left_shoulder", "left_wrist", "left_foot", "right_ankle", "right_elbow", "right_hip", "right_hand",
+    "right_knee", "right_shoulder", "right_wrist", "right_foot",
+)  # fmt: skip
+"""Order of the virtual markers."""
+VIDEO_HZ, MARKERS_HZ = 30.0, 120.0
+SIZE_PX: Final = (800, 600)
+_KINDS: Final[dict[str, Movement]] = {
+    "walking": "walk", "sitting_down": "sit-to-stand", "squatting": "squat", "crawling": "floor",
+    "cross_legged_sitting": "floor", "pointing": "arms", "hand_clapping": "arms", "crossarms": "arms",
+    "cross_arms": "arms", "hand_waving": "arms", "checking_watch": "arms", "taking_photo": "arms",
+    "throw": "arms", "scratching_head": "arms", "phone_talking": "arms",
+}  # fmt: skip
+_CAMERAS: Final = ("PG1", "PG2")
+_MARKERS: Final = re.compile(r"F_v3d_Subject_(\d+)\.mat", re.IGNORECASE)
+_LAYOUT: Final = "F_v3d_Subject_1.mat beside F_PG1_Subject_1_L.avi and cameraParams_PG1.npz, at any depth"
+_MISSING: Final = 1e-3
+_MM: Final = 0.001
+
+
+class Movi:
+    """Adapter of round F of BML-MoVi."""
+
+    name = "movi"
+    title = "BML-MoVi, round F"
+    mode: Mode = "rto"
+    caution = (
+        "joint centres define the flexion of knees and elbows alone; their zero is a straight limb, so "
+        "that an offset of a few degrees is one of definition"
+    )
+
+    def __init__(self, root: Path):
+        """Take the folder with the unpacked archives."""
+        self.root = checked_root(root, "BML-MoVi")
+        self._read: dict[Path, dict[str, Any]] = {}
+
+    def takes(self) -> tuple[Take, ...]:
+        """See `PublicSet.takes`: every motion in every camera; files of markers are read for their names."""
+        return some(self._takes(), self.root, self.title, _LAYOUT)
+
+    def _takes(self) -> Iterator[Take]:
+        files = [path for path in self.root.rglob("*.mat") if _MARKERS.fullmatch(path.name)]
+        for path in sorted(files, key=lambda p: natural(p.name)):
+            number = path.stem.rpartition("_")[2]
+            try:
+                motions = self._move(path)["motions"]
+            except FileFormatError:
+                motions = ["unreadable"]  # listed, so that it is counted; `inputs` says why
+            for index, motion in enumerate(motions):
+                plain = re.sub(r"[^A-Za-z0-9]+", "_", motion)
+                for camera in _CAMERAS:
+                    key = f"Subject_{number}_{index + 1:02d}_{plain}_{camera}"
+                    kind = kind_of(motion, _KINDS)
+                    yield Take(key, f"Subject_{number}", motion, kind, path.parent, camera)
+
+    def inputs(self, take: Take) -> TakeInputs:
+        """See `PublicSet.inputs`."""
+        number = take.subject.rpartition("_")[2]
+        video = self._found(rf"F_{take.camera}_Subject_{number}(_L)?\.(avi|mp4)")
+        first, last = self._of(take)["flags30"][_index(take)]
+        return TakeInputs(
+            video=video, span=((first - 1) / VIDEO_HZ, (last - 1) / VIDEO_HZ),
+            size_px=None if video else SIZE_PX, rate_hz=VIDEO_HZ, camera=self._camera(take.camera),
+        )  # fmt: skip
+
+    def _camera(self, name: str) -> Camera:
+        intrinsics, extrinsics = f"cameraParams_{name}.npz", f"Extrinsics_{name}.npz"
+        found = {file: self._found(re.escape(file)) for file in (intrinsics, extrinsics)}
+        for file, path in found.items():
+            if path is None:
+                raise FileFormatError(
+                    self.root / file,
+                    "the calibration of the camera is missing; unpack 'Camera Parameters.tar', or measure "
+                    "without one: --camera unknown",
+                )
+        return read_camera(*(path for path in found.values() if path is not None))
+
+    def truth(self, take: Take) -> Truth:
+        """See `PublicSet.truth`."""
+        move = self._of(take)
+        first, last = (int(frame) for frame in move["flags120"][_index(take)])
+        points = move["points"][first - 1 : last]
+        points = np.where((np.abs(points) < _MISSING).all(axis=-1, keepdims=True), np.nan, points)
+        centres = {name: points[:, i] for i, name in enumerate(CENTRES)}
+        table = hinge_table(np.arange(len(points)) / MARKERS_HZ, centres)
+        return Truth(table, table.names, "angles between joint centres of optical markers", reach=0.5)
+
+    def _of(self, take: Take) -> dict[str, Any]:
+        return self._move(take.folder / f"F_v3d_{take.subject}.mat")
+
+    def _move(self, path: Path) -> dict[str, Any]:
+        """Read one person's motions; the last person's are kept."""
+        if path not in self._read:
+            self._read = {path: read_motions(path)}
+        return self._read[path]
+
+    def _found(self, pattern: str) -> Path | None:
+        named = re.compile(pattern, re.IGNORECASE)
+        return next((path for path in sorted(self.root.rglob("*")) if named.fullmatch(path.name)), None)
+
+
+def _index(take: Take) -> int:
+    return int(take.key.removeprefix(take.subject + "_").partition("_")[0]) - 1
+
+
+def read_camera(intrinsics: Path, extrinsics: Path) -> Camera:
+    """Read a camera; MATLAB multiplies rows from the left and counts pixels from 1.
+
+    Args:
+        intrinsics: with IntrinsicMatrix and RadialDistortion.
+        extrinsics: with rotationMatrix and translationVector.
+
+    Raises:
+        FileFormatError: an array is missing, of another shape, or no camera.
+    """
+    shapes = {"IntrinsicMatrix": (3, 3), "RadialDistortion": (2,)}
+    own = _arrays(intrinsics, shapes)
+    placed = _arrays(extrinsics, {"rotationMatrix": (3, 3), "translationVector": (3,)})
+    K = own["IntrinsicMatrix"].T.copy()
+    K[:2, 2] -= 1.0
+    distortion = np.r_[own["RadialDistortion"], np.zeros(3)]
+    try:
+        return Camera(K, placed["rotationMatrix"].T, placed["translationVector"] * _MM, *SIZE_PX, distortion)
+    except InvalidInputError as error:
+        raise FileFormatError(extrinsics, str(error)) from error
+
+
+def _arrays(path: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
+    found = read_npz(path)
+    for name, shape in shapes.items():
+        if name not in found or np.size(found[name]) != np.prod(shape):
+            raise FileFormatError(
+                path, f"{name}: expected an array {shape}; is it of another version of the set?"
+            )
+    return {name: np.asarray(found[name], dtype=float).reshape(shape) for name, shape in shapes.items()}
+
+
+def read_motions(path: Path) -> dict[str, Any]:
+    """Read names, frames and joint centres of one person.
+
+    Args:
+        path: ``F_v3d_Subject_1.mat``.
+
+    Returns:
+        motions: names. flags30, flags120: (M, 2) from 1. points: (T, 20, 3).
+
+    Raises:
+        FileFormatError: not that struct, a field missing or of another shape, or damaged.
+    """
+    variables = matlab_variables(path)
+    name = next((name for name in variables if name.startswith("Subject_")), None)
+    if name is None:
+        raise FileFormatError(path, "no struct Subject_1_F in it; is it of another version of the set?")
+    move = _field(path, _field(path, variables[name], "move"), "")
+    found: dict[str, Any] = {}
+    for field in ("flags30", "flags120", "virtualMarkerLocation"):
+        values = np.asarray(_plain(_field(path, move, field)), dtype=object)
+        try:
+            found[field] = values.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            raise FileFormatError(path, f"move.{field} holds no numbers") from error
+    motions = [str(_plain(one)) for one in np.ravel(_field(path, move, "motions_list"))]
+    points, count = found["virtualMarkerLocation"], len(motions)
+    if points.ndim != 3 or points.shape[1:] != (len(CENTRES), 3):
+        raise FileFormatError(path, f"virtualMarkerLocation: {points.shape}, not (T, {len(CENTRES)}, 3)")
+    for field in ("flags30", "flags120"):
+        flags = found[field].reshape(-1, 2) if found[field].size == 2 * count else np.zeros((0, 2))
+        if len(flags) != count or not (flags[:, 0] >= 1).all() or not (flags[:, 1] > flags[:, 0]).all():
+            raise FileFormatError(path, f"move.{field}: expected first and last frame of {count} motions")
+        found[field] = flags
+    if found["flags120"].max(initial=0) > len(points):
+        raise FileFormatError(path, f"move.flags120 ends after the {len(points)} frames of the markers")
+    return {
+        "motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points,
+    }  # fmt: skip
+
+
+def _field(path: Path, struct: Any, name: str) -> Any:
+    """Return a field of the struct inside arrays and cells; the struct itself for ''."""
+    inner = struct
+    while isinstance(inner, np.ndarray) and inner.dtype == object and inner.size == 1:
+        inner = inner.flat[0]
+    if not name:
+        return inner
+    if name not in getattr(inner, "_fieldnames", ()):
+        raise FileFormatError(path, f"no field {name} in it; is it of another version of the set?")
+    return getattr(inner, name)
+
+
+def _plain(value: Any) -> Any:
+    """Return what nested arrays of one element hold."""
+    while isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
+        value = value.flat[0]
+    return (
+        value.flat[0]
+        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1
+        else value
+    )

@@ -1,0 +1,159 @@
+"""Where camera and sensors are placed, in numbers and in words for the operator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
+
+_SEGMENTS: Final = {
+    "UpLeg": ("thigh", "hip", "knee"),
+    "Leg": ("shank", "knee", "ankle"),
+    "ForeArm": ("forearm", "elbow", "wrist"),
+    "Arm": ("upper arm", "shoulder", "elbow"),
+}
+"""End of a joint's name -> segment, joint above and joint below."""
+_SINGLE: Final = {
+    "Head": "on a headband, arrow up",
+    "Spine3": "on the breastbone, arrow up",
+    "Hips": "on the sacrum, between the two dimples of the low back, arrow up",
+}
+_NEAR_END: Final = 0.04
+"""[m] to the joint below within which a place is named after it."""
+
+
+@dataclass(frozen=True)
+class Framing:
+    """Place of a camera relative to a movement."""
+
+    distance: float
+    """[m] horizontal, from the middle of the pelvis' path."""
+    height: float
+    """[m] over the floor."""
+    angle_deg: float
+    """Direction of the camera from that middle, from the person's facing at the start: 0 in front, 90 to the
+    person's left, -90 to the right."""
+    tilt_deg: float
+    """Of the optical axis, downwards."""
+    field_deg: tuple[float, float]
+    """Horizontal and vertical field of view."""
+    middle: Array
+    """(2,) m, of the pelvis' path."""
+    inside: float
+    """Share of frames with all landmarks in the picture."""
+    margin: float
+    """Least distance of a landmark from the border over all frames, share of the picture's height; negative
+    outside, NaN where a landmark is behind the camera."""
+
+    @property
+    def side(self) -> str:
+        """Direction in words."""
+        size = abs(self.angle_deg)
+        if size < 5:
+            return "straight in front of the person"
+        if size > 175:
+            return "straight behind the person"
+        side = "left" if self.angle_deg > 0 else "right"
+        return f"{size:.0f}° to the person's {side} of straight ahead"
+
+    @property
+    def view(self) -> str:
+        """What the picture shows, in words."""
+        if self.inside < 1:
+            return (
+                f"the whole body is in the picture only {100 * self.inside:.0f} % of the time: move the "
+                "camera back or aim it better"
+            )
+        return f"the whole body stays in the picture, with {100 * self.margin:.0f} % of its height to spare"
+
+
+def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Framing:
+    """Return where a camera stands relative to a movement, and whether it sees all of it.
+
+    Args:
+        poses: of the movement, finite, on the floor z = 0. skeleton: body. camera: upright.
+    """
+    middle = centre_of(poses)[:2]
+    centre, axis = camera.center_world, camera.R_camera_world[2]
+    way = centre[:2] - middle
+    angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
+    uv = camera.project(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
+    size = np.array([camera.width_px, camera.height_px])
+    least = np.minimum(uv, size - uv).min(axis=(1, 2)) / camera.height_px
+    fields = 2 * np.arctan(size / 2 / np.diag(camera.K)[:2])
+    return Framing(
+        distance=float(np.linalg.norm(way)),
+        height=float(centre[2]),
+        angle_deg=float((angle + 180) % 360 - 180),
+        tilt_deg=float(np.degrees(np.arcsin(np.clip(-axis[2], -1, 1)))),
+        field_deg=(float(np.degrees(fields[0])), float(np.degrees(fields[1]))),
+        middle=middle,
+        inside=float(np.mean(least >= 0)),
+        margin=float(least.min()),
+    )
+
+
+def centre_of(poses: PoseSequence) -> Array:
+    """Return the middle (3,) m of a movement: of the pelvis' path on the floor, and of the body's height.
+
+    Args:
+        poses: of the movement, pelvis first.
+    """
+    path, heights = poses.p_world_joint[:, 0, :2], poses.p_world_joint[..., 2]
+    middle = (path.min(axis=0) + path.max(axis=0)) / 2
+    return np.array([*middle, (heights.min() + heights.max()) / 2])
+
+
+def facing_of(poses: PoseSequence) -> float:
+    """Return the heading of the pelvis in the first frame, rad from world's x.
+
+    Args:
+        poses: of the movement, pelvis first.
+    """
+    return float(so3.heading(poses.R_world_bone[:1, 0])[0])
+
+
+def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, str]:
+    """Return where to strap each sensor, in words: name -> "front of the left shank, ...".
+
+    Args:
+        skeleton: body. sensors: names in its table.
+
+    Raises:
+        UnknownNameError: a sensor that it does not have.
+    """
+    indices_of("sensor", sensors, list(skeleton.sensors))
+    return {name: _place(skeleton, *skeleton.sensors[name]) for name in sensors}
+
+
+def _place(skeleton: SkeletonModel, joint: str, offset: Array) -> str:
+    if joint in _SINGLE:
+        return _SINGLE[joint]
+    side = "left" if joint.startswith("Left") else "right"
+    if joint.endswith("Foot"):
+        return f"on top of the {side} foot, on the laces, arrow to the toes"
+    arm = joint.endswith("Arm")
+    # Of a hanging arm, the T-pose's upward direction points outward.
+    outward = offset[2] if arm else offset[1] * (1 if side == "left" else -1)
+    if abs(offset[0]) >= abs(outward):
+        where = "front" if offset[0] > 0 else "back"
+    else:
+        where = "outer side" if outward > 0 else "inner side"
+    segment, above, below = next(words for end, words in _SEGMENTS.items() if joint.endswith(end))
+    along = float(abs(offset[1] if arm else offset[2]))
+    (j,) = skeleton.index(joint)
+    (child,) = (c for c, parent in enumerate(skeleton.parents) if parent == j)
+    length = float(np.linalg.norm(skeleton.joint_offsets[child]))
+    at = f"{100 * along:.0f} cm below the {above}"
+    if length - along < _NEAR_END:
+        at = f"just above the {below}"
+    return f"{where} of the {side} {segment}, {at}, arrow up"

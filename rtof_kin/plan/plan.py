@@ -1,0 +1,191 @@
+"""`plan`: what to expect of a recording before it is made, and how to make it better."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.plan.calibration_time import CalibrationTime, calibration_time
+from rtof_kin.plan.identifiability import Information, Weakness, information
+from rtof_kin.plan.prediction import Prediction, predict
+from rtof_kin.plan.protocol import Protocol
+from rtof_kin.plan.setup import Setup, seen_share
+from rtof_kin.plan.sources import liveliest
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.report.angle_names import XZY, angle_name
+
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, steps done, steps in all)."""
+SEEN: Final = 0.95
+"""Least share of the joints in the image that a place of the camera needs."""
+_SEARCHED: Final = 8.0
+"""[s] of the movement that cameras and further sensors are compared on."""
+_UNOBSERVED: Final = np.radians(30.0)
+"""[rad] counted for an unobserved angle in comparisons."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """Another camera place or one more sensor, compared on a part of the movement."""
+
+    name: str
+    """In words."""
+    loss: float
+    """[rad] mean standard deviation of the angles that matter, NaN where it is not possible."""
+    gain: float
+    """[rad] by which it is below that of the plan."""
+    most: str = ""
+    """Angle that gains most."""
+    problem: str = ""
+    """Why it is not possible; empty where it is."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to expect of a recording."""
+
+    protocol: Protocol
+    setup: Setup
+    prediction: Prediction
+    """Of all clinical angles."""
+    shown: tuple[str, ...]
+    """Angles that matter: those wanted, else all in one convention that the model does not fix."""
+    weaknesses: tuple[Weakness, ...]
+    """Of these."""
+    cameras: tuple[Option, ...]
+    """Best first."""
+    sensors: tuple[Option, ...]
+    """Best first."""
+    calibration: CalibrationTime | None
+    """None without sensors."""
+    seen: float
+    """Share of the joints in the image."""
+
+    @property
+    def unreached(self) -> tuple[str, ...]:
+        """Angles that miss the standard deviation wanted, unobserved ones among them."""
+        wanted = self.protocol.wanted_sd_deg
+        if wanted is None:
+            return ()
+        own = self.prediction.select(self.shown)
+        return tuple(n for n, sd in zip(own.names, own.sigma, strict=True) if not sd <= np.radians(wanted))
+
+
+def plan(
+    protocol: Protocol, setup: Setup, *, draws: int = 3, seed: int = 0, lifter: LifterLike | None = None,
+    search: bool = True, workers: int | None = None, progress: Progress | None = None,
+) -> Plan:  # fmt: skip
+    """Predict the errors of a recording, and compare other cameras and further sensors.
+
+    Args:
+        protocol, setup: what is to be recorded, see `planned`.
+        draws: simulated recordings of the plan itself, each of another person with other errors.
+        seed: of the first. lifter: as for `reconstruct`.
+        search: compare cameras and sensors, and lengths for the calibration; else only the prediction.
+        workers: processes, one per core if None. progress: called after every simulated recording.
+
+    Raises:
+        InvalidInputError: the movement cannot be recorded so, for example because the person is not in view.
+    """
+    report = progress or (lambda stage, done, total: None)
+    seen = seen_share(setup)
+    predicted = predict(
+        {"plan": setup}, draws, seed, lifter=lifter, workers=workers, progress=_staged(report, "predict")
+    )["plan"]
+    if isinstance(predicted, str):
+        raise InvalidInputError(f"plan: the simulated recording cannot be reconstructed: {predicted}")
+    report("information", 0, 1)
+    found = information(setup, seed, lifter)
+    report("information", 1, 1)
+    usual = usual_angles(setup.skeleton, found)
+    shown = protocol.wanted or usual
+    cameras: tuple[Option, ...] = ()
+    sensors: tuple[Option, ...] = ()
+    calibration = None
+    if search:
+        compare = partial(_compared, shown=shown, seed=seed, lifter=lifter, workers=workers)
+        part = replace(setup, poses=liveliest(setup.poses, _SEARCHED))
+        cameras = compare(part, _cameras(protocol, part), progress=_staged(report, "cameras"))
+        sensors = compare(part, _sensors(protocol, part), progress=_staged(report, "sensors"))
+        if setup.sensors:
+            calibration = calibration_time(
+                setup, 2, seed, lifter=lifter, workers=workers, progress=_staged(report, "calibration")
+            )
+    return Plan(
+        protocol, setup, predicted, shown, found.weaknesses(shown, usual), cameras, sensors, calibration, seen
+    )
+
+
+def usual_angles(skeleton: SkeletonModel, found: Information) -> tuple[str, ...]:
+    """Return the angles of one convention that the model does not fix.
+
+    Args:
+        skeleton: of the person. found: of all angles.
+    """
+    free = {name for name, sigma in zip(found.names, found.sigma, strict=True) if np.isfinite(sigma)}
+    rows = angle_table(skeleton.table).rows
+    return tuple(row.name for row in rows if XZY in angle_name(row).shown.split() and row.name in free)
+
+
+def _cameras(protocol: Protocol, part: Setup) -> dict[str, Setup | str]:
+    """Setups by the place of the camera, or why a place is not possible."""
+    out: dict[str, Setup | str] = {}
+    for place in protocol.further_cameras:
+        own = place == protocol.camera
+        setup = part if own else replace(part, camera=place.camera(part.poses))
+        share = seen_share(setup)
+        out[place.words] = (
+            setup if own or share >= SEEN else f"only {100 * share:.0f} % of the body is in the image"
+        )
+    return out
+
+
+def _sensors(protocol: Protocol, part: Setup) -> dict[str, Setup | str]:
+    """Setups with one more sensor."""
+    own: dict[str, Setup | str] = {"": part}
+    return own | {name: replace(part, sensors=(*part.sensors, name)) for name in protocol.further_sensors}
+
+
+def _compared(
+    part: Setup, options: Mapping[str, Setup | str], *, shown: Sequence[str], seed: int,
+    lifter: LifterLike | None, workers: int | None, progress: Callable[[int, int, str], None],
+) -> tuple[Option, ...]:  # fmt: skip
+    """Options by their loss; the plan itself is the one whose setup is `part`."""
+    keys = {f"option{i}": name for i, name in enumerate(options)}
+    setups = {key: setup for key, name in keys.items() if isinstance(setup := options[name], Setup)}
+    found = predict(setups, 2, seed, lifter=lifter, workers=workers, progress=progress)
+    predicted = {keys[key]: value for key, value in found.items()}
+    own = next((name for name, setup in options.items() if setup is part), None)
+    base = predicted.get(own) if own is not None else None
+    unobserved = np.full(len(shown), _UNOBSERVED)
+    before = None if not isinstance(base, Prediction) else base.select(shown)
+    out = []
+    for name, setup in options.items():
+        problem = setup if isinstance(setup, str) else predicted[name]
+        if isinstance(problem, str):
+            out.append(Option(name, np.nan, np.nan, problem=problem))
+            continue
+        now = problem.select(shown)
+        loss = now.loss(unobserved)
+        gain, most = 0.0, ""
+        if before is not None and name != own:
+            better = _filled(before.sigma) - _filled(now.sigma)
+            gain, most = before.loss(unobserved) - loss, shown[int(np.argmax(better))]
+        out.append(Option(name, loss, gain, most))
+    return tuple(sorted(out, key=lambda option: (np.isnan(option.loss), option.loss)))
+
+
+def _filled(sigma: Array) -> Array:
+    return np.where(np.isfinite(sigma), sigma, _UNOBSERVED)
+
+
+def _staged(report: Progress, stage: str) -> Callable[[int, int, str], None]:
+    return lambda done, total, _: report(stage, done, total)

@@ -1,0 +1,1 @@
+"""Gait scores: recordings that they are made from, sentences, figure and files."""

@@ -1,0 +1,160 @@
+"""The commands gait-reference and gait-scores, and compare --spm."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from clinical_support import posture, squatting, walk, walking
+from gait_support import means_only
+from report_support import folder_of
+
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.formats.gait_reference_json import write_gait_reference
+
+TERMS = ("--licence", "CC0-1.0", "--origin", "planted walking")
+
+
+def person(stride_time: float, speed: float) -> MotionSequence:
+    return walking(9.0, stride_time=stride_time, speed=speed)
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six people, one of them in two recordings, and three motions that cannot be used."""
+    folder = tmp_path_factory.mktemp("healthy")
+    for k in range(6):
+        session = {"session": {"subject": f"P{k}"}}
+        folder_of(person(1.1 + 0.04 * k, 1.0 + 0.06 * k), folder / f"r{k}", inputs=session)
+    folder_of(person(1.2, 1.1), folder / "again", inputs={"session": {"subject": "P0"}})
+    folder_of(squatting(), folder / "squats")
+    analysed = folder / "analysed"
+    analysed.mkdir()
+    (analysed / "gait_cycles.csv").write_text("cycle_percent\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reference(healthy: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    from rtof_kin.cli import main
+
+    path = tmp_path_factory.mktemp("reference") / "own.json"
+    assert main(["gait-reference", str(healthy), "-o", str(path), *TERMS]) == 0
+    return path
+
+
+def test_a_reference_says_who_is_in_it_and_who_is_not(cli: Any, healthy: Path, tmp_path: Path) -> None:
+    done = cli("gait-reference", healthy, "-o", tmp_path / "own.json", *TERMS)
+    assert done.code == 0, done.err
+    assert "reference of 6 people at 1.0" in done.out
+    assert "left out: squats: " in done.out
+    assert "left out: analysed: an analysis without its motion.npz" in done.out
+    assert "fewer than 10 people" in done.out
+    data = json.loads((tmp_path / "own.json").read_text())
+    assert [one["person"] for one in data["curves"]] == [f"P{k}" for k in range(6)] or data["people"] == 6
+    assert sum(data["curves"][0]["strides"]) > sum(data["curves"][1]["strides"])
+    assert cli("gait-reference", healthy, "-o", tmp_path / "own.json", *TERMS).code == 2
+
+
+def test_scores_of_a_person_of_the_reference(
+    cli: Any, healthy: Path, reference: Path, tmp_path: Path
+) -> None:
+    done = cli("gait-scores", healthy / "r3", "--reference", reference, "-o", tmp_path / "out")
+    assert done.code == 0, done.err
+    assert done.out.startswith("r3: GPS")
+    assert "GDI right" in done.out
+    assert "no covariances" in done.out
+    files = {path.name for path in (tmp_path / "out").iterdir()}
+    assert files >= {"gait_scores.json", "gait_scores.csv", "gait_curves.csv", "gait_scores.png"}
+    data = json.loads((tmp_path / "out" / "gait_scores.json").read_text())
+    rows = {(row["score"], row["side"]): row["value_deg"] for row in data["scores"]}
+    assert len(rows) == 21
+    squares = [rows[name, "left"] ** 2 for name, side in rows if side == "left" and name != "gps"]
+    assert rows["gps", "left"] ** 2 == pytest.approx(np.mean(squares), rel=1e-4)
+
+
+def test_a_motion_that_is_no_gait_has_one_sentence_and_no_score(
+    cli: Any, healthy: Path, reference: Path, tmp_path: Path
+) -> None:
+    done = cli("gait-scores", healthy / "squats", "--reference", reference, "-o", tmp_path / "out")
+    assert done.code == 0
+    assert done.out.startswith("No gait scores: ")
+    data = json.loads((tmp_path / "out" / "gait_scores.json").read_text())
+    assert data["scores"] == []
+    assert not data["is_gait"]
+    assert not (tmp_path / "out" / "gait_scores.png").exists()
+
+
+def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Path) -> None:
+    write_gait_reference(tmp_path / "other.json", means_only(system="Plug-in Gait", zero="static trial"))
+    motion = walk()
+    level = np.array(motion.poses.orientation_observed)
+    feet = [motion.skeleton.names.index(name) for name in ("RightFoot", "LeftFoot")]
+    level[..., feet] = False
+    blind = replace(motion, poses=replace(motion.poses, orientation_observed=level))
+    folder_of(blind, tmp_path / "motion")
+    done = cli(
+        "gait-scores", tmp_path / "motion", "--reference", tmp_path / "other.json", "-o", tmp_path / "out"
+    )
+    assert done.code == 0, done.err
+    assert done.out.startswith("The reference is of another system (Plug-in Gait; zero: static trial)")
+    assert "GPS not computed" in done.out
+    assert "right foot progression" in done.out
+    assert "needs a sensor on the foot" in done.out
+    assert "GDI not computed" in done.out
+
+
+def test_a_table_needs_what_recordings_have_by_themselves(cli: Any, healthy: Path, tmp_path: Path) -> None:
+    lines = ["variable,percent,mean,sd"]
+    lines += [f"knee_flexion,{percent},{20 + percent / 10},3" for percent in range(0, 101, 2)]
+    table = tmp_path / "normal.csv"
+    table.write_text("\n".join(lines))
+    done = cli("gait-reference", table, "-o", tmp_path / "t.json", *TERMS)
+    assert done.code == 2
+    assert "--people" in done.err
+    more = ("--people", 40, "--system", "Vicon, Plug-in Gait", "--zero", "static trial", "--speed", 1, 1.5)
+    done = cli("gait-reference", table, "-o", tmp_path / "t.json", *TERMS, *more)
+    assert done.code == 0, done.err
+    assert "reference of 40 people at 1.00 to 1.50 m/s" in done.out
+    assert "without pelvic_tilt" in done.out
+    assert "GDI will not be computed" in done.out
+    assert cli("gait-reference", healthy, "-o", tmp_path / "r.json", *TERMS, "--people", 3).code == 2
+
+
+@pytest.mark.parametrize("wrong", ["none", "empty"])
+def test_a_folder_without_motions_is_refused(cli: Any, tmp_path: Path, wrong: str) -> None:
+    (tmp_path / "empty").mkdir()
+    done = cli("gait-reference", tmp_path / wrong, "-o", tmp_path / "r.json", *TERMS)
+    assert done.code == 2
+    assert wrong in done.err
+
+
+def test_standing_alone_is_no_reference(cli: Any, tmp_path: Path) -> None:
+    skeleton = SkeletonModel.default()
+    folder_of(skeleton.motion(posture(skeleton, 120)), tmp_path / "in" / "standing")
+    done = cli("gait-reference", tmp_path / "in", "-o", tmp_path / "r.json", *TERMS)
+    assert done.code == 2
+    assert "0 of 0 people" in done.err
+
+
+def test_compare_writes_spm(cli: Any, healthy: Path, tmp_path: Path) -> None:
+    for name, speed in (("a", 0.9), ("b", 1.4)):
+        folder_of(walking(9.0, speed=speed, jitter=0.01), tmp_path / name, recording=name)
+    arguments = ("compare", tmp_path / "a", tmp_path / "b", "--by", "cycle", "--angles", "right_hip_flexion")
+    done = cli(*arguments, "--spm", "-o", tmp_path / "out")
+    assert done.code == 0, done.err
+    assert "SPM{t} of 1 angles" in done.out
+    assert "B larger" in done.out
+    data = json.loads((tmp_path / "out" / "spm.json").read_text())
+    assert data["correction"] == "Bonferroni over angles"
+    assert data["angles"][0]["clusters"]
+    assert (tmp_path / "out" / "spm.png").exists()
+    alike = cli("compare", healthy / "r0", healthy / "r5", "--by", "cycle", "--spm")
+    assert "no angle can be tested" in alike.out or "SPM not computed" in alike.out
+    refused = cli("compare", healthy / "r0", healthy / "r5", "--by", "range", "--spm")
+    assert refused.code == 2
+    assert "--by cycle" in refused.err

@@ -1,0 +1,145 @@
+"""Drawing and sheet for the operator: numbers of a planted camera, all sensors, one page, no network."""
+
+import base64
+import re
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.plan.drawing import draw_setup
+from rtof_kin.plan.movements import MOVEMENTS, movement
+from rtof_kin.plan.operator_page import MOST_LINES, operator_page, operator_steps
+from rtof_kin.plan.placing import framing, sensor_places
+
+SKELETON = SkeletonModel.default()
+SQUAT = movement("squat", SKELETON, 1, rate_hz=20.0)
+SENSORS = tuple(SKELETON.sensors)
+
+
+def camera_at(angle_deg: float, distance: float, height: float = 1.1, focal_px: float = 1000.0) -> Camera:
+    """Camera in a direction from the middle of the squat's path, level with its target."""
+    path = SQUAT.p_world_joint[:, 0, :2]
+    middle = (path.min(axis=0) + path.max(axis=0)) / 2
+    way = distance * np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    return Camera.looking_at([*(middle + way), height], [*middle, height], focal_px)
+
+
+@pytest.mark.parametrize("angle_deg, side", [(40, "left"), (-75, "right"), (120, "left")])
+def test_a_planted_camera_is_found_again(angle_deg: float, side: str) -> None:
+    place = framing(SQUAT, SKELETON, camera_at(angle_deg, 3.5))
+    assert place.distance == pytest.approx(3.5)
+    assert place.angle_deg == pytest.approx(angle_deg, abs=1.0)  # he sways by less
+    assert place.height == pytest.approx(1.1)
+    assert place.tilt_deg == pytest.approx(0.0, abs=1e-6)
+    assert place.field_deg[0] == pytest.approx(2 * np.degrees(np.arctan(0.96)))
+    assert f"to the person's {side}" in place.side
+    assert place.inside == 1
+    assert "whole body stays" in place.view
+
+
+def test_straight_ahead_behind_and_tilted_are_said() -> None:
+    assert "in front" in framing(SQUAT, SKELETON, camera_at(0, 3.0)).side
+    assert "behind" in framing(SQUAT, SKELETON, camera_at(180, 3.0)).side
+    down = Camera.looking_at([3.0, 0, 2.0], [0, 0, 1.0], 1000.0)
+    assert framing(SQUAT, SKELETON, down).tilt_deg == pytest.approx(np.degrees(np.arctan(1 / 3)))
+
+
+def test_a_camera_that_loses_the_body_is_said_with_the_remedy() -> None:
+    near = framing(SQUAT, SKELETON, camera_at(0, 1.0))
+    assert near.inside < 1
+    assert near.margin < 0
+    assert "move the camera back" in near.view
+    away = Camera.looking_at([3.0, 0, 1.0], [6.0, 0, 1.0], 1000.0)
+    assert framing(SQUAT, SKELETON, away).inside == 0
+
+
+def test_places_of_sensors_are_those_of_the_table() -> None:
+    places = sensor_places(SKELETON, SENSORS)
+    assert set(places) == set(SENSORS)
+    assert places["L_LowLeg"] == "front of the left shank, 17 cm below the knee, arrow up"
+    assert places["R_UpLeg"].startswith("outer side of the right thigh, 16 cm below the hip")
+    assert "wrist" in places["L_LowArm"]
+    with pytest.raises(UnknownNameError, match="L_LowLeg"):
+        sensor_places(SKELETON, ["L_LowLegs"])
+
+
+def texts_of(svg: str) -> str:
+    return unescape(" ".join(re.findall(r">([^<>]+)</(?:text|tspan)>", svg)))
+
+
+def test_the_drawing_has_the_numbers_and_every_sensor(tmp_path: Path) -> None:
+    path = tmp_path / "setup.svg"
+    place = draw_setup(SQUAT, SKELETON, camera_at(-30, 3.27), SENSORS, path)
+    words = texts_of(path.read_text(encoding="utf-8"))
+    assert "3.27 m" in words
+    assert f"{abs(place.angle_deg):.0f}° to the person's right" in words
+    assert "field of view 88°" in words
+    assert "lens 1.10 m high" in words
+    assert all(name in words for name in SENSORS)
+    assert "17 cm below the knee" in words
+    again = tmp_path / "again.svg"
+    draw_setup(SQUAT, SKELETON, camera_at(-30, 3.27), SENSORS, again)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_the_drawing_is_a_picture_too_and_nothing_else(tmp_path: Path) -> None:
+    draw_setup(SQUAT, SKELETON, camera_at(0, 3.0), [], tmp_path / "setup.png")
+    assert (tmp_path / "setup.png").read_bytes()[:4] == b"\x89PNG"
+    with pytest.raises(InvalidInputError, match=r"\.svg"):
+        draw_setup(SQUAT, SKELETON, camera_at(0, 3.0), [], tmp_path / "setup.bmp")
+
+
+def page(poses: PoseSequence = SQUAT, doubts: tuple[str, ...] = ("Knee <rotation> is unknown",)) -> str:
+    info, places = MOVEMENTS["squat"], sensor_places(SKELETON, SENSORS)
+    place = framing(poses, SKELETON, camera_at(-30, 3.27))
+    steps = operator_steps(info, place, places, 3, 12.0)
+    return operator_page("Knee & hip", info, steps, "<svg>http://www.w3.org</svg>", doubts)
+
+
+def test_the_page_has_all_sensors_and_numbers_and_escapes_texts() -> None:
+    html = page()
+    assert all(f"{name}: " in html for name in SENSORS)
+    assert "3.27 m" in html
+    assert "lens 1.10 m" in html
+    assert "field of view 88°" in html
+    assert "3 times" in html
+    assert "still for 2 s" in html
+    assert MOVEMENTS["squat"].instructions[1:] in html
+    assert "Knee &amp; hip" in html
+    assert "Knee &lt;rotation&gt;" in html
+    assert html.index("Before you begin") < html.index("What to do")
+    assert "Before you begin" not in page(doubts=())
+
+
+def test_the_page_needs_no_network() -> None:
+    html = page()
+    (drawing,) = re.findall(r'src="data:image/svg\+xml;base64,([^"]+)"', html)
+    assert base64.b64decode(drawing).startswith(b"<svg>")
+    rest = html.replace(drawing, "")
+    assert "http:" not in rest
+    assert "https:" not in rest
+    assert "url(" not in rest
+    assert "default-src 'none'" in rest
+    assert "<script" not in rest
+
+
+def test_more_than_a_sheet_holds_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match=str(MOST_LINES)):
+        page(doubts=("word " * 600,))
+    with pytest.raises(InvalidInputError, match="shorten"):
+        operator_page("t", MOVEMENTS["squat"], ["step"] * MOST_LINES, "<svg/>", [])
+
+
+@pytest.mark.parametrize("name", MOVEMENTS)
+def test_every_movement_with_all_sensors_fits(name: str) -> None:
+    place = framing(SQUAT, SKELETON, camera_at(-30, 3.27))
+    info = MOVEMENTS[name]
+    steps = operator_steps(info, place, sensor_places(SKELETON, SENSORS), info.repetitions, 30.0)
+    assert operator_page(name, info, steps, "<svg/>", ["x" * 90] * 6)
+    assert "0 sensor" not in " ".join(operator_steps(info, place, {}, 1, 30.0))

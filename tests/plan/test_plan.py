@@ -1,0 +1,183 @@
+"""Plans: comparisons of cameras and sensors, sentences and files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.plan import plan as planning
+from rtof_kin.plan.calibration_time import ENOUGH, PLANTED, CalibrationTime, calibration_time, planted
+from rtof_kin.plan.files import COLUMNS, INSTRUCTIONS, MARKER, TABLE, write_plan
+from rtof_kin.plan.identifiability import ROOT, Information
+from rtof_kin.plan.plan import Plan, plan
+from rtof_kin.plan.prediction import Prediction
+from rtof_kin.plan.protocol import CameraPlace, Protocol
+from rtof_kin.plan.sentences import advice, cautions, headline
+from rtof_kin.plan.setup import Setup
+from rtof_kin.plan.sources import liveliest, planned
+
+NAMES = ("pelvis_tilt", "right_hip_flexion", "right_knee_flexion", "right_wrist_flexion")
+
+
+def stub_prediction(setup: Setup) -> Prediction:
+    """Best with a sensor on the pelvis, and from the left."""
+    sigma = np.radians([12.0, 10.0, 4.0, np.nan])
+    sigma[:2] /= 4.0 if "Pelvis" in setup.sensors else 1.0
+    sigma *= 1.0 + 0.2 * (setup.camera.center_world[1] < 0)
+    return Prediction(NAMES, sigma, 0.9 * sigma, np.full(4, 0.95), np.array([1.0, 1, 1, 0]), 2)
+
+
+@pytest.fixture
+def stubbed(monkeypatch: pytest.MonkeyPatch, setup: Setup) -> Setup:
+    """The simulations are replaced by numbers that are known."""
+
+    def predict(setups: Mapping[str, Setup], *_: Any, **__: Any) -> dict[str, Prediction | str]:
+        return {name: stub_prediction(own) for name, own in setups.items()}
+
+    correlation = np.zeros((4, 4 + len(ROOT)))
+    correlation[0, 1] = correlation[1, 0] = 0.98
+    found = Information(NAMES, np.radians([70.0, 70.0, 3.0, 100.0]), correlation)
+    times = CalibrationTime(np.array([5.0, 10.0]), *(
+        {kind: scale * ENOUGH[kind] * np.array([2.0, 0.5]) for kind in PLANTED} for scale in (1.0, 0.8)
+    ))  # fmt: skip
+    monkeypatch.setattr(planning, "predict", predict)
+    monkeypatch.setattr(planning, "information", lambda *_: found)
+    monkeypatch.setattr(planning, "calibration_time", lambda *_, **__: times)
+    return setup
+
+
+@pytest.fixture
+def made(stubbed: Setup) -> Plan:
+    place = CameraPlace(angle_deg=-90.0, distance_m=4.5)
+    protocol = Protocol("squat", camera=place, sensors=stubbed.sensors, wanted=NAMES, wanted_sd_deg=6.0)
+    return plan(protocol, replace(stubbed, camera=place.camera(stubbed.poses)))
+
+
+def test_the_best_camera_and_sensor_come_first(made: Plan) -> None:
+    assert made.sensors[0].name == "Pelvis"
+    assert made.sensors[0].most == "pelvis_tilt"
+    assert made.sensors[0].gain > 0
+    losses = [option.loss for option in made.cameras]
+    assert losses == sorted(losses)
+    assert made.cameras[0].gain > 0
+
+
+def test_the_first_line_says_what_is_not_to_be_had(made: Plan) -> None:
+    line = headline(made)
+    assert "3 of 4 are not identifiable" in line
+    assert "1 are not observed" in line
+    assert "missed by pelvis tilt, right hip flexion, right wrist flexion" in line
+
+
+def test_advice_groups_what_is_confused(made: Plan) -> None:
+    text = "\n".join(advice(made))
+    assert text.count("Not identifiable") == 2
+    assert "pelvis tilt against right hip flexion" in text or "right hip flexion against pelvis tilt" in text
+    assert "Best next sensor: Pelvis (pelvis)" in text
+    assert "Move for at least 10 s" in text
+
+
+def test_a_camera_that_is_too_near_is_a_caution_and_no_option(stubbed: Setup) -> None:
+    near = CameraPlace(angle_deg=0.0, distance_m=0.9)
+    further = CameraPlace(angle_deg=0.0, distance_m=5.0)
+    protocol = Protocol("squat", camera=near, possible_cameras=(near, further), wanted=NAMES)
+    found = plan(protocol, replace(stubbed, camera=near.camera(stubbed.poses), sensors=()))
+    assert any("of the body is in the image" in line for line in cautions(found))
+    assert found.calibration is None
+    swapped = Protocol("squat", camera=further, possible_cameras=(near, further), wanted=NAMES)
+    found = plan(swapped, replace(stubbed, camera=further.camera(stubbed.poses)))
+    assert [option.problem for option in found.cameras][1].startswith("only")
+
+
+def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:
+    write_plan(made, tmp_path)
+    with (tmp_path / TABLE).open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == list(COLUMNS)
+    assert [row["angle"] for row in rows] == list(NAMES)
+    assert rows[3]["sd_deg"] == ""
+    assert (rows[0]["identifiable"], rows[0]["confused_with"]) == ("False", "right_hip_flexion")
+    data = json.loads((tmp_path / MARKER).read_text())
+    assert data["headline"] == headline(made)
+    assert data["sensors"][0]["name"] == "Pelvis"
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+    page = (tmp_path / INSTRUCTIONS).read_text()
+    assert "4.50 m from the cross" in page
+    assert all(sensor in page for sensor in made.protocol.sensors)
+
+
+def test_a_plan_without_search_compares_nothing(stubbed: Setup, tmp_path: Path) -> None:
+    found = plan(Protocol("squat", wanted=NAMES), stubbed, search=False)
+    assert (found.cameras, found.sensors, found.calibration) == ((), (), None)
+    write_plan(found, tmp_path)
+
+
+# --- how long to move ----------------------------------------------------------------------------
+
+
+def test_time_is_needed_until_statement_and_simulation_agree() -> None:
+    enough = ENOUGH["delay"]
+    seconds = np.array([5.0, 10.0, 20.0])
+    sigma, error = enough * np.array([0.5, 0.5, 0.4]), enough * np.array([0.6, 1.5, 0.9])
+    found = CalibrationTime(seconds, {"delay": sigma}, {"delay": error})
+    assert found.needed("delay") == 20.0
+    never = CalibrationTime(seconds, {"delay": sigma}, {"delay": 3 * error})
+    assert never.needed("delay") is None
+    assert f"delay ({2.7 * 1e3 * enough:.0f} ms left)" in never.words
+
+
+def test_what_is_planted_is_what_is_measured_as_left(setup: Setup) -> None:
+    from rtof_kin.plan.calibration_time import _left
+
+    true = setup.recorded(0, late=False)
+    wrong = planted(true, 3)
+    left = _left(wrong, true)
+    assert left["delay"] == pytest.approx((wrong.video.times[0] - true.video.times[0]) ** 2)
+    assert 0.3 < np.sqrt(left["heading"]) / PLANTED["heading"] < 2.0
+    assert 0.3 < np.sqrt(left["mounting"]) / PLANTED["mounting"] < 2.0
+    assert wrong.calibration is not None
+    assert true.calibration is not None
+    turned = wrong.calibration.R_world_inertial @ np.swapaxes(true.calibration.R_world_inertial, -1, -2)
+    np.testing.assert_allclose(so3.log(turned)[:, :2], 0.0, atol=1e-9)  # about the vertical only
+    assert all(value == pytest.approx(0.0, abs=1e-12) for value in _left(true, true).values())
+
+
+def test_a_calibration_needs_sensors(setup: Setup) -> None:
+    with pytest.raises(InvalidInputError, match="without sensors"):
+        calibration_time(replace(setup, sensors=()))
+
+
+# --- sources -------------------------------------------------------------------------------------
+
+
+def test_an_unknown_movement_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="moonwalk"):
+        planned("moonwalk")
+
+
+def test_a_recording_is_planned_as_it_was_recorded(setup: Setup, tmp_path: Path) -> None:
+    recording = setup.recorded(1)
+    recording.save(tmp_path / "recording")
+    protocol, found = planned(tmp_path / "recording")
+    assert {*found.sensors} == {*setup.sensors}
+    assert found.sensors == protocol.sensors
+    np.testing.assert_allclose(found.camera.center_world, setup.camera.center_world)
+    assert protocol.camera.focal_px == pytest.approx(np.trace(setup.camera.K[:2, :2]) / 2)
+
+
+def test_the_liveliest_part_begins_at_zero(setup: Setup) -> None:
+    part = liveliest(setup.poses, 0.5)
+    assert part.times[0] == 0.0
+    assert len(part) == round(0.5 * setup.poses.rate_hz)
+    assert len(liveliest(setup.poses, 1e3)) == len(setup.poses)
+    assert isinstance(setup.camera, Camera)

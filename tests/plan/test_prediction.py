@@ -1,0 +1,126 @@
+"""Expected errors: they follow the sensors and the camera, and agree with those of the simulations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtof_kin.clinical.angle_confidence import angle_sigmas
+from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.joint_coordinate_systems import relative_rotations
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera
+from rtof_kin.plan import identifiability
+from rtof_kin.plan.identifiability import NOT_IDENTIFIABLE, ROOT, Information, information
+from rtof_kin.plan.placing import centre_of
+from rtof_kin.plan.prediction import Prediction, predict
+from rtof_kin.plan.setup import Setup, seen_share
+from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.covariance import confidence_of
+
+
+@pytest.fixture(scope="module")
+def predicted(setup: Setup) -> dict[str, Prediction | str]:
+    away = replace(setup, camera=Camera.looking_at([4.0, 0, 1], [8.0, 0, 1], 1250.0))
+    more = replace(setup, sensors=(*setup.sensors, "Pelvis"))
+    image = replace(setup, sensors=())
+    return predict({"own": setup, "more": more, "image": image, "away": away}, 1, workers=1)
+
+
+def of(predicted: dict[str, Prediction | str], name: str) -> Prediction:
+    found = predicted[name]
+    assert isinstance(found, Prediction), found
+    return found
+
+
+def test_a_pelvis_sensor_lowers_the_error_of_the_pelvis(predicted: dict[str, Prediction | str]) -> None:
+    names = ["pelvis_tilt", "right_hip_flexion", "left_hip_flexion"]
+    before, after = (of(predicted, key).select(names).sigma for key in ("own", "more"))
+    assert np.all(after < 0.7 * before)
+
+
+def test_sensors_lower_the_error_of_the_knees(predicted: dict[str, Prediction | str]) -> None:
+    names = ["right_knee_flexion", "left_knee_flexion"]
+    image, own = (of(predicted, key).select(names).sigma for key in ("image", "own"))
+    assert np.all(own < 0.8 * image)
+
+
+def test_an_angle_that_nothing_shows_is_not_observed(predicted: dict[str, Prediction | str]) -> None:
+    found = of(predicted, "image").select(["right_hip_internal_rotation"])
+    assert np.isnan(found.sigma).all()
+    assert found.observed[0] < 0.5
+
+
+def test_stated_and_simulated_errors_are_of_one_size(predicted: dict[str, Prediction | str]) -> None:
+    found = of(predicted, "own")
+    known = np.isfinite(found.sigma)
+    assert 0.4 < np.median(found.error[known] / found.sigma[known]) < 1.6
+
+
+def test_a_person_out_of_view_is_a_problem_not_a_number(
+    setup: Setup, predicted: dict[str, Prediction | str]
+) -> None:
+    assert isinstance(predicted["away"], str)
+
+
+def test_equal_seeds_draw_equal_errors(setup: Setup) -> None:
+    fewer = replace(setup, sensors=setup.sensors[:2])
+    one, other = setup.recorded(5), fewer.recorded(5)
+    np.testing.assert_array_equal(one.video.uv_px, other.video.uv_px)
+    assert not np.array_equal(one.video.uv_px, setup.recorded(6).video.uv_px)
+
+
+def test_a_smaller_detector_shows_fewer_points(setup: Setup) -> None:
+    assert len(replace(setup, detector="coco17").recorded(0).video.names) < len(setup.recorded(0).video.names)
+
+
+def test_the_share_in_the_image(setup: Setup) -> None:
+    centre = centre_of(setup.poses)
+    near = Camera.looking_at(centre + np.array([0.6, 0.0, 0.0]), centre, 1250.0)
+    assert seen_share(setup) > 0.9
+    assert seen_share(replace(setup, camera=near)) < 0.7
+
+
+def test_at_least_one_recording_is_simulated(setup: Setup) -> None:
+    with pytest.raises(InvalidInputError, match="draws"):
+        predict({"own": setup}, 0)
+
+
+def test_the_pelvis_is_confused_with_the_hips_until_it_has_a_sensor(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identifiability, "_FRAGMENTS", 2)
+    few, more = (information(replace(setup, sensors=s), 0) for s in (setup.sensors[4:], ("Pelvis",)))
+    tilt, flexion = (few.names.index(name) for name in ("pelvis_tilt", "right_hip_flexion"))
+    assert abs(few.correlation[tilt, flexion]) > 0.9
+    assert few.sigma[tilt] > 3 * more.sigma[tilt]
+    assert more.sigma[tilt] < NOT_IDENTIFIABLE
+    assert np.isnan(few.sigma[few.names.index("right_knee_adduction")])  # the model has a hinge there
+
+
+def test_angles_have_the_standard_deviations_of_the_covariances(setup: Setup) -> None:
+    skeleton = setup.skeleton
+    names = skeleton.names
+    space = StateSpace(skeleton, names, False)
+    x = space.from_poses(setup.poses.p_world_joint[:1, 0], setup.poses.R_world_bone[:1])
+    A = np.random.default_rng(0).standard_normal((space.size, space.size))
+    C = 1e-4 * A @ A.T / space.size
+    _, R = space.poses(x)
+    table = angle_table(skeleton.table)
+    confidence = confidence_of(space, np.zeros(1), x, C[None])
+    expected = angle_sigmas(relative_rotations(R, skeleton, table), table, skeleton, confidence)[0]
+    J = identifiability._rates(space, x, setup.camera)[: len(expected)]
+    np.testing.assert_allclose(np.sqrt(np.diag(J @ C @ J.T)), expected, rtol=1e-3)
+
+
+def test_a_weakness_names_its_direction() -> None:
+    names = ("pelvis_tilt", "pelvis_list", "right_wrist_flexion")
+    correlation = np.zeros((3, 3 + len(ROOT)))
+    correlation[0, 1], correlation[0, 5] = 0.99, -0.9  # list is of the same joint
+    sigma = np.array([1.5, 0.1, 3.0]) * NOT_IDENTIFIABLE
+    wrist, pelvis = Information(names, sigma, correlation).weaknesses(names, names)
+    assert pelvis.words.startswith("pelvis tilt against distance")
+    assert wrist.confused_with == ""
+    assert "90 deg" in wrist.words
