@@ -44,12 +44,12 @@ class ErrorSpectrum:
 
 
 SPECTRA: Final = {
-    "position": ErrorSpectrum(0.011, 0.12),
-    "trunk": ErrorSpectrum(0.15, 0.12),
-    "arm": ErrorSpectrum(0.6, 0.13),
-    "hand": ErrorSpectrum(1, 0.06),
+    "position": ErrorSpectrum(0.13, 0.16),
+    "trunk": ErrorSpectrum(0.23, 0.14),
+    "arm": ErrorSpectrum(0.91, 0.13),
+    "hand": ErrorSpectrum(1, 0.047),
     "leg": ErrorSpectrum(1, 0.13),
-    "foot": ErrorSpectrum(1, 0.09),
+    "foot": ErrorSpectrum(1, 0.098),
 }
 """Of the root's position and of the turns of segments, by group."""
 GROUPS: Final = {
