@@ -19,7 +19,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +38,7 @@ from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics
 from rtof_kin.clinical.pose_errors import SPECTRA, ErrorSpectrum, error_gains, pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
-from rtof_kin.clinical.torques import JointTorques, joint_torques
+from rtof_kin.clinical.torques import joint_torques
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index, Mask
@@ -100,7 +100,7 @@ def run(case: Case) -> Found | None:
     assert recording.truth is not None
     truth = motion.skeleton.motion(all_observed(at_times(recording.truth, motion.times)))
     found, true = joint_torques(motion, KG), joint_torques(truth, KG)
-    error = _columns(found) - _columns(true)
+    error = np.hstack([found.torques - true.torques, found.wrench - true.wrench])
     wrench = np.diagonal(found.wrench_covariances[0], axis1=1, axis2=2)
     sigma = np.hstack([found.sigma_parts[0], np.sqrt(wrench)]).astype(float)
     known = np.isfinite(error + sigma).all(axis=1)
@@ -111,11 +111,6 @@ def run(case: Case) -> Found | None:
     about = {"motion": case.clip.name, "subject": case.clip.subject, "sensors": case.sensors}
     products = _products(motion, known) if case.fit else None
     return Found(about, (*joints, *WRENCH), error[known], sigma[known], products)
-
-
-def _columns(found: JointTorques) -> Array:
-    """Torques and wrench (T, C)."""
-    return np.hstack([found.torques, found.wrench])
 
 
 def _products(motion: MotionSequence, chosen: Mask) -> Array:
@@ -189,15 +184,13 @@ def fitted(found: Sequence[Found]) -> dict[str, ErrorSpectrum]:
     return dict(zip(SPECTRA, spectra(best.x), strict=True))
 
 
-def tabulated(found: Iterable[Found]) -> list[dict[str, Any]]:
+def tabulated(own: Sequence[Found]) -> list[dict[str, Any]]:
     """A row for each joint or component of the force, and set of sensors."""
-    own, rows = list(found), []
+    rows = []
     for name in dict.fromkeys(GROUPS.values()):
         columns = [GROUPS.get(label) == name for label in own[0].labels]
         for sensors in SENSORS:
             chosen = [one for one in own if one.about["sensors"] == sensors]
-            if not chosen:
-                continue
             error = np.concatenate([one.error[:, columns].ravel() for one in chosen])
             sigma = np.concatenate([one.sigma[:, columns].ravel() for one in chosen])
             stated, actual = (float(np.sqrt(np.mean(values**2))) for values in (sigma, error))
@@ -211,10 +204,7 @@ def tabulated(found: Iterable[Found]) -> list[dict[str, Any]]:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Stated and actual root mean squares, their ratio and the share inside the 95 % band."""
-    lines = [
-        "| of | sensors | stated | actual | stated / actual | inside 95 % |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = ["| of | sensors | stated | actual | ratio | inside 95 % |", "|---|---|---|---|---|---|"]
     for row in rows:
         unit = "N" if row["of"].startswith("force") else "N m"
         figures = f"{row['stated']:.1f} | {row['actual']:.1f} | {row['ratio']:.2f} | {row['inside']:.2f}"
@@ -244,11 +234,11 @@ def main(arguments: list[str] | None = None) -> int:
             print(f'    "{name}": ErrorSpectrum({spectrum.share:.2g}, {spectrum.seconds:.2g}),')
         print(f"With the constants as committed:\n\n{table(rows)}")
         return 0
-    people = len({one.about["subject"] for one in found})
+    motions, people = (len({one.about[key] for one in found}) for key in ("motion", "subject"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = (
-        f"`python -m benchmarks.dynamics {words}`: {len({one.about['motion'] for one in found})} motions of "
-        f"{people} people, {KG:g} kg, root mean squares over frames and axes.\n\n{table(rows)}"
+        f"`python -m benchmarks.dynamics {words}`: {motions} motions of {people} people, "
+        f"{KG:g} kg, root mean squares over frames and axes.\n\n{table(rows)}"
     )
     harness.write_results(options.out, {"command": words, "rows": rows}, text)
     print(text)
