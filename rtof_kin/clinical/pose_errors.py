@@ -7,9 +7,10 @@ every error is modelled as a stationary process with the autocovariance ::
     C [(1 - s) + s exp(-t^2 / (2 l^2))]
 
 that is a constant part and a smooth fast one with a share s of the variance and a correlation time l
-(`ErrorSpectrum`). s and l of six groups were fitted to the errors of torques and of the wrench in
-reconstructions of the validation people (realistic 2D; 0, 8 and 10 sensors), so that stated and actual root
-mean squares agree; l was held near 0.12 s. Held-out people have not been measured with them.
+(`ErrorSpectrum`). ``python -m benchmarks.dynamics --corpus DIR --fit`` fits s and l of six groups to the
+errors of torques and of the wrench in reconstructions of the validation people (realistic 2D; 0, 8 and 10
+sensors), so that stated and actual root mean squares agree; the force is weighted to be stated too large
+rather than too small, and l is held near 0.12 s. `torque_confidence` says what held-out people get.
 
 Errors of all segments together: the turn of each segment in world is a linear function of its parent's and
 an independent rest, both from the stated covariances of the parent, the child, and the one in the other. Of
@@ -44,12 +45,12 @@ class ErrorSpectrum:
 
 
 SPECTRA: Final = {
-    "position": ErrorSpectrum(0.011, 0.12),
-    "trunk": ErrorSpectrum(0.15, 0.12),
-    "arm": ErrorSpectrum(0.6, 0.13),
-    "hand": ErrorSpectrum(1, 0.06),
+    "position": ErrorSpectrum(0.13, 0.16),
+    "trunk": ErrorSpectrum(0.23, 0.14),
+    "arm": ErrorSpectrum(0.91, 0.13),
+    "hand": ErrorSpectrum(1, 0.047),
     "leg": ErrorSpectrum(1, 0.13),
-    "foot": ErrorSpectrum(1, 0.09),
+    "foot": ErrorSpectrum(1, 0.098),
 }
 """Of the root's position and of the turns of segments, by group."""
 GROUPS: Final = {

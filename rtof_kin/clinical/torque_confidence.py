@@ -9,6 +9,23 @@ Two components, independent of each other:
 
 In neither: the length of bones, centres of mass, what the low-pass takes away of the motion itself (the
 impact of a heel), an error of the body mass, a contact that is not known.
+
+Measured on seven people from whom nothing was learned (``python -m benchmarks.dynamics --corpus DIR``; 21
+simulated recordings with realistic 2D, each with 0, 8 and 10 sensors), the root mean square stated for the
+motion is that of the actual errors times
+
+==============================  ==========  ==========  ==========
+..                              no sensors  8 sensors   10 sensors
+==============================  ==========  ==========  ==========
+shoulder, hip, knee, ankle      1.1 to 1.3  1.0 to 1.7  1.1 to 1.6
+elbow                           1.6         2.5         2.5
+spine                           1.0         1.5         1.7
+force from outside, horizontal  1.0 to 1.2  1.6 to 2.0  1.7 to 2.1
+force from outside, vertical    0.5         1.4         1.5
+==============================  ==========  ==========  ==========
+
+and 95 % bands contain 95 to 100 % of the errors, but only 85 % of those of the vertical force where no sensor
+is worn.
 """
 
 from __future__ import annotations
