@@ -66,7 +66,7 @@ def draw_setup(
 
 def _behind(skeleton: SkeletonModel, sensor: str) -> bool:
     """Return whether a sensor is seen from the back only."""
-    return bool(skeleton.sensors[sensor][1][0] < -0.02)
+    return skeleton.sensors[sensor][0] == skeleton.names[0]
 
 
 def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None:
@@ -135,7 +135,7 @@ def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float,
         own = sorted((n for n in spots if (spots[n][0] >= 0) == (side > 0)), key=lambda n: -spots[n][1])
         heights = _spread([float(spots[name][1]) for name in own])
         for name, height in zip(own, heights, strict=True):
-            place = textwrap.wrap(places[name].removesuffix(", arrow up"), _LABEL_WIDTH)
+            place = textwrap.wrap(places[name], _LABEL_WIDTH)
             ax.annotate(
                 "\n".join([name, *place]), spots[name], (side * 0.36, height), va="center",
                 ha="left" if side > 0 else "right", fontsize=7.5,
@@ -146,7 +146,7 @@ def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float,
     ax.text(-0.26, -0.08, "L" if sign > 0 else "R", color=LEFT if sign > 0 else RIGHT, fontsize=9)
     ax.text(0.22, -0.08, "R" if sign > 0 else "L", color=RIGHT if sign > 0 else LEFT, fontsize=9)
     ax.set(xlim=(-0.98, 0.98), ylim=(-0.12, 1.85), aspect="equal", anchor="N")
-    title = f"Sensors, {view} of the body\n(arrows up)" if places else f"{view} of the body: no sensor"
+    title = f"Sensors, {view} of the body" if places else f"{view} of the body: no sensor"
     ax.set_title(title.capitalize(), fontsize=9)
     ax.set_axis_off()
 

@@ -15,20 +15,17 @@ from rtof_kin.core.checks import indices_of
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 
-_SEGMENTS: Final = {
-    "UpLeg": ("thigh", "hip", "knee"),
-    "Leg": ("shank", "knee", "ankle"),
-    "ForeArm": ("forearm", "elbow", "wrist"),
-    "Arm": ("upper arm", "shoulder", "elbow"),
+_PLACES: Final = {
+    "Head": "forehead, on a headband",
+    "Spine3": "breastbone",
+    "Hips": "back of the pelvis, on the sacrum",
+    "ForeArm": "back of the {side} forearm just above the wrist, as a watch",
+    "Arm": "outside of the {side} upper arm, lower third, away from the biceps",
+    "UpLeg": "outside of the {side} thigh, upper third",
+    "Leg": "flat inner face of the {side} shin, upper half",
+    "Foot": "back of the {side} foot, on the laces",
 }
-"""End of a joint's name -> segment, joint above and joint below."""
-_SINGLE: Final = {
-    "Head": "on a headband, arrow up",
-    "Spine3": "on the breastbone, arrow up",
-    "Hips": "on the sacrum, between the two dimples of the low back, arrow up",
-}
-_NEAR_END: Final = 0.04
-"""[m] to the joint below within which a place is named after it."""
+"""End of a joint's name -> where its segment's sensor goes, as in docs/sensor_placement.md."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +120,7 @@ def facing_of(poses: PoseSequence) -> float:
 
 
 def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, str]:
-    """Return where to strap each sensor, in words: name -> "front of the left shank, ...".
+    """Return where to strap each sensor, in words: name -> "outside of the left thigh, upper third".
 
     Args:
         skeleton: body. sensors: names in its table.
@@ -132,28 +129,9 @@ def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, 
         UnknownNameError: a sensor that it does not have.
     """
     indices_of("sensor", sensors, list(skeleton.sensors))
-    return {name: _place(skeleton, *skeleton.sensors[name]) for name in sensors}
+    return {name: _place(skeleton.sensors[name][0]) for name in sensors}
 
 
-def _place(skeleton: SkeletonModel, joint: str, offset: Array) -> str:
-    if joint in _SINGLE:
-        return _SINGLE[joint]
+def _place(joint: str) -> str:
     side = "left" if joint.startswith("Left") else "right"
-    if joint.endswith("Foot"):
-        return f"on top of the {side} foot, on the laces, arrow to the toes"
-    arm = joint.endswith("Arm")
-    # Of a hanging arm, the T-pose's upward direction points outward.
-    outward = offset[2] if arm else offset[1] * (1 if side == "left" else -1)
-    if abs(offset[0]) >= abs(outward):
-        where = "front" if offset[0] > 0 else "back"
-    else:
-        where = "outer side" if outward > 0 else "inner side"
-    segment, above, below = next(words for end, words in _SEGMENTS.items() if joint.endswith(end))
-    along = float(abs(offset[1] if arm else offset[2]))
-    (j,) = skeleton.index(joint)
-    (child,) = (c for c, parent in enumerate(skeleton.parents) if parent == j)
-    length = float(np.linalg.norm(skeleton.joint_offsets[child]))
-    at = f"{100 * along:.0f} cm below the {above}"
-    if length - along < _NEAR_END:
-        at = f"just above the {below}"
-    return f"{where} of the {side} {segment}, {at}, arrow up"
+    return next(words for end, words in _PLACES.items() if joint.endswith(end)).format(side=side)

@@ -62,8 +62,8 @@ def test_a_camera_that_loses_the_body_is_said_with_the_remedy() -> None:
 def test_places_of_sensors_are_those_of_the_table() -> None:
     places = sensor_places(SKELETON, SENSORS)
     assert set(places) == set(SENSORS)
-    assert places["L_LowLeg"] == "front of the left shank, 17 cm below the knee, arrow up"
-    assert places["R_UpLeg"].startswith("outer side of the right thigh, 16 cm below the hip")
+    assert places["L_LowLeg"] == "flat inner face of the left shin, upper half"
+    assert places["R_UpLeg"] == "outside of the right thigh, upper third"
     assert "wrist" in places["L_LowArm"]
     with pytest.raises(UnknownNameError, match="L_LowLeg"):
         sensor_places(SKELETON, ["L_LowLegs"])
@@ -82,7 +82,7 @@ def test_the_drawing_has_the_numbers_and_every_sensor(tmp_path: Path) -> None:
     assert "field of view 88°" in words
     assert "lens 1.10 m high" in words
     assert all(name in words for name in SENSORS)
-    assert "17 cm below the knee" in words
+    assert "flat inner face of the left shin" in words
     again = tmp_path / "again.svg"
     draw_setup(SQUAT, SKELETON, camera_at(-30, 3.27), SENSORS, again)
     assert again.read_bytes() == path.read_bytes()
