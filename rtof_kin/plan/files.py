@@ -63,6 +63,8 @@ def _write_instructions(plan: Plan, folder: Path) -> None:
     seconds = float(setup.poses.times[-1] - setup.poses.times[0])
     places = sensor_places(setup.skeleton, setup.sensors)
     steps = operator_steps(own, framed, places, repetitions, seconds)
+    if plan.calibration is not None:
+        steps.append(f"For the calibration: {plan.calibration.words}")
     title = f"Recording: {own.name.replace('_', ' ')}"
     page = operator_page(title, own, steps, drawing.read_text(encoding="utf-8"), cautions(plan))
     write_text(folder / INSTRUCTIONS, page)

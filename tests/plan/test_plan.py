@@ -113,6 +113,7 @@ def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:
     assert (tmp_path / "plan.png").stat().st_size > 10_000
     page = (tmp_path / INSTRUCTIONS).read_text()
     assert "4.50 m from the cross" in page
+    assert "For the calibration: Move for at least 10 s" in page
     assert all(sensor in page for sensor in made.protocol.sensors)
 
 
