@@ -96,6 +96,6 @@ def _print_angles(found: Any) -> None:
     for name, sigma, error in zip(own.names, np.degrees(own.sigma), np.degrees(own.error), strict=True):
         known = np.isfinite(sigma)
         cells = [f"{v:.1f}" if known else "" for v in (sigma, BAND_95 * sigma, error)]
-        remark = "not identifiable" if name in weak else "" if known else "not observed"
+        remark = "not observed" if not known else "not identifiable" if name in weak else ""
         table.add_row(name.replace("_", " "), *cells, remark)
     out.print(table)
