@@ -100,7 +100,8 @@ def _shortened(options: Sequence[Option]) -> list[Option]:
 
 
 def _draw_options(ax: Any, options: Sequence[Option], title: str) -> None:
-    possible = [option for option in options if not option.problem][:_MOST]
+    best = [option for option in options if not option.problem]
+    possible = best[:_MOST] + [option for option in best[_MOST:] if not option.most]
     left_out = len(options) - len(possible)
     at = np.arange(len(possible))[::-1]
     losses = np.degrees([option.loss for option in possible])
@@ -111,7 +112,7 @@ def _draw_options(ax: Any, options: Sequence[Option], title: str) -> None:
         ax.annotate(f"{value:.1f}", (value, y), (3, 0), textcoords="offset points", va="center", fontsize=7)
     ax.set_yticks(at, [option.name for option in possible], fontsize=7)
     ax.set_xlabel("mean standard deviation [deg]", fontsize=8)
-    more = f" ({left_out} more, or not possible)" if left_out else ""
+    more = f" ({left_out} not shown)" if left_out else ""
     ax.set_title(f"{title}; dark: as planned{more}", fontsize=9)
 
 

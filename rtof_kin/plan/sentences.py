@@ -83,6 +83,12 @@ def advice(plan: Plan) -> tuple[str, ...]:
         )
     elif cameras:
         found.append("No other camera place is clearly better.")
+    blind = [option for option in plan.cameras if option.problem]
+    if blind:
+        found.append(
+            f"{len(blind)} of {len(plan.cameras)} camera places are not possible; {blind[0].name}: "
+            f"{blind[0].problem}."
+        )
     sensors = [option for option in plan.sensors if not option.problem and option.name]
     if sensors:
         best = sensors[0]
