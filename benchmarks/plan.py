@@ -28,13 +28,11 @@ from scipy.stats import spearmanr
 from benchmarks import harness
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
-from rtof_kin.body.metrics import at_times
 from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import movement
-from rtof_kin.plan.prediction import SETTINGS, Run, measure
+from rtof_kin.plan.prediction import SETTINGS, Run, angles_and_errors, measure
 from rtof_kin.plan.protocol import place_of
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -79,11 +77,7 @@ def run(case: Case) -> list[dict[str, Any]]:
     clip, sensors = case.clip, harness.SENSOR_SETS.get(case.sensors, ())
     recording = harness.recorded(clip, case.camera, "realistic", sensors, RECORDED_SEED)
     result = reconstruct(recording, mode="rtof" if sensors else "rto", settings=SETTINGS, calibrate=False)
-    found = clinical_angles(result.motion)
-    assert recording.truth is not None
-    truth = all_observed(at_times(recording.truth, result.motion.times))
-    off = found.values - clinical_angles(truth, result.motion.skeleton).values
-    off = (off + np.pi) % (2 * np.pi) - np.pi
+    found, off = angles_and_errors(result)
     setup = _planned(case, recording.video.camera, sensors)
     arrays = measure(Run(setup, PLANNED_SEED)).arrays
     rows = []

@@ -135,11 +135,10 @@ def _measure(run: _Run) -> JobResult:
     poses = run.setup.poses
     poses = poses[: int(np.searchsorted(poses.times, poses.times[0] + run.seconds - 1e-9)) + 1]
     true = replace(run.setup, poses=poses).recorded(run.seed, late=False)
+    wrong = planted(true, run.seed)
     with without_warnings():
-        found = calibrate_recording(
-            planted(true, run.seed), priors=_PRIORS, lifter=run.lifter, settings=SETTINGS
-        )
-    corrected = found.apply(planted(true, run.seed))
+        found = calibrate_recording(wrong, priors=_PRIORS, lifter=run.lifter, settings=SETTINGS)
+    corrected = found.apply(wrong)
     arrays: dict[str, Any] = {
         kind: np.mean([np.mean(q.sigma[:1] ** 2 if kind != "mounting" else q.sigma**2)
                        for q in found.quantities if q.kind == kind])

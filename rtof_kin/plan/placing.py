@@ -79,24 +79,34 @@ def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Fra
     Args:
         poses: of the movement, finite, on the floor z = 0. skeleton: body. camera: upright.
     """
-    middle = centre_of(poses)[:2]
-    centre, axis = camera.center_world, camera.R_camera_world[2]
-    way = centre[:2] - middle
-    angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
+    distance, height, angle_deg = stand_of(camera, poses)
+    axis = camera.R_camera_world[2]
     uv = camera.project(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
     size = np.array([camera.width_px, camera.height_px])
     least = np.minimum(uv, size - uv).min(axis=(1, 2)) / camera.height_px
     fields = 2 * np.arctan(size / 2 / np.diag(camera.K)[:2])
     return Framing(
-        distance=float(np.linalg.norm(way)),
-        height=float(centre[2]),
-        angle_deg=float((angle + 180) % 360 - 180),
+        distance=distance,
+        height=height,
+        angle_deg=angle_deg,
         tilt_deg=float(np.degrees(np.arcsin(np.clip(-axis[2], -1, 1)))),
         field_deg=(float(np.degrees(fields[0])), float(np.degrees(fields[1]))),
-        middle=middle,
+        middle=centre_of(poses)[:2],
         inside=float(np.mean(least >= 0)),
         margin=float(least.min()),
     )
+
+
+def stand_of(camera: Camera, poses: PoseSequence) -> tuple[float, float, float]:
+    """Return a camera's horizontal distance from the middle of a movement, m, its height, m, and its
+    direction from there, deg from the person's facing at the start, positive to the left.
+
+    Args:
+        camera: anywhere. poses: of the movement, pelvis first.
+    """
+    way = camera.center_world[:2] - centre_of(poses)[:2]
+    angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
+    return float(np.hypot(*way)), float(camera.center_world[2]), float((angle + 180) % 360 - 180)
 
 
 def centre_of(poses: PoseSequence) -> Array:

@@ -19,13 +19,15 @@ import numpy as np
 
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.angles import all_observed, clinical_angles
+from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.jobs import JobResult, run_jobs
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
+from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 
 Progress = Callable[[int, int, str], None]
@@ -101,21 +103,30 @@ def measure(run: Run) -> JobResult:
         result = reconstruct(
             recording, mode=run.setup.mode, lifter=run.lifter, settings=SETTINGS, calibrate=False
         )
-    found = clinical_angles(result.motion)
-    assert recording.truth is not None
+    found, off = angles_and_errors(result)
     assert found.sigma is not None
-    truth = all_observed(at_times(recording.truth, result.motion.times))
-    true = clinical_angles(truth, result.motion.skeleton)
-    off = (found.values - true.values + np.pi) % (2 * np.pi) - np.pi
     known = found.known & np.isfinite(off + found.sigma)
     arrays = {
         "known": known.sum(axis=0).astype(float),
         "frames": np.full(known.shape[1], float(len(known))),
         "variance": np.sum(np.where(known, found.sigma, 0.0) ** 2, axis=0),
         "square": np.sum(np.where(known, off, 0.0) ** 2, axis=0),
-        "inside": np.sum(known & (np.abs(off) <= 1.96 * found.sigma), axis=0).astype(float),
+        "inside": np.sum(known & (np.abs(off) <= BAND_95 * found.sigma), axis=0).astype(float),
     }
     return JobResult({"angles": list(found.names)}, arrays)
+
+
+def angles_and_errors(result: Reconstruction) -> tuple[ClinicalAngles, Array]:
+    """Return the angles of a simulated recording and their errors (T, A), rad; NaN where unknown.
+
+    Args:
+        result: of a recording with its truth.
+    """
+    found, truth = clinical_angles(result.motion), result.recording.truth
+    assert truth is not None
+    seen = all_observed(at_times(truth, result.motion.times))
+    off = found.values - clinical_angles(seen, result.motion.skeleton).values
+    return found, (off + np.pi) % (2 * np.pi) - np.pi
 
 
 def predict(

@@ -19,7 +19,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.plan.placing import centre_of, facing_of
+from rtof_kin.plan.placing import centre_of, facing_of, stand_of
 
 DETECTORS: Final = ("mediapipe33", "coco17")
 """Layouts of detectors that can be simulated: the measured one, and its points that COCO has too."""
@@ -213,12 +213,11 @@ def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace
     Args:
         camera: of a recording. poses: the movement. rate_hz: frames per second.
     """
-    off = camera.center_world - centre_of(poses)
-    angle = np.degrees(np.arctan2(off[1], off[0]) - facing_of(poses))
+    distance, height, angle_deg = stand_of(camera, poses)
     return CameraPlace(
-        angle_deg=round(float((angle + 180) % 360 - 180), 1),
-        distance_m=round(float(np.hypot(*off[:2])), 2),
-        height_m=round(float(camera.center_world[2]), 2),
+        angle_deg=round(angle_deg, 1),
+        distance_m=round(distance, 2),
+        height_m=round(height, 2),
         focal_px=float(np.trace(camera.K[:2, :2]) / 2),
         width_px=camera.width_px, height_px=camera.height_px, rate_hz=rate_hz,
     )  # fmt: skip
