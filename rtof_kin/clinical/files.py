@@ -6,7 +6,9 @@ angles.csv, angles.json         angles over time, degrees, and their standard de
 angles_provenance.csv           observation source of each value (`Provenance` by number)
 angles_trusted.csv              1 where a value is reliable (`angle_confidence`), else 0
 range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
-                                standard deviations of both ends and of the range; 1 for a heading
+                                standard deviations of both ends and of the range; 1 for a heading; 95 %
+                                intervals with the unreliable samples, their seconds and furthest value
+                                beyond either end; 1 for a range that may be compared with others
 gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
                                 side, symmetry
 travel.json                     way and turning of the pelvis
@@ -164,11 +166,18 @@ def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
 def _write_ranges(path: Path, ranges: Sequence[RangeOfMotion]) -> None:
     header = ("angle", "low_deg", "high_deg", "range_deg", "mean_deg", "time_low_s", "time_high_s",
               "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share",
-              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical")  # fmt: skip
+              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical",
+              *(f"{name}_interval_{end}_deg" for name in ("low", "high", "range") for end in ("low", "high")),
+              *(f"uncertain_{end}_{unit}" for end in ("low", "high") for unit in ("s", "deg")),
+              "comparable")  # fmt: skip
     figures = (
         (*np.degrees([r.low, r.high, r.range, r.mean]), r.time_low, r.time_high, np.degrees(r.peak_velocity),
          r.known_share, r.singular_share, r.trusted_share,
-         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical))
+         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical),
+         *np.degrees([*r.low_interval, *r.high_interval, *r.range_interval]),
+         *(x for end in (r.uncertain_low, r.uncertain_high)
+           for x in ((0.0, np.nan) if end is None else (end.seconds, np.degrees(end.value)))),
+         float(r.is_comparable))
         for r in ranges
     )  # fmt: skip
     _write_csv(path, header, ([r.name, *map(_cell, row)] for r, row in zip(ranges, figures, strict=True)))

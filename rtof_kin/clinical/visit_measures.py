@@ -24,7 +24,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.comparison import HEADINGS, LEAST_OF_RANGE, LEAST_SHARE
+from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE
 from rtof_kin.clinical.comparison_change import Measured
 from rtof_kin.clinical.comparison_samples import own_side, repeats_of, whole
 from rtof_kin.clinical.strides import Stride
@@ -90,12 +90,13 @@ def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Me
         side: [(s.start, s.stop) for s in trial.analysis.gait.strides if s.side == side] for side in SIDES
     }
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
+    ranges = {row.name: row for row in trial.analysis.ranges}
     for row in angles.rows:
         if row.name in HEADINGS or row.about_vertical:
             continue
         if by == "range":
-            samples, share = whole(angles, row.name)
-            enough = share >= LEAST_OF_RANGE
+            samples, _ = whole(angles, row.name)
+            enough = ranges[row.name].is_comparable
         else:
             side = own_side(row.name, spans, spans)
             if side is None:

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
@@ -26,7 +27,7 @@ from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
+from rtof_kin.report.summary_findings import compared_sides, findings, is_second_sequence
 
 MOST_FINDINGS: Final = 3
 DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
@@ -228,12 +229,17 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
 def _findings(analysis: MotionAnalysis) -> str:
     if analysis.angles.sigma is None:
         return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
-    found = findings(analysis, analysis.paths.skeleton.table)
-    pairs = compared_pairs(analysis)
-    compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
-    if not found:
-        return f"No difference exceeds its 95 % band: {compared}."
+    sides = compared_sides(analysis)
+    found = findings(analysis, analysis.paths.skeleton.table, sides)
+    tested = [] if sides is None else [one for one in sides.angles if one.verdict is not Verdict.NOT_TESTED]
+    pairs = len(tested)
+    over = "over the gait cycle" if sides is not None and sides.by == "cycle" else "by their range"
+    compared = f"{pairs} angle{'s' if pairs > 1 else ''} of the left and right were compared {over}"
     lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
-    if len(found) < MOST_FINDINGS:
-        lines.append(f"No other difference exceeds its 95 % band ({compared}).")
+    if not pairs:
+        none = "no angle is observed and reliable almost throughout on both sides"
+        lines.append(f"Left and right were not compared: {none}.")
+    elif len(found) < MOST_FINDINGS:
+        other = "other " if found else ""
+        lines.append(f"No {other}difference is shown: {compared}, and ranges with anatomical limits.")
     return " ".join(lines)
