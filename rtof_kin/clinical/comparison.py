@@ -175,7 +175,7 @@ def with_strides(name: str, angles: ClinicalAngles, gait: GaitAnalysis) -> Compa
     Args:
         name: for the output. angles, gait: of one motion.
     """
-    strides = {side: [(s.start, s.stop) for s in gait.strides if s.side == side] for side in SIDES}
+    strides = {side: [(s.start, s.stop) for s in gait.counted if s.side == side] for side in SIDES}
     return Compared(name, angles, strides, notes=gait.notes, not_gait=gait.why_not)
 
 

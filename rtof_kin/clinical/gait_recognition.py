@@ -35,6 +35,8 @@ FORWARD: Final = np.cos(np.radians(35.0))
 """Least cosine between the way of the pelvis and the direction in which it faces."""
 LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
 LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noise has a decimetre
+MID_STANCE: Final = np.array([0.2, 0.7])
+"""Share of stance in which a heel stands, or moves with a treadmill's belt."""
 FEWEST: Final = 3  # strides of both feet together
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times
@@ -88,7 +90,7 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     inside = (times >= stride.start) & (times <= stride.stop)
     forward = events.forward[own][inside]
     ahead = np.sum((heel - pelvis)[inside] * forward, axis=-1)
-    stance = stride.start + (stride.toe_off - stride.start) * np.array([0.2, 0.7])
+    stance = stride.start + (stride.toe_off - stride.start) * MID_STANCE
     way = _way(times, pelvis, np.array([stride.start, stride.stop]))
     facing = np.nanmean(forward, axis=0)
     heading = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
@@ -107,6 +109,23 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
         turn=float(heading[-1] - heading[0]),
         slip=float(np.linalg.norm(_way(times, heel, stance))),
     )
+
+
+def progression(stride: Stride, events: GaitEvents) -> float:
+    """Return the direction of progression of a stride from world x, rad.
+
+    It is that of the way of the pelvis from strike to strike, or, on a treadmill, against the way of the heel
+    in mid stance.
+
+    Args:
+        stride: one of the events. events: of both feet.
+    """
+    own = stride.frames(events.times)
+    way = _way(events.times[own], events.pelvis[own], np.array([stride.start, stride.stop]))
+    if np.linalg.norm(way) < LEAST_PROGRESS:
+        at = stride.start + (stride.toe_off - stride.start) * MID_STANCE
+        way = -_way(events.times[own], events.feet[stride.side].heel[own], at)
+    return float(np.arctan2(way[1], way[0]))
 
 
 def _way(times: Array, path: Array, at: Array) -> Array:

@@ -87,7 +87,7 @@ def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Mea
 def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Measured]]:
     angles = trial.analysis.angles
     strides = {
-        side: [(s.start, s.stop) for s in trial.analysis.gait.strides if s.side == side] for side in SIDES
+        side: [(s.start, s.stop) for s in trial.analysis.gait.counted if s.side == side] for side in SIDES
     }
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
     ranges = {row.name: row for row in trial.analysis.ranges}
@@ -114,13 +114,13 @@ def _gait(trial: Trial) -> dict[Measure, Measured]:
     gait, sigma = trial.analysis.gait, trial.stride_sigma
     moving = not gait.verdict.on_the_spot
     out = {}
-    if gait.strides:
-        out[Measure("gait_cadence", "steps/min")] = _over(gait.strides, "cadence")
+    if gait.counted:
+        out[Measure("gait_cadence", "steps/min")] = _over(gait.counted, "cadence")
         if moving:
-            speeds = [sigma[s] / s.stride_time for s in gait.strides if s in sigma]
-            out[Measure("gait_speed", "m/s")] = _over(gait.strides, "speed", speeds)
+            speeds = [sigma[s] / s.stride_time for s in gait.counted if s in sigma]
+            out[Measure("gait_speed", "m/s")] = _over(gait.counted, "speed", speeds)
     for side in SIDES:
-        own = [stride for stride in gait.strides if stride.side == side]
+        own = [stride for stride in gait.counted if stride.side == side]
         for name, unit in _UNITS.items() if own else ():
             if name != "stride_length" or moving:
                 stated = [sigma[s] for s in own if s in sigma] if name == "stride_length" else []

@@ -103,7 +103,7 @@ def test_what_is_done_is_named_as_far_as_it_is_recognised(motion: MotionSequence
 def test_turning_in_place_is_told_in_degrees() -> None:
     still = np.tile([0.0, -0.78], (240, 1))
     motion = stepping(TIMES, {"right": still, "left": still}, heading=np.pi * (1 - np.cos(np.pi * TIMES / 4)))
-    assert "staying in place, turning 360° left." in lines(motion)["What"].text
+    assert "staying in place, turning about 360° left." in lines(motion)["What"].text
 
 
 @pytest.mark.parametrize(
