@@ -55,6 +55,7 @@ def _analyse(options: argparse.Namespace) -> None:
     out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
     if analysis.gait.is_gait:
         _print_gait(analysis.gait)
+        out.print(f"gait: from {analysis.gait.rests_on}", soft_wrap=True)
     else:
         out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
     if analysis.repetitions is not None:

@@ -102,6 +102,7 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
     return {
         "is_gait": gait.is_gait,
         "why_not": gait.why_not,
+        "rests_on": gait.rests_on,
         "walking_strides": len(gait.verdict.walking),
         "on_the_spot": gait.verdict.on_the_spot,
         "events_s": {

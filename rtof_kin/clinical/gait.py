@@ -49,6 +49,16 @@ class GaitAnalysis:
         return self.verdict.walking if self.is_gait else self.strides
 
     @property
+    def rests_on(self) -> str:
+        """What the measures rest on: '1 stride, of the right side alone' or '5 strides, 3 right and 2 left'."""
+        counts = {side: int(own["stride_time"][2]) for side, own in self.summary.items()}
+        total = sum(counts.values())
+        text = f"{total} stride" + ("s" if total != 1 else "")
+        if len(counts) == 1:
+            return f"{text}, of the {next(iter(counts))} side alone"
+        return f"{text}, {' and '.join(f'{n} {side}' for side, n in counts.items())}" if counts else text
+
+    @property
     def is_gait(self) -> bool:
         """Whether the strides are those of walking (`recognise_gait`); measures of others mean little."""
         return self.verdict.is_gait
@@ -120,7 +130,11 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
         for name in MEASURES:
             right, left = (summary[side][name][0] for side in SIDES)
             symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
-    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
+    found_gait = GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
+    if verdict.is_gait and verdict.too_few:
+        first = f"all measures rest on {found_gait.rests_on}: they may not represent usual walking"
+        return replace(found_gait, notes=(first, *notes))
+    return found_gait
 
 
 def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:

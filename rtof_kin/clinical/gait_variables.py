@@ -194,8 +194,8 @@ def _angles(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, Clini
 
 def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:
     """Straight strides of walking; why there are none; notes."""
-    if not gait.is_gait:
-        return [], gait.why_not, ()
+    if why_not := gait.why_not or gait.verdict.too_few:
+        return [], why_not, ()
     walking = gait.verdict.walking
     straight = [s for s in walking if abs(stride_shape(s, gait.events).turn) <= STRAIGHT]
     if not straight:

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.clinical.gait_recognition import GaitVerdict
+from rtof_kin.clinical.gait_recognition import GaitVerdict, share_of_time
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
@@ -151,7 +151,7 @@ def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None =
     )
     return Travel(
         max(_path_length(known), displacement), displacement, direction,
-        _relative(direction, heading, turns), left, right, _walking_share(paths.times, verdict),
+        _relative(direction, heading, turns), left, right, share_of_time(verdict.walking, paths.times),
         float(seen.mean()), _notes(masks.provenance[:, pelvis], seen), left_sigma, right_sigma,
         turns is not None and not bool(turns.certain.all()),
     )  # fmt: skip
@@ -214,13 +214,6 @@ def _relative(direction: float, heading: Array, turns: _Turns | None) -> float:
         return float("nan")
     facing = np.angle(np.nanmean(np.exp(1j * heading)))
     return float(np.angle(np.exp(1j * (direction - facing))))
-
-
-def _walking_share(times: Array, verdict: GaitVerdict) -> float:
-    inside = np.zeros(len(times), dtype=np.bool_)
-    for stride in verdict.walking:
-        inside[signals.within(times, stride.start, stride.stop)] = True
-    return float(inside.mean())
 
 
 def _notes(provenance: NDArray[np.uint8], seen: Mask) -> tuple[str, ...]:

@@ -102,9 +102,10 @@ def _movement(analysis: MotionAnalysis) -> str:
     part = f" in {100 * travel.walking_share:.0f} % of the time"
     if gait.is_gait:
         partly = part if travel.walking_share < MOSTLY else ""
+        counted = f"{strides} stride" + ("s" if strides > 1 else "")
         if gait.verdict.on_the_spot:
-            return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
-        return f"Walking{partly}: {strides} strides, {travel.text}"
+            return f"Walking on the spot or on a treadmill{partly}: {counted}"
+        return f"Walking{partly}: {counted}, {travel.text}"
     bends = _knee_bends(analysis)
     walking = "no walking"
     if strides >= FEWEST_STRIDES:

@@ -85,7 +85,7 @@ def test_who_names_what_is_known_and_what_is_not() -> None:
         (walking(6.0, speed=1.1), "Walking: 8 strides, 6.6 m forward, without turns."),
         (walking(6.0, treadmill=True), "Walking on the spot or on a treadmill: 8 strides."),
         (squatting(4), "4 bends of both knees (squats); no walking; staying in place, without turns."),
-        (walking(2.4), "Only 2 complete strides of walking; 2.6 m forward, without turns."),
+        (walking(2.4), "Walking: 2 strides, 2.6 m forward, without turns."),
         (
             walking(6.0, speed=-1.0),
             "Neither walking nor squats were recognised; 6.0 m backward, without turns.",
