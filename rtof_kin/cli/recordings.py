@@ -319,7 +319,7 @@ def _add_reconstruct(commands: Any) -> None:
         "--mode",
         choices=MODES,
         help="lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
-        "only; rtof: everything; imu: sensors only, without a camera; default: what uses all that was recorded",
+        "only; rtof: everything; imu: sensors only, without a camera; default: uses all that was recorded",
     )
     add_reconstruction(parser)
 

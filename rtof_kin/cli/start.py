@@ -20,6 +20,7 @@ from rtof_kin.cli.terminal import (
     add_model,
     add_output,
     command,
+    decimal,
     err,
     out,
     progress,
@@ -94,11 +95,13 @@ def add_commands(commands: Any) -> None:
 def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "files", metavar="FILE", nargs="+",
-        help="a video, a detector's keypoints or both; files or folders of sensors (also alone); a calibration "
+        help="a video, a detector's keypoints or both; files or folders of sensors, also alone; a calibration "
         "of the camera and a map of sensors: each is recognised",
     )  # fmt: skip
     add_output(parser, None, what)
-    parser.add_argument("--height", type=float, metavar="M", help="of the person, m; every length follows it")
+    parser.add_argument(
+        "--height", type=decimal, metavar="M", help="of the person, m; every length follows it"
+    )
     parser.add_argument(
         "--pose", choices=["N", "T", "seated"], default="N",
         help="of sensors without a video: how the person stood still at first",
@@ -118,7 +121,7 @@ def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
         help="two columns: serial number of each sensor and its segment; default: found from the motion",
     )  # fmt: skip
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="frames per second of keypoints without times"
+        "--rate", type=decimal, metavar="HZ", help="frames per second of keypoints without times"
     )
     parser.add_argument(
         "--size", type=image_size, metavar="WxH", help="of the image, for keypoints without a video"
@@ -238,7 +241,11 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
             f"{folder}: was made from other files; name another folder by -o, or add --overwrite"
         )
     check_replaceable(folder, INDEX, bool(before) or options.overwrite)
-    if "recording" in before and before.get("person", inputs["person"]) != inputs["person"] and not options.overwrite:
+    if (
+        "recording" in before
+        and before.get("person", inputs["person"]) != inputs["person"]
+        and not options.overwrite
+    ):
         raise OutputExistsError(
             f"{folder}: is of another person of the video; name another folder by -o, or add --overwrite, "
             "which replaces that person's results"

@@ -202,9 +202,7 @@ def make_recording(
     return found
 
 
-def texts_of(
-    found: Findings, tables: Tables, sources: Sources, settings: SetupSettings
-) -> dict[str, str]:
+def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
     """Return the texts of a recording's folder by file; without the name of a video that is not kept.
 
     Args:
@@ -245,7 +243,7 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
     """Return the size and rate of the image, from the video or as the user says."""
     if sources.video is None and sources.keypoints is None:
         raise InvalidInputError(
-            f"{', '.join(map(str, sources.paths))}: no video, no keypoints and no sensors among them; give one"
+            f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one"
         )
     if sources.video is not None:
         meta = read_video_metadata(sources.video)

@@ -120,9 +120,7 @@ def _clock(
     return search(reach=max(_USUAL_REACH, *(float(stream.times[-1]) for stream in log.streams)))
 
 
-def known_places(
-    log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel
-) -> dict[str, Field] | None:
+def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
     """Return the segments that a map or the sensors' own names say; None where they do not say all.
 
     Args:

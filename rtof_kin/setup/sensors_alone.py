@@ -72,7 +72,9 @@ def _sensors(
     """Return the table ``[imus]``, of times from the first sample on."""
     start, stop = (at - first for at in found.still)
     held = f"{found.pose}-pose from {start:.1f} to {stop:.1f} s"
-    pose = Field(list(names), Origin.ASSUMED, held, f"the person stood in the {held}; --pose takes another one")
+    pose = Field(
+        list(names), Origin.ASSUMED, held, f"the person stood in the {held}; --pose takes another one"
+    )
     tables, sensors = calibration_table(found.calibration), dict[str, Tables]()
     for report in found.sensors:
         own, off = tables[report.sensor], f"± {report.expected_deg:.0f} degrees"
