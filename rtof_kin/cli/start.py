@@ -95,8 +95,8 @@ def add_commands(commands: Any) -> None:
 def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "files", metavar="FILE", nargs="+",
-        help="a video, a detector's keypoints or both; files or folders of sensors, also alone; a calibration "
-        "of the camera and a map of sensors: each is recognised",
+        help="a video, a detector's keypoints or both; files or folders of sensors, also alone; a "
+        "calibration of the camera and a map of sensors: each is recognised",
     )  # fmt: skip
     add_output(parser, None, what)
     parser.add_argument(

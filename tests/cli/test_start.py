@@ -156,7 +156,7 @@ def test_two_people_are_chosen_without_detecting_again(
 
 @pytest.mark.parametrize("arguments, sentence", [
     (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
-    (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "error: argument --height: '1.7m' is not a number, such"),
+    (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
     (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
     (("init", "WALK"), "give the video beside them, its calibration by --camera, or --size 1920x1080"),
     (("init", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),
