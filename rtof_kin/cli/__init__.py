@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import argparse
 
+    from rtof_kin.cli.terminal import Parser
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return the exit code.
@@ -71,10 +73,8 @@ def command_names() -> set[str]:
     return set(_parser()[1].choices)
 
 
-def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]:
+def _parser() -> tuple[Parser, argparse._SubParsersAction[Parser]]:
     """Return the parser and its commands."""
-    import argparse
-
     from rtof_kin.cli import (
         batch,
         bundle,
@@ -97,8 +97,9 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         validation,
         view,
     )
+    from rtof_kin.cli.terminal import Parser
 
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="rtof-kin",
         description="Human motion from one camera and a handful of IMUs. Everything stays on this "
         "machine. Start with: rtof-kin demo",

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import logging
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -48,6 +50,36 @@ _LONG = 600.0
 """[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
 """Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser whose errors are one line with the likely meant choice, in place of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2.
+
+        Args:
+            message: what is wrong.
+        """
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        close = difflib.get_close_matches(wrong[1], re.findall("'(.*?)'", wrong[2]), 1) if wrong else []
+        if close:
+            message = f"{message.partition(' (choose')[0]}; did you mean {close[0]}?"
+        self.exit(2, f"error: {message} ({self.prog} --help has all options)\n")
+
+
+def decimal(text: str) -> float:
+    """Return a decimal number, also with a comma as its point; raises ArgumentTypeError for other text.
+
+    Args:
+        text: of the option.
+    """
+    try:
+        return float(text.replace(",", "."))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a number, such as 1.72 (without its unit)"
+        ) from error
 
 
 def command(

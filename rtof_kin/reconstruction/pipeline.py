@@ -57,7 +57,7 @@ def without_warnings() -> Iterator[None]:
 def reconstruct(
     recording: Recording,
     skeleton: SkeletonModel | None = None,
-    mode: Mode = "rtof",
+    mode: Mode | None = None,
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
@@ -75,7 +75,8 @@ def reconstruct(
         recording: keypoints of one camera or several and, for sf2 and rtof, IMUs with their calibration; mode
             imu needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
-        mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
+        mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`). Default: the one that uses all that
+            was recorded.
         lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
         calibrate: calibrate the recording from itself first, in the modes that use sensors, against gross
@@ -92,6 +93,7 @@ def reconstruct(
         UnknownNameError: no such mode. InvalidInputError: the mode needs keypoints or IMUs that the
             recording does not have. ViewError: the person is behind the camera. Errors of the stages.
     """
+    mode = recording.usual_mode if mode is None else mode
     if mode not in MODES:
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
