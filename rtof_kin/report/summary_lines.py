@@ -21,7 +21,7 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
-from rtof_kin.report.angle_names import label
+from rtof_kin.report.angle_names import label, plain_words
 from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
@@ -38,10 +38,6 @@ IMAGE_ALONE: Final = ("lift", "rto")
 FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
 """Name of a figure of the audit, deg."""
 _SIDE: Final = re.compile("^(left|right) ")
-_CODES: Final = re.compile(r" \(\w+_[xyz]\)|; more (fails|warns) in .*")
-"""Names of revolutes and the list of further sections, which a summary omits."""
-_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|^(Head|Neck)$")
-_CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
 _PLURALS: Final = {"foot": "feet"}
 
 
@@ -129,7 +125,7 @@ def _knee_bends(analysis: MotionAnalysis) -> list[str]:
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
-    names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
+    names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
     image = "one camera" if cameras <= 1 else f"{cameras} cameras"
@@ -140,13 +136,6 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     if summary.mode in IMAGE_ALONE:
         return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
     return f"{image} and {count} ({names})" if carriers else f"{image} alone"
-
-
-def _in_words(text: str, analysis: MotionAnalysis) -> str:
-    """Text with the names of joints and landmarks in words, e.g. 'left forearm' for LeftForeArm."""
-    for term, joint in analysis.table.segments.items():
-        text = re.sub(rf"\b{joint}\b", term.replace("_", " "), text)
-    return _NAME.sub(lambda name: _CAPITAL.sub(" ", name.group()).lower(), text)
 
 
 def _both_sides(names: list[str]) -> list[str]:
@@ -205,7 +194,7 @@ def _joint(angle: str) -> str:
 def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
-    parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
+    parts = [plain_words(overall.text, analysis.table)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
@@ -231,8 +220,10 @@ def _findings(analysis: MotionAnalysis) -> str:
     found = findings(analysis, analysis.paths.skeleton.table)
     pairs = compared_pairs(analysis)
     compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
+    if not pairs:
+        compared = "left and right cannot be compared: no angle of both sides was reliable enough throughout"
     if not found:
-        return f"No difference exceeds its 95 % band: {compared}."
+        return f"{compared.capitalize()}." if not pairs else f"No difference exceeds its 95 % band: {compared}."
     lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
     if len(found) < MOST_FINDINGS:
         lines.append(f"No other difference exceeds its 95 % band ({compared}).")
