@@ -18,7 +18,7 @@ from rtof_kin.report.audit_results import Grade
 
 _ASSETS: Final = Path(__file__).parent / "assets"
 GRADE_WORDS: Final = {
-    Grade.PASS: "good", Grade.WARN: "use with care", Grade.FAIL: "do not use", Grade.WEAK: "roughly known",
+    Grade.PASS: "good", Grade.WARN: "use with care", Grade.FAIL: "do not use", Grade.WEAK: "not verified",
     Grade.NOT_CHECKED: "not checked", Grade.INFORMATION: "for information",
 }  # fmt: skip
 """What a grade means to the reader of a page."""

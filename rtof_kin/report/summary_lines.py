@@ -1,4 +1,5 @@
-"""Summary of a report in five lines: who, what, how good, what to be careful about, findings.
+"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about,
+findings.
 
 The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
 and interpret nothing.
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
@@ -46,7 +48,7 @@ class SummaryLine:
     """One line of the summary."""
 
     label: str
-    """'Who', 'What', 'How good', 'Careful' or 'Findings'."""
+    """'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'."""
     text: str
     """One to three sentences."""
     grade: Grade | None
@@ -56,7 +58,7 @@ class SummaryLine:
 def summary_lines(
     analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
-    """Return the five lines of a report's summary.
+    """Return the lines of a report's summary; one on the position in the room where its audit has one.
 
     Args:
         analysis: of the motion. summary: of its folder.
@@ -66,9 +68,27 @@ def summary_lines(
         SummaryLine("Who", _who(analysis, summary, session), None),
         SummaryLine("What", _what(analysis, summary), None),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
+        *(
+            [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
+            if overall.room
+            else []
+        ),
         _careful(analysis, overall),
         SummaryLine("Findings", _findings(analysis), None),
     )
+
+
+def _angle_words(overall: Headline, table: AngleTable) -> str:
+    """Return the headline without the position in the room, in plain words."""
+    text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
+    return plain_words("; ".join(part for part in text.split("; ") if part), table)
+
+
+def _room_words(overall: Headline, table: AngleTable) -> str:
+    """Return what is said about the position in the room, as a sentence in plain words."""
+    verdict, _, why = plain_words(overall.room_text, table).partition(": ")
+    text = why or verdict
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
@@ -194,7 +214,7 @@ def _joint(angle: str) -> str:
 def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
-    parts = [plain_words(overall.text, analysis.table)] if warned else []
+    parts = [_angle_words(overall, analysis.table)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
@@ -211,7 +231,7 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     if doubtful := list(dict.fromkeys(wide)):
         parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
-    return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
+    return SummaryLine("Careful", f"{text}.", None)
 
 
 def _findings(analysis: MotionAnalysis) -> str:
@@ -221,9 +241,9 @@ def _findings(analysis: MotionAnalysis) -> str:
     pairs = compared_pairs(analysis)
     compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
     if not pairs:
-        compared = "left and right cannot be compared: no angle of both sides was reliable enough throughout"
+        compared = "left and right were not compared: no angle was reliable enough on both sides"
     if not found:
-        return f"{compared.capitalize()}." if not pairs else f"No difference exceeds its 95 % band: {compared}."
+        return f"No difference exceeds its 95 % band: {compared}." if pairs else f"{compared.capitalize()}."
     lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
     if len(found) < MOST_FINDINGS:
         lines.append(f"No other difference exceeds its 95 % band ({compared}).")

@@ -103,7 +103,7 @@ def _range(found: RangeOfMotion | None) -> str:
         return ""
     if not _has_range(found):
         share = 100 * _reliable_share(found)
-        return f"<small>{'too few reliable values: ' + format(share, '.0f') + ' %' if share else 'no reliable value'}</small>"
+        return f"<small>{f'reliable only {share:.0f} %' if share else 'no reliable value'}</small>"
     sigma = BAND_95 * math.degrees(found.range_sigma)
     within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
     share = ""
