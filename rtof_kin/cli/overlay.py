@@ -25,9 +25,8 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "overlay", _overlay, "draw a motion on its video, as an MP4 or GIF",
         "Skeleton coloured by what observed it, and none where nothing did; angles with their 95 % bands, "
-        "faults of sensors while they last, and time. Prints the verdict on the motion. Sound and metadata of "
-        "the video (place, date, device) are not copied. "
-        "Nothing leaves this machine.",
+        "faults of sensors while they last, and time. Prints the verdict on the motion. Sound and metadata "
+        "of the video (place, date, device) are not copied. Nothing leaves this machine.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="OUT", help="output folder of reconstruct or run")
     parser.add_argument(
