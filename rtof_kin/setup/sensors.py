@@ -123,9 +123,9 @@ def _clock(
 def _told(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
     """Return the segments that a map or the sensors' own names say; None where they do not say all."""
     if sensor_map is not None:
-        places = matched(read_sensor_map(sensor_map), log.names)
+        places = matched(read_sensor_map(sensor_map), log.names, sensor_map)
         return {
-            name: Field(known_segment(place, skeleton), Origin.FILE, sensor_map.name)
+            name: Field(known_segment(place, skeleton, sensor_map), Origin.FILE, sensor_map.name)
             for name, place in places.items()
         }
     named = segments_of(log.names, skeleton)
