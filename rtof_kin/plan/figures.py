@@ -88,7 +88,7 @@ def _draw_angles(ax: Any, plan: Plan) -> None:
     ax.set_xlim(0.0, None)
     ax.set_xlabel("expected standard deviation [deg]")
     ax.set_title(f"camera {plan.protocol.camera.words}", fontsize=9, loc="left")
-    ax.margins(x=0.08)
+    ax.margins(x=0.15)
     ax.figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower left", ncols=3)
 
 

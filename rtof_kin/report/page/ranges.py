@@ -80,8 +80,9 @@ def _single(line: _Line) -> tuple[str, ...]:
 
 def _both(line: _Line) -> tuple[str, ...]:
     right, left = line.first, line.second
-    compared = right and left and min(_reliable_share(right), _reliable_share(left)) >= _COMPARED
-    difference = math.degrees(right.range - left.range) if compared else math.nan
+    difference = math.nan
+    if right and left and min(_reliable_share(right), _reliable_share(left)) >= _COMPARED:
+        difference = math.degrees(right.range - left.range)
     return (
         _title(line.name),
         *(cell for found in (right, left) for cell in (_range(found), _ends(found, line.name))),
@@ -102,8 +103,8 @@ def _range(found: RangeOfMotion | None) -> str:
     if found is None:
         return ""
     if not _has_range(found):
-        share = 100 * _reliable_share(found)
-        return f"<small>{f'reliable only {share:.0f} %' if share else 'no reliable value'}</small>"
+        few = 100 * _reliable_share(found)
+        return f"<small>{f'reliable only {few:.0f} %' if few else 'no reliable value'}</small>"
     sigma = BAND_95 * math.degrees(found.range_sigma)
     within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
     share = ""
