@@ -34,6 +34,7 @@ SECOND_SHOULDER: Final = "shoulder_xzy_"
 _PLAIN: Final = {
     r" \(\w+_[xyz]\)|; more (fails|warns) in [^;]*| \([^()]*\babove [^()]*\)": "",
     r"^position in the room: half width of the 95 % band [\d.]+ m: ": "",
+    r"^(motion|recording): ": "",
     r"\bat z = -([\d.]+ m)": r"\1 below height 0",
     r"\bat z = ([\d.]+ m)": r"\1 above height 0",
     r"\bz = 0\b": "height 0",
