@@ -6,9 +6,38 @@ remedy. The command line prints it as one line and exits with code 2.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+
+
+def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """Return a question about the nearest valid names, ' Did you mean ...?'; '' if there is none near.
+
+    Args:
+        unknown: names that are not valid. known: names that are, whatever their case.
+    """
+    lower = {name.lower(): name for name in known}
+    near = [match for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
+    return f" Did you mean {', '.join(repr(lower[match]) for match in near)}?" if near else ""
+
+
+def line_of(path: str | Path, word: str, field: str = "") -> int | None:
+    """Return the first line of a text file with a word outside of comments, from 1; None if there is none.
+
+    Args:
+        path: of the file. word: e.g. a misspelt name. field: '[table] field' after whose table it stands.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return None
+    whole = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")
+    found = [n for n, line in enumerate(lines, 1) if whole.search(line.partition("#")[0])]
+    table = field.partition("]")[0] + "]"
+    begins = next((n for n, line in enumerate(lines, 1) if field and line.strip().startswith(table)), 0)
+    return next((n for n in found if n > begins), found[0] if found else None)
 
 
 class RtofError(Exception):
@@ -34,12 +63,21 @@ class UnitError(RtofError, ValueError):
 class UnknownNameError(RtofError, KeyError):
     """A joint, landmark, sensor or setting of this name does not exist."""
 
-    def __init__(self, kind: str, unknown: Iterable[str], known: Sequence[str]):
-        """Take the kind of names, the unknown names and all valid ones."""
+    def __init__(
+        self, kind: str, unknown: Iterable[str], known: Sequence[str], path: str | Path | None = None,
+        field: str = "", also: Iterable[str] = (),
+    ):  # fmt: skip
+        """Take the kind of names, the unknown names, all valid ones, the text file and its field where the
+        unknown ones stand, and further words that may be meant.
+        """
         unknown = list(unknown)
-        hints = [match for name in unknown for match in get_close_matches(name, known, n=1)]
-        hint = f" Did you mean {', '.join(map(repr, hints))}?" if hints else ""
-        super().__init__(f"unknown {kind} {', '.join(map(repr, unknown))}.{hint} Known: {', '.join(known)}")
+        where = ""
+        if path is not None:
+            line = line_of(path, unknown[0], field)
+            where = ", ".join(filter(None, (f" in {path}", f"line {line}" if line else "", field)))
+        hint = did_you_mean(unknown, [*known, *also])
+        names = ", ".join(map(repr, unknown))
+        super().__init__(f"unknown {kind}{where} {names}.{hint} Known: {', '.join(known)}")
 
     def __str__(self) -> str:
         return str(self.args[0])

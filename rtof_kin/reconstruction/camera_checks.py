@@ -49,6 +49,8 @@ _LARGE = 0.6
 """[m] between ankle and floor from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
 _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
+ROOM_CHECKS = (_DISTANCE, _FEET, "walk in depth", "focal length to better")
+"""Beginnings of the names of checks about the position in the room, which angles hardly depend on."""
 
 
 def check_camera_evidence(

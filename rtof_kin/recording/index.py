@@ -129,7 +129,7 @@ def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
     named = tuple(quats.keys())
     unknown = [name for name in named if name not in joints[1:]]
     if unknown:
-        raise UnknownNameError(f"joint in {section.path}, {section.where('quat_wxyz')}", unknown, joints[1:])
+        raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where("quat_wxyz"))
     section.close()
     return NeutralPosture(named, np.array([quats.array(name, (4,)) for name in named]).reshape(-1, 4))
 
@@ -138,15 +138,13 @@ def _read_skeleton(section: Section) -> dict[str, Any]:
     """Read the fields of `Recording` that describe the skeleton."""
     table = section.text("table", "total_capture")
     if table not in SKELETONS:
-        where = f"skeleton in {section.path}, {section.where('table')}"
-        raise UnknownNameError(where, [table], SKELETONS)
+        raise UnknownNameError("skeleton", [table], SKELETONS, section.path, section.where("table"))
     joints = shipped(table).names
     fields: dict[str, Any] = {"skeleton_table": table}
     for name in ("bone_lengths_m", "joint_offsets_m"):
         unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
         if unknown:
-            where = f"joint in {section.path}, {section.where(name)}"
-            raise UnknownNameError(where, unknown, joints[1:])
+            raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where(name))
     lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
     if len(lengths):
         fields["bone_lengths"] = {name: lengths.number(name) for name in lengths.keys()}  # noqa: SIM118

@@ -130,9 +130,9 @@ def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonMode
         FileFormatError: the map is damaged. UnknownNameError: a place is no segment.
     """
     if sensor_map is not None:
-        places = matched(read_sensor_map(sensor_map), log.names)
+        places = matched(read_sensor_map(sensor_map), log.names, sensor_map)
         return {
-            name: Field(known_segment(place, skeleton), Origin.FILE, sensor_map.name)
+            name: Field(known_segment(place, skeleton, sensor_map), Origin.FILE, sensor_map.name)
             for name, place in places.items()
         }
     named = segments_of(log.names, skeleton)
