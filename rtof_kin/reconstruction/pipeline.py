@@ -25,6 +25,7 @@ from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.room import Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -202,29 +203,31 @@ def _result(
     warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
-    checks = _checked(declared, job, prepared, poses, suspect) if settings.checks else ()
+    checks, room = tuple[Check, ...](), unseen_room(declared.recording)
+    if settings.checks:
+        checks, room = _checked(declared, job, prepared, poses, suspect)
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
-    motion = with_covariances(skeleton.motion(poses), prepared, solution, others)
+    motion, room = with_covariances(skeleton.motion(poses), prepared, solution, others, room)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")
     return Reconstruction(
         recording, mode, motion, stages, prepared.keypoints, prepared.bone_imus, solution, scores.get(mode),
         scores, faults=prepared.faults, warnings=warnings, calibration=calibration, checks=checks,
-        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
+        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings), room=room,
     )  # fmt: skip
 
 
 def _checked(
     declared: Job, job: Job, prepared: Prepared, poses: PoseSequence, suspect: bool
-) -> tuple[Check, ...]:
+) -> tuple[tuple[Check, ...], Room]:
     """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
-    camera = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
+    camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
     view_suspect = any(check.failed for check in camera)
     sensors = check_sensor_evidence(
         declared.recording, prepared, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
     )
-    return (*sensors, *camera)
+    return (*sensors, *camera), room
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:

@@ -304,7 +304,7 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked(ROOM, _POSITION, f"mode {first.mode} has no standard deviations")
     else:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
-        open_ = "nothing in the recording verifies it"
+        open_ = "" if first.room is None else first.room.unverified
         note = f"± {half:.2g} m{f', {open_}' if open_ else ''}"
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(

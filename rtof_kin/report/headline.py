@@ -29,7 +29,8 @@ _NAMED: Final = 3  # largest number of unchecked things that are named
 _ALONE: Final = "for the angles; "
 """Beginning of the text where the angles pass and the position in the room does not."""
 _ROOM: Final = {
-    Grade.FAIL: "fails", Grade.WARN: "uncertain", Grade.WEAK: "not verified", Grade.NOT_CHECKED: "not checked",
+    Grade.FAIL: "fails", Grade.WARN: "uncertain", Grade.WEAK: "not verified",
+    Grade.NOT_CHECKED: "not checked",
 }  # fmt: skip
 
 
