@@ -55,6 +55,7 @@ def _analyse(options: argparse.Namespace) -> None:
     out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
     if analysis.gait.is_gait:
         _print_gait(analysis.gait)
+        out.print(f"gait: from {analysis.gait.rests_on}", soft_wrap=True)
     else:
         out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
     if analysis.repetitions is not None:
@@ -109,13 +110,17 @@ def _print_ranges(analysis: Any) -> None:
 
     columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
-    for row in analysis.ranges:
-        if row.known_share > 0 and not row.about_vertical:
-            half = BAND_95 * row.range_sigma
-            figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
-            cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
-            table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
+    shown = [row for row in analysis.ranges if row.known_share > 0 and not row.about_vertical]
+    for row in shown:
+        half = math.nan if row.is_uncertain else BAND_95 * row.range_sigma
+        figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
+        cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
+        cells[2] = f">= {cells[2]}" if row.is_uncertain else cells[2]
+        table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
+    for row in shown:
+        if row.is_uncertain:
+            out.print(f"{row.name}: {row.text}", soft_wrap=True)
 
 
 def _print_gait(gait: Any) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import AngleTable
+from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
@@ -28,7 +29,7 @@ from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
+from rtof_kin.report.summary_findings import compared_sides, findings, is_second_sequence
 
 MOST_FINDINGS: Final = 3
 DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
@@ -117,9 +118,10 @@ def _movement(analysis: MotionAnalysis) -> str:
     part = f" in {100 * travel.walking_share:.0f} % of the time"
     if gait.is_gait:
         partly = part if travel.walking_share < MOSTLY else ""
+        counted = f"{strides} stride" + ("s" if strides > 1 else "")
         if gait.verdict.on_the_spot:
-            return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
-        return f"Walking{partly}: {strides} strides, {travel.text}"
+            return f"Walking on the spot or on a treadmill{partly}: {counted}"
+        return f"Walking{partly}: {counted}, {travel.text}"
     bends = _knee_bends(analysis)
     walking = "no walking"
     if strides >= FEWEST_STRIDES:
@@ -237,14 +239,17 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
 def _findings(analysis: MotionAnalysis) -> str:
     if analysis.angles.sigma is None:
         return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
-    found = findings(analysis, analysis.paths.skeleton.table)
-    pairs = compared_pairs(analysis)
-    compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
-    if not pairs:
-        compared = "left and right were not compared: no angle was reliable enough on both sides"
-    if not found:
-        return f"No difference exceeds its 95 % band: {compared}." if pairs else f"{compared.capitalize()}."
+    sides = compared_sides(analysis)
+    found = findings(analysis, analysis.paths.skeleton.table, sides)
+    tested = [] if sides is None else [one for one in sides.angles if one.verdict is not Verdict.NOT_TESTED]
+    pairs = len(tested)
+    over = "over the gait cycle" if sides is not None and sides.by == "cycle" else "by their range"
+    compared = f"{pairs} angle{'s' if pairs > 1 else ''} of the left and right were compared {over}"
     lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
-    if len(found) < MOST_FINDINGS:
-        lines.append(f"No other difference exceeds its 95 % band ({compared}).")
+    if not pairs:
+        none = "no angle is observed and reliable almost throughout on both sides"
+        lines.append(f"Left and right were not compared: {none}.")
+    elif len(found) < MOST_FINDINGS:
+        other = "other " if found else ""
+        lines.append(f"No {other}difference is shown: {compared}, and ranges with anatomical limits.")
     return " ".join(lines)
