@@ -40,19 +40,17 @@ cameras (--camera):
   0, /dev/video2           a webcam: the person is detected on this machine
   walk.mp4                 a video, at its speed
   lsl:NAME                 points that another program detects, over LSL
-  udp:9000                 points in UDP datagrams (OSC, JSON)
   take.xdf, walk.npz       points that a detector wrote, replayed
   FOLDER                   the keypoints of a recording, replayed
 
 sensors (--imus, may be given several times):
   lsl:NAME                 sensors in an LSL stream
-  udp:9000, udp:HOST:9000  sensors in UDP datagrams (OSC, JSON, CSV); this machine's own unless HOST is given
   FILE                     sensor files, replayed
   FOLDER                   the sensors of a recording, replayed
 
 examples:
   rtof-kin live out/setup --camera 0 --imus lsl:DOTs -o out/take1
-  rtof-kin live out/setup --imus udp:9000 --out ws --view
+  rtof-kin live out/setup --imus lsl:DOTs --out ws --view
   rtof-kin live out/take1 --camera out/take1 --imus out/take1 --speed 4
 """
 

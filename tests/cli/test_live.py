@@ -167,7 +167,7 @@ def test_ctrl_c_ends_the_session_and_finishes_the_recording(
         (("--imus", "absent.csv"), "absent.csv"),
         (("--imus", DEMO, "--lag", "3"), "lag_s"),
         (("--imus", DEMO, "--out", "pigeon"), "pigeon"),
-        (("--imus", "udp:9000", "--speed", "2"), "speed 2"),
+        (("--camera", "0", "--speed", "2"), "speed 2"),
     ],
 )
 def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named: str) -> None:
@@ -179,7 +179,7 @@ def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named
 
 def test_help_lists_sources_with_examples(cli: Cli) -> None:
     text = cli("live", "--help").out
-    for word in ("lsl:NAME", "udp:9000", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
+    for word in ("lsl:NAME", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
         assert word in text
 
 
