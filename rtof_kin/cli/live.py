@@ -15,9 +15,19 @@ from rich.text import Text
 
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import lifter_of
-from rtof_kin.cli.terminal import add_model, command, err, out, print_calibration, warnings_in_summary
+from rtof_kin.cli.terminal import (
+    add_model,
+    command,
+    ended_by_signals,
+    err,
+    out,
+    print_calibration,
+    warnings_in_summary,
+)
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.live.outputs.websocket_server import WebSocketServer
@@ -64,12 +74,16 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "live", _live, "poses while a person moves, from cameras and sensors, recorded on request",
         "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
-        "the sensors; its streams are not used. Ctrl-C ends and finishes the recording. Nothing leaves this "
-        "machine unless an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
+        "the sensors; its streams are not used. Ctrl-C, as SIGTERM and SIGHUP, ends and finishes "
+        "the recording; --finish does so for a session that was killed. Nothing leaves this machine unless "
+        "an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
     )  # fmt: skip
     parser.formatter_class = _Help
     parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES
-    parser.add_argument("setup", metavar="SETUP", help="folder of the recording that was set up")
+    parser.add_argument("setup", metavar="SETUP", nargs="?", help="folder of the recording that was set up")
+    parser.add_argument(
+        "--finish", metavar="FOLDER", help="make a recording of a session that was killed, and end"
+    )
     parser.add_argument(
         "--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below"
     )
@@ -130,6 +144,32 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpF
 
 
 def _live(options: argparse.Namespace) -> None:
+    from rtof_kin.core.errors import InvalidInputError
+
+    if (options.setup is None) == (options.finish is None):
+        raise InvalidInputError("name the folder of the recording that was set up, or --finish FOLDER")
+    if options.finish is not None:
+        _finish(options.finish)
+        return
+    with ended_by_signals():
+        _run_session(options)
+
+
+def _finish(folder: str) -> None:
+    """Make a recording of a session that was killed."""
+    from rtof_kin.live.session.recorded_session import finish
+
+    for note in finish(folder):
+        _line("note", note)
+    _print_recorded(folder)
+
+
+def _print_recorded(folder: Path | str) -> None:
+    _line("recorded", f"{folder}")
+    _line("next", f"rtof-kin reconstruct {folder} -o OUT")
+
+
+def _run_session(options: argparse.Namespace) -> None:
     from rtof_kin.core.threads import limit_threads
 
     limit_threads(None)
@@ -284,10 +324,12 @@ def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None
         said = "".join(f", {count} {what}" for what, count in counts.items() if count)
         _line("stream", f"{name}: {one.received} samples{said}")
     if summary.folder is not None:
-        _line("recorded", f"{summary.folder}")
-        _line("next", f"rtof-kin reconstruct {summary.folder} -o OUT")
+        _print_recorded(summary.folder)
     elif options.output is not None:
-        _line("recorded", f"nothing that is a recording; what came is in {options.output}")
+        _line(
+            "recorded", f"nothing that is a recording; what came is in {options.output}, and rtof-kin live "
+            f"--finish {options.output} tries again",
+        )  # fmt: skip
 
 
 def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:
