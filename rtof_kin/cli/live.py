@@ -281,9 +281,9 @@ def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketSe
         servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
         sinks += servers
     for server in servers:
-        err.print(f"{server.url} shows the skeleton in a browser", soft_wrap=True)
+        err.print(f"{server.url} shows the skeleton in a browser, to who has this address", soft_wrap=True)
     if view:
-        webbrowser.open(servers[0].url)
+        webbrowser.open(servers[0].url_once)
     return servers
 
 
