@@ -49,11 +49,23 @@ def dispatch(arguments: list[str] | None) -> int:
     Raises:
         RtofError: of the command. SystemExit: the arguments are wrong, or ask for help.
     """
+    import errno
     import logging
 
+    from rtof_kin.cli.terminal import log_handler
+    from rtof_kin.core.errors import RtofError, too_long
+
     options = parse(arguments)
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    return int(options.run(options) or 0)
+    logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
+    try:
+        return int(options.run(options) or 0)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise RtofError(too_long(error.filename)) from error
+    except MemoryError as error:
+        problem = f"not enough memory ({error})" if str(error) else "not enough memory"
+        raise RtofError(f"{problem}; end other programs, or take a shorter recording") from error
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:

@@ -6,10 +6,13 @@ import argparse
 import difflib
 import logging
 import math
+import os
 import re
+import signal
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -26,6 +29,7 @@ from rich.progress import (
 from rich.table import Column, Table
 from rich.text import Text
 
+from rtof_kin.core.errors import plain
 from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -130,6 +134,20 @@ def add_model(parser: argparse.ArgumentParser, what: str = _MODEL, required: boo
     names.add_argument("--lifter", dest="model", type=Path, help=argparse.SUPPRESS)
 
 
+class _PlainFormatter(logging.Formatter):
+    """One line without what a terminal would obey: messages are of other packages too."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return plain(super().format(record))
+
+
+def log_handler() -> logging.Handler:
+    """Return what prints log messages on the error stream."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_PlainFormatter("%(levelname)s: %(message)s"))
+    return handler
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""
@@ -175,6 +193,38 @@ def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], 
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM (of a job scheduler, or the end of the system) and SIGHUP (a closed terminal) act as Ctrl-C
+    once; signals that are ignored, as under nohup, stay so.
+    """
+    kinds = [kind for name in ("SIGTERM", "SIGHUP") if (kind := getattr(signal, name, None)) is not None]
+    before = {kind: found for kind in kinds if (found := signal.getsignal(kind)) is not signal.SIG_IGN}
+
+    def end(number: int, _: object) -> None:
+        for kind in before:
+            signal.signal(kind, signal.SIG_IGN)  # a terminal sends it twice
+        if number != signal.SIGTERM:
+            _leave_terminal()
+        raise KeyboardInterrupt
+
+    try:
+        for kind in before:
+            signal.signal(kind, end)
+        yield
+    finally:
+        for kind, found in before.items():
+            signal.signal(kind, found)
+
+
+def _leave_terminal() -> None:
+    """Print nowhere, where output went to a terminal: it is no more, and printing would fail."""
+    for stream in (1, 2):
+        with suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
 
 
 @contextmanager

@@ -10,6 +10,33 @@ import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Final
+
+_CONTROL: Final = re.compile(
+    r"\x1b\[[0-?]*[ -/]*[@-~]?|\x1b\][^\x07\x1b]*(\x07|\x1b\\)?|[\x00-\x08\x0b-\x1f\x7f-\x9f]"
+)
+"""Escape sequences (ECMA-48) and other control characters but tab and newline."""
+
+
+def plain(text: str) -> str:
+    """Return a text without what a terminal would obey.
+
+    Args:
+        text: maybe of another package, or with names of files.
+    """
+    return _CONTROL.sub("", text)
+
+
+def too_long(path: object) -> str:
+    """Return the sentence about a path that the system does not take.
+
+    Args:
+        path: of the error.
+    """
+    return (
+        f"{str(path)[:60]}...: the path is longer than the system allows (usually 255 bytes a name, 4,096 in "
+        "all); name a shorter one"
+    )
 
 
 def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
@@ -41,7 +68,11 @@ def line_of(path: str | Path, word: str, field: str = "") -> int | None:
 
 
 class RtofError(Exception):
-    """Base of all errors raised on purpose by this package."""
+    """Base of all errors raised on purpose by this package; its message has no control characters."""
+
+    def __init__(self, *arguments: object):
+        """Take the message."""
+        super().__init__(*(plain(one) if isinstance(one, str) else one for one in arguments))
 
 
 class InvalidInputError(RtofError, ValueError):

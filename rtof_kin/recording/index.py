@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,8 @@ from rtof_kin.recording.streams import Streams
 from rtof_kin.recording.views import view_streams
 
 INDEX: Final = "recording.toml"
+UNFINISHED: Final = PurePath("live", "setup")
+"""Folder that a live session makes first."""
 SCHEMA_VERSION: Final = 1
 SKELETONS: Final = ("total_capture", "human36m")
 """Tables of skeletons that a recording may name."""
@@ -45,6 +47,11 @@ def index_of(folder: Path) -> Section:
     """
     path = folder / INDEX
     if folder.is_dir() and not path.exists():
+        if (folder / UNFINISHED / INDEX).is_file():
+            finish = f"rtof-kin live --finish {folder}"
+            raise FileFormatError(
+                folder, f"a live session that was not finished; {finish} makes a recording of it"
+            )
         raise FileFormatError(
             path, "there is no such file; rtof-kin init makes a recording of a video and sensors' files"
         )
