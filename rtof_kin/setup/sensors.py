@@ -28,7 +28,7 @@ from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
 from rtof_kin.setup.assignment_check import check_assignment
-from rtof_kin.setup.clocks import ClockEstimate, find_clock
+from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
 _STILL: Final = np.radians(8.0)
