@@ -134,7 +134,7 @@ def _said(line: str, fault: Fault | None, draws: Draws) -> Row:
     accused = not draws.culprits or any(one.lower() in line.lower() for one in draws.culprits)
     return {
         "line": line, "grade": line.partition(":")[0], "causes": matching(words),
-        "named": fault is not None and fault.names(words) and accused,
+        "culprits": draws.culprits, "named": fault is not None and fault.names(words) and accused,
     }  # fmt: skip
 
 
