@@ -382,7 +382,7 @@ FAULTS: Final[dict[str, Fault]] = {
     "legs seen beside where they are": Fault(
         legs_off, (20.0, 40.0, 60.0), "px",
         r"(legs?|knees?|ankles?|foot|feet|toes?|heels?)\b.{0,60}(reprojection|beside|displaced|detector"
-        r"|where (it|they) (was|were) seen|keypoints are (off|wrong))|(keypoints|detector).{0,30}of the (legs|feet"
+        r"|where (it|they) (was|were) seen|keypoints are (off|wrong))|keypoints.{0,30}of the (legs|feet"
         r"|knees).{0,30}(off|wrong|beside|displaced)", "relative",
     ),
 }  # fmt: skip

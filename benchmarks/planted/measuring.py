@@ -41,7 +41,8 @@ from rtof_kin.report.headline import headline
 
 Row = dict[str, Any]
 BANDS = ("world", "relative", "angles")
-_FIGURE_LAST = re.compile(r", above [^()]*\)$")
+_FIGURE_LAST, _ROOM = re.compile(r", above [^()]*\)$"), "position in the room "
+_PARTS = re.compile(rf"; (?=more \w+ in |{_ROOM})")
 ERRORS = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 
 
@@ -133,20 +134,25 @@ def _said(line: str, fault: Fault | None, draws: Draws) -> Row:
     words = cause(line)
     accused = not draws.culprits or any(one.lower() in line.lower() for one in draws.culprits)
     return {
-        "line": line, "grade": line.partition(":")[0], "causes": matching(words),
+        "line": line, "grade": re.split(":| for ", line)[0], "causes": matching(words),
         "culprits": draws.culprits, "named": fault is not None and fault.names(words) and accused,
     }  # fmt: skip
 
 
 def cause(line: str) -> str:
     """What a first line says is wrong, without grade, advice and lists of what may be behind a figure;
-    nothing where it neither warns nor fails."""
-    if line.partition(":")[0] not in ("warn", "fail", "error", "crash"):
-        return ""
-    words = line.partition(": ")[2].partition("; more ")[0]
-    if _FIGURE_LAST.search(words):  # cause: advice (figure, above its limit)
-        return words.partition(": ")[0]
-    return words.partition(" (above ")[0]  # subject: figure (above its limit): what it may be
+    nothing where it neither warns nor fails. Of the position in the room, only what fails."""
+    grade, _, text = line.replace(" for the angles; ", ": ").partition(": ")
+    found = []
+    for part in _PARTS.split(text):
+        words, wrong = part, grade in ("warn", "fail", "error", "crash")
+        if part.startswith(_ROOM):
+            state, _, words = part.removeprefix(_ROOM).partition(": ")
+            wrong = state == "fails"
+        if wrong and not part.startswith("more "):
+            # "cause: advice (figure, above its limit)", or "subject: figure (above its limit): causes".
+            found.append(words.partition(": " if _FIGURE_LAST.search(words) else " (above ")[0])
+    return "; ".join(found)
 
 
 def inside(result: Reconstruction, truth: PoseSequence, right: Recording, draws: Draws) -> dict[str, float]:

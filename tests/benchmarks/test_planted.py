@@ -57,6 +57,13 @@ def test_larger_sizes_are_larger_faults() -> None:
          "sensors late", False),
         ("warn: LeftLeg: share of frames unseen 30 % (above 10 %): occluded; more warns in image",
          "legs of the keypoints exchanged", False),
+        ("pass for the angles; position in the room fails: the focal length is too short: Measure it (the "
+         "feet: walk 1.3 times, above 1.2 times); checked, no problem found",
+         "focal length wrong", True),
+        ("pass for the angles; position in the room uncertain: the focal length is not known; checked",
+         "focal length wrong", False),
+        ("warn: LeftLeg: share unseen 3 % (above 2 %); more warns in body; position in the room fails: the "
+         "floor is wrong: Look (the person: ankle 0.4 m, above 0.2 m)", "floor too high or low", True),
         ("pass: checked, no problem found; not checked: the focal length", "focal length wrong", False),
     ],
 )  # fmt: skip
