@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
-from rtof_kin.cli.terminal import add_output, command, out, print_files
+from rtof_kin.cli.terminal import add_output, command, decimal, out, print_files
 
 
 def add_commands(commands: Any) -> None:
@@ -27,7 +27,7 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
-    parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
+    parser.add_argument("--height", type=decimal, metavar="M", help="to check the skeleton's size")
     add_analysis(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
@@ -39,7 +39,7 @@ def add_analysis(parser: argparse.ArgumentParser) -> None:
         parser: of the command.
     """
     parser.add_argument(
-        "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
+        "--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording"
     )
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")

@@ -95,7 +95,7 @@ def _reconstruct(options: argparse.Namespace) -> None:
     from rtof_kin.recording.recording import Recording
 
     with opened(options.recording) as recording:
-        found = _reconstruct_to(recording, options.mode, options)
+        found = _reconstruct_to(recording, options.mode or recording.usual_mode, options)
     if found.stage_metrics:
         zero = with_zero_motion(recording) if isinstance(recording, Recording) else {}
         print_scores(zero | found.stage_metrics)
@@ -327,9 +327,8 @@ def _add_reconstruct(commands: Any) -> None:
     parser.add_argument(
         "--mode",
         choices=MODES,
-        default="rtof",
         help="lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
-        "only; rtof: everything; imu: sensors only, without a camera",
+        "only; rtof: everything; imu: sensors only, without a camera; default: uses all that was recorded",
     )
     add_reconstruction(parser)
 

@@ -1,4 +1,5 @@
-"""Summary of a report in five lines: who, what, how good, what to be careful about, findings.
+"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about,
+findings.
 
 The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
 and interpret nothing.
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
@@ -22,7 +24,7 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
-from rtof_kin.report.angle_names import label
+from rtof_kin.report.angle_names import label, plain_words
 from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
@@ -39,10 +41,6 @@ IMAGE_ALONE: Final = ("lift", "rto")
 FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
 """Name of a figure of the audit, deg."""
 _SIDE: Final = re.compile("^(left|right) ")
-_CODES: Final = re.compile(r" \(\w+_[xyz]\)|; more (fails|warns) in .*")
-"""Names of revolutes and the list of further sections, which a summary omits."""
-_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|^(Head|Neck)$")
-_CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
 _PLURALS: Final = {"foot": "feet"}
 
 
@@ -51,7 +49,7 @@ class SummaryLine:
     """One line of the summary."""
 
     label: str
-    """'Who', 'What', 'How good', 'Careful' or 'Findings'."""
+    """'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'."""
     text: str
     """One to three sentences."""
     grade: Grade | None
@@ -61,7 +59,7 @@ class SummaryLine:
 def summary_lines(
     analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
-    """Return the five lines of a report's summary.
+    """Return the lines of a report's summary; one on the position in the room where its audit has one.
 
     Args:
         analysis: of the motion. summary: of its folder.
@@ -71,9 +69,27 @@ def summary_lines(
         SummaryLine("Who", _who(analysis, summary, session), None),
         SummaryLine("What", _what(analysis, summary), None),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
+        *(
+            [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
+            if overall.room
+            else []
+        ),
         _careful(analysis, overall),
         SummaryLine("Findings", _findings(analysis), None),
     )
+
+
+def _angle_words(overall: Headline, table: AngleTable) -> str:
+    """Return the headline without the position in the room, in plain words."""
+    text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
+    return plain_words("; ".join(part for part in text.split("; ") if part), table)
+
+
+def _room_words(overall: Headline, table: AngleTable) -> str:
+    """Return what is said about the position in the room, as a sentence in plain words."""
+    verdict, _, why = plain_words(overall.room_text, table).partition(": ")
+    text = why or verdict
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
@@ -131,7 +147,7 @@ def _knee_bends(analysis: MotionAnalysis) -> list[str]:
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
-    names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
+    names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
     image = "one camera" if cameras <= 1 else f"{cameras} cameras"
@@ -142,13 +158,6 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     if summary.mode in IMAGE_ALONE:
         return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
     return f"{image} and {count} ({names})" if carriers else f"{image} alone"
-
-
-def _in_words(text: str, analysis: MotionAnalysis) -> str:
-    """Text with the names of joints and landmarks in words, e.g. 'left forearm' for LeftForeArm."""
-    for term, joint in analysis.table.segments.items():
-        text = re.sub(rf"\b{joint}\b", term.replace("_", " "), text)
-    return _NAME.sub(lambda name: _CAPITAL.sub(" ", name.group()).lower(), text)
 
 
 def _both_sides(names: list[str]) -> list[str]:
@@ -207,7 +216,7 @@ def _joint(angle: str) -> str:
 def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
-    parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
+    parts = [_angle_words(overall, analysis.table)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
@@ -224,7 +233,7 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     if doubtful := list(dict.fromkeys(wide)):
         parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
-    return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
+    return SummaryLine("Careful", f"{text}.", None)
 
 
 def _findings(analysis: MotionAnalysis) -> str:

@@ -13,6 +13,7 @@ from report_support import certain_to
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.comparison import compared
 from rtof_kin.clinical.comparison_axis import compare_sides
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
@@ -20,6 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
+from rtof_kin.report.angle_names import plain_words
 from rtof_kin.report.audit_results import AuditResult, Grade
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
@@ -272,7 +274,7 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
         "more warns in body"
     )
     warned = lines(knees(60, 60), overall=Headline(Grade.WARN, text, ()))["Careful"]
-    assert warned.grade is Grade.WARN
+    assert warned.grade is None  # it is beside how good
     assert warned.text.startswith(
         "Left hip internal/external rotation: beyond its anatomical limit, largest 37°."
     )
@@ -284,10 +286,40 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
     assert lines(knees(60, 60), overall=forearm)["Careful"].text.startswith("Left forearm: share")
     unaudited = Headline(Grade.NOT_CHECKED, "written without an audit: reconstruct again", ())
     assert lines(knees(60, 60), overall=unaudited)["Careful"] == SummaryLine(
-        "Careful", "Written without an audit: reconstruct again.", Grade.NOT_CHECKED
+        "Careful", "Written without an audit: reconstruct again.", None
     )
     ear = Headline(Grade.FAIL, "LeftEar: share of frames unseen 30 %", ())
     assert lines(knees(60, 60), overall=ear)["Careful"].text.startswith("Left ear: share")
+
+
+def test_the_position_in_the_room_has_a_verdict_of_its_own() -> None:
+    room = "position in the room not verified: ± 0.4 m, nothing in the recording verifies it"
+    both = Headline(Grade.WARN, f"Hips: share of frames unseen 30 %; {room}", (), Grade.WEAK, room)
+    found = summary_lines(analyse_motion(knees(60, 60)), summary(), both, Session())
+    assert [(line.label, line.grade) for line in found if line.grade] == [
+        ("How good", Grade.WARN), ("Position in the room", Grade.WEAK)
+    ]  # fmt: skip
+    text = {line.label: line.text for line in found}
+    assert text["Position in the room"] == "± 0.4 m, nothing in the recording verifies it."
+    assert text["Careful"] == "Pelvis: share of frames unseen 30 %."
+
+
+@pytest.mark.parametrize(
+    ("technical", "plain"),
+    [
+        ("LeftFoot: share of frames unseen 30 % (above 10 %) at 2.1 s: occluded",
+         "left foot: share of frames unseen 30 % at 2.1 s: occluded"),
+        ("It is at z = -0.41 m, by the body's size", "It is 0.41 m below height 0, by the body's size"),
+        ("joints 30 %: interpolated, or from the prior", "joints 30 %: assumed, not measured"),
+        ("joints relative to the root: error expected by the stated standard deviations, RMS 70 mm",
+         "posture: expected error 70 mm"),
+        ("knee 12 deg/s and 3 deg; more fails in body, image", "knee 12°/s and 3°"),
+        ("all landmarks: reprojection error, median 7 px",
+         "all points of the body: distance of the body model from the image, median 7 px"),
+    ],
+)  # fmt: skip
+def test_sentences_of_the_audit_are_said_in_plain_words(technical: str, plain: str) -> None:
+    assert plain_words(technical, angle_table(BODY.table)) == plain
 
 
 def test_careful_names_unobserved_joints_and_bridged_gaps() -> None:
