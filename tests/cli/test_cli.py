@@ -211,7 +211,7 @@ def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: An
 def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed: Path, cli: Any) -> None:
     done = cli("evaluate", reconstructed, "--truth", short)
     assert done.code == 0
-    for text in ("rtof", "zero", "LeftForeArm", "[m/s2]"):
+    for text in ("rtof", "zero", "LeftForeArm", "[m/s2]", "worlds aligned: the motion is turned by"):
         assert text in done.out
     assert "\u2026" not in done.out  # no heading is cut at 80 columns
 
