@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from setup_support import write_demo
 
+from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu_stream import SensorLog
@@ -21,7 +22,6 @@ from rtof_kin.reconstruction.lift import lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import sensors
 from rtof_kin.setup.alignment import align_sensors
-from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.setup.recording_text import Field, summaries
 from rtof_kin.setup.sensors import SetupSensors, set_up_sensors
 
