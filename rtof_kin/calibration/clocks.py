@@ -46,8 +46,8 @@ _PART, _MOST_PARTS = 2.6, 12
 _WRONG_DRIFT: Final = 0.01
 """[s/s] Standard deviation of the drift where rates may be declared wrongly."""
 _SURE_DRIFT: Final = 2.5
-"""Standard deviations from which a drift is sure: 0.65 is their root mean square of right clocks, 2.1 the most
-of 42 (benchmarks/results/clock_offsets.md)."""
+"""Standard deviations from which a drift is sure; of 42 recordings with right clocks, 2.1 at most
+(benchmarks/results/clock_offsets.md)."""
 
 
 @dataclass(frozen=True)

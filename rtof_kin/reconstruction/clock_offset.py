@@ -1,8 +1,8 @@
 """Offset between the clocks of video and sensors, found and corrected before a recording is solved.
 
-The angular velocities of the limbs in a lift of the image alone are compared with those of the sensors at all
-offsets within half a second (`calibration.clocks.small_offset`); where that leaves more than 10 ms, the energy
-of a short excerpt decides.
+Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors at all
+offsets within half a second (`calibration.clocks.small_offset`); where that leaves more than 10 ms, the
+energy of a short excerpt decides.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _NAMED: Final = 0.03
 """[s] Offset, also by drift, from which it is named."""
 _UNSHARP: Final = 0.01
 """[s] Standard deviation above which the energy decides."""
-_EXCERPT: Final = 4.0
+_EXCERPT: Final = 2.5
 """[s] of the recording that it takes."""
 _SURE_DRIFT_UNNAMED: Final = 1.5
 """Standard deviations from which a drift that is not sure counts as uncertain."""
 _FEW: Final = 4
 _EXPLAINED: Final = (0.05, 0.1)
-"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW` sensors
-and of more; of 44 right recordings of 8 s with 8 sensors at least 0.2, of other takes 0.1 in one of twenty
+"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
+sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
 (benchmarks/results/clock_offsets.md)."""
 _ANYWHERE: Final = (0.15, 0.2)
 """[1] The same on any segments at offsets up to `_ELSEWHERE`, where `_EXPLAINED` is not reached."""
@@ -173,7 +173,7 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
     only = CalibrationPriors(
         sigma_delay=float(delay.sigma[0]), sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None,
-        most_seconds=_EXCERPT, rounds=2,
+        most_seconds=_EXCERPT, rounds=1,
     )  # fmt: skip
     first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
     silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
@@ -205,8 +205,8 @@ def _check_belonging(
         explained = max(explained, Scan.of(anywhere, sensed, 0.0, _ELSEWHERE, known=False).explained)
     return Check(
         NAME, "sensors", (1 - explained) / max(explained, 1e-3), (1 - least) / least, "times",
-        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; they "
-        "are left out. Give the sensors' file of this take, or check the rates of video and sensors",
+        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; "
+        "they are left out. Give the sensors' file of this take, or check the rates of video and sensors",
         cause="the sensors do not belong to this video",
     )  # fmt: skip
 
@@ -230,13 +230,13 @@ def _sentences(
     off = max(-found.offset, found.offset - 2 * _NAMED) - 2 * delay.sigma[0]
     if applied is None and found.explained < _ANYWHERE[0] and sensors >= _FEW:
         said.append(
-            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that they "
-            "are of this take, and which sensor is where"
+            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that "
+            "they are of this take, and which sensor is where"
         )
     elif applied is None and found.candidates and off > _NAMED:
         word = "late" if found.offset < 0 else "early"
         said.append(
-            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is not "
-            f"corrected: {found.doubt}"
+            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is "
+            f"not corrected: {found.doubt}"
         )
     return said

@@ -42,7 +42,7 @@ _SURE: Final = 0.95
 _USUAL_REACH, _NEAR = 600.0, 60.0
 """[s] Offsets that are searched: at least, and, beside the video's length, about the one that files state."""
 _BELONGING: Final = 0.15
-"""[1] Part of the image's motion below which sensors are those of another take; of right ones 0.2 at least."""
+"""[1] Part of the image's motion below which sensors are of another take; of right ones 0.2 at least."""
 _SAME_DAY: Final = timedelta(days=1)
 _LEAST_COMMON: Final = 2.0
 """[s] Least time that video and sensors have in common."""
@@ -94,8 +94,8 @@ def set_up_sensors(
     if clock.explained < _BELONGING or (apart and clock.doubt):
         raise InvalidInputError(
             f"{log.path}: its sensors do not move as the video shows at any offset (they explain "
-            f"{100 * clock.explained:.0f} % of the motion){'; ' if apart else ''}{apart}; give the sensors' files "
-            "of this take, or leave them out and use the camera alone"
+            f"{100 * clock.explained:.0f} % of the motion){'; ' if apart else ''}{apart}; give the sensors' "
+            "files of this take, or leave them out and use the camera alone"
         )
     _check_overlap(clock.apply(log), keypoints.times)
     doubts = [apart, *still, clock.doubt]
@@ -227,7 +227,7 @@ def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]
 
 
 def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], take: _Take) -> ClockEstimate:
-    """Return the clock with the segments known, nearer than half a stride; a doubt of the first search stays."""
+    """Return the clock with the segments known, within half a stride; a doubt of the first search stays."""
     again = find_clock(
         take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART
     )

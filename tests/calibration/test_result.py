@@ -57,11 +57,14 @@ def test_unobserved_quantities_are_not_applied() -> None:
 def test_a_delay_of_usual_detectors_shifts_the_times_of_keypoints_alone() -> None:
     before, after = recording(), applied(quantity("delay", "video", 0.04))
     np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.04)
-    assert after.imus.times is before.imus.times
+    np.testing.assert_array_equal(after.imus.times, before.imus.times)
 
 
 def test_another_delay_shifts_the_sensors_to_where_a_usual_detector_would_be() -> None:
-    before, after = recording(), applied(quantity("delay", "video", -0.172, 0.01), middle=0.1)
+    before, after = (
+        recording(),
+        applied(replace(quantity("delay", "video", -0.172, 0.01), sigma=np.array([0.01, 0.001])), middle=0.1),
+    )
     np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.028)
     sensed = before.imus.times  # what the video shows at t is sensed at t + 0.172 - 0.01 (t - 0.1)
     np.testing.assert_allclose(after.imus.times, 0.1 + (sensed - 0.1 - 0.172) / 0.99 - 0.028, atol=1e-9)

@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import Quantity, SelfCalibration
+from rtof_kin.reconstruction import clock_offset
 from rtof_kin.reconstruction.clock_offset import DAYS_APART, ClockOffset, find_offset
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -16,6 +19,11 @@ from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
 
 DEMO = Path(__file__).parents[2] / "models" / "demo"
+
+
+@pytest.fixture(autouse=True)
+def by_velocities_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock_offset, "_UNSHARP", np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +84,23 @@ def test_sensors_of_another_take_are_left_out_and_lead_the_first_line(demo: Reco
     assert result.bone_imus is not None
     assert not np.isfinite(result.bone_imus.R_world_bone).any()
     assert "the sensors do not belong to this video" in headline(audit(result)).text
+
+
+def test_where_velocities_are_unsharp_the_energy_decides(
+    demo: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def calibrated(jobs: list[Job], priors: CalibrationPriors, known: None) -> SelfCalibration:
+        assert (len(jobs), known, priors.sigma_swing) == (1, None, None)
+        return SelfCalibration((Quantity("delay", "video", *np.array([[0.003], [0.004], [0.02]]), 0.96),))
+
+    before = found(demo.between(5.0, 13.0)).delay
+    monkeypatch.setattr(clock_offset, "_UNSHARP", 0.0)
+    monkeypatch.setattr(clock_offset, "calibrated", calibrated)
+    after = found(demo.between(5.0, 13.0)).delay
+    assert before is not None
+    assert after is not None
+    assert after.value[0] == pytest.approx(before.value[0] + 0.003)
+    assert after.sigma[0] == pytest.approx(0.004)
 
 
 def test_sensors_of_another_day_are_named(demo: Recording) -> None:
