@@ -136,6 +136,31 @@ def test_sensors_of_another_time_are_doubted(take: Take) -> None:
     assert any("check that" in doubt or "sure" in doubt for doubt in found.doubts)
 
 
+@pytest.mark.parametrize(("explained", "days", "doubt"), [(0.1, 0, ""), (0.4, 1100, "too short")])
+def test_sensors_of_another_take_or_day_stop_the_setup(
+    take: Take, monkeypatch: pytest.MonkeyPatch, explained: float, days: int, doubt: str
+) -> None:
+    clock = ClockEstimate(-3.0, 0.0, 0.01, 50.0, doubt, explained=explained)
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: clock)
+    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
+    log = replace(take.log, start_utc=start - timedelta(days=days))
+    with pytest.raises(InvalidInputError, match="do not move as the video shows") as error:
+        set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+    assert ("1100 days apart" in str(error.value)) == bool(days)
+
+
+def test_sensors_that_fit_but_state_another_day_are_doubted_first(
+    take: Take, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: ClockEstimate(-3.0, 0.0, 0.01, 50.0))
+    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
+    log = replace(take.log, start_utc=start - timedelta(days=9))
+    found = set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+    assert found.doubts[0] == (
+        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, 9 days apart"
+    )
+
+
 def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     early = ClockEstimate(-20.0, 0.0, 0.005, 10.0)
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: early)
