@@ -54,10 +54,37 @@ def test_unobserved_quantities_are_not_applied() -> None:
     np.testing.assert_array_equal(after.calibration.R_sensor_bone, before.calibration.R_sensor_bone)
 
 
-def test_delay_shifts_the_times_of_keypoints() -> None:
-    times = recording().keypoints.times
-    after = applied(quantity("delay", "video", 0.05, 0.01), middle=0.1)
-    np.testing.assert_allclose(after.keypoints.times, times - 0.05 - 0.01 * (times - 0.1))
+def test_a_delay_of_usual_detectors_shifts_the_times_of_keypoints_alone() -> None:
+    before, after = recording(), applied(quantity("delay", "video", 0.04))
+    np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.04)
+    np.testing.assert_array_equal(after.imus.times, before.imus.times)
+
+
+def test_another_delay_shifts_the_sensors_to_where_a_usual_detector_would_be() -> None:
+    before, after = (
+        recording(),
+        applied(replace(quantity("delay", "video", -0.172, 0.01), sigma=np.array([0.01, 0.001])), middle=0.1),
+    )
+    np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.028)
+    sensed = before.imus.times  # what the video shows at t is sensed at t + 0.172 - 0.01 (t - 0.1)
+    np.testing.assert_allclose(after.imus.times, 0.1 + (sensed - 0.1 - 0.172) / 0.99 - 0.028, atol=1e-9)
+
+
+def test_a_delay_in_doubt_is_not_applied() -> None:
+    doubted = replace(quantity("delay", "video", -0.112), doubt="the search ends at its border")
+    before, after = recording(), applied(doubted)
+    np.testing.assert_array_equal(after.keypoints.times, before.keypoints.times)
+    np.testing.assert_array_equal(after.imus.times, before.imus.times)
+
+
+def test_a_delay_is_added_to_that_of_the_clocks_unless_it_is_in_doubt() -> None:
+    clocks = SelfCalibration((quantity("delay", "video", -0.2, 0.01),), middle=1.0)
+    small = quantity("delay", "video", 0.004)
+    both = SelfCalibration((small,), middle=2.0).after(clocks)
+    np.testing.assert_allclose(both["delay", "video"].value, [-0.186, 0.01])
+    doubted = SelfCalibration((replace(small, doubt="why"),), middle=1.0).after(clocks)
+    np.testing.assert_allclose(doubted["delay", "video"].value, [-0.2, 0.01])
+    assert not doubted["delay", "video"].doubt
 
 
 def test_bias_is_subtracted_from_its_landmark() -> None:
