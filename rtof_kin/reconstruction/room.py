@@ -45,10 +45,10 @@ _NAMES: Final = (
     "the focal length is", "the size of the body is", "the principal point is", "the principal point is",
     "the camera's tilt is", "the camera's heading is", "the camera's roll is", "the camera's height is",
 )  # fmt: skip
+_STATED: Final = "state the accuracy of its calibration"
 _REMEDIES: Final = (
-    "state the accuracy of its calibration, or walk two metres towards the camera with sensors on thighs and "
-    "shanks",
-    "give the person's height", *("state the accuracy of its calibration",) * 2,
+    f"{_STATED}, or walk two metres towards the camera with sensors on thighs and shanks",
+    "give the person's height", *(_STATED,) * 2,
     *("measure the camera's height and give the floor's",) * 4,
 )  # fmt: skip
 DECLARED: Final = np.array([0.12, 0.04, 0.02, 0.02, 2 * _DEG, 3 * _DEG, 2 * _DEG, 0.05])
@@ -95,9 +95,10 @@ class Room:
         worst = int(open_.argmax())
         more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
-        words = (
-            f"{_NAMES[worst]} not checked ({_REMEDIES[worst]})" if open_[worst] > _MENTIONED**2 * own else ""
-        )
+        remedy = _REMEDIES[worst]
+        if self.camera.uncertainty is not None:
+            remedy = remedy.replace(_STATED, "calibrate it with a chessboard")
+        words = f"{_NAMES[worst]} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
 

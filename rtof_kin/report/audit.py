@@ -307,10 +307,9 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     else:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
         open_ = "" if first.room is None else first.room.unverified
-        note = f"± {half:.2g} m{f', {open_}' if open_ else ''}"
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(
-            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=note, weak=bool(open_)
+            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_)
         )
 
 
