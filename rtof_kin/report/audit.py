@@ -41,6 +41,8 @@ _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
 _MANY: Final = 8
 """Sensors beyond which more are no remedy."""
 _WIDE_M: Final = 0.5
+_SHORT_S: Final = 0.15
+"""[s] of a fault that was mended and hardly matters."""
 _POSITION: Final = "position in the room"
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
@@ -106,13 +108,13 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", -1.0,
-            source="any fault warns", note=fault.kind.value, at=fault.start,
+            "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", _SHORT_S,
+            source=_USER, note=fault.kind.value, at=fault.start,
         )  # fmt: skip
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
         if warning in of_camera:  # its effect is in the stated uncertainty
-            yield AuditResult.remark(ROOM, "camera", warning)
+            yield AuditResult.remark(ROOM, "camera that is not calibrated", warning)
         else:
             yield AuditResult.warning("streams", "motion", warning)
     if math.isfinite(drift := statistics.root_sigma):
@@ -305,10 +307,9 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     else:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
         open_ = "" if first.room is None else first.room.unverified
-        note = f"± {half:.2g} m{f', {open_}' if open_ else ''}"
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(
-            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=note, weak=bool(open_)
+            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_)
         )
 
 

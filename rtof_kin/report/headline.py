@@ -104,7 +104,8 @@ def _room_text(grade: Grade, results: Sequence[AuditResult]) -> str:
     if wrong:
         words.append(f": {_words(max(wrong, key=_severity)).rstrip('.')}")
     elif band is not None:
-        words.append(f"{' ' if grade is Grade.PASS else ': '}{band.note}".rstrip())
+        size = f"± {band.value:.2g} {band.unit}" if math.isfinite(band.value) else ""
+        words.append((" " if grade is Grade.PASS else ": ") + ", ".join(p for p in (size, band.note) if p))
     return "".join(words)
 
 

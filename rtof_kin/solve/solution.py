@@ -160,10 +160,10 @@ def misfits(
     for f in solved:
         if f.sees_enough and f.sigma_reprojection >= least:
             bad[max(f.first_frame, 0) : f.first_frame + frames] = True
-    bad &= np.isfinite(off_px)
     return tuple(
-        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {np.median(off_px[a:b]):.0f} px from where "
+        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {np.nanmedian(off_px[a:b]):.0f} px from where "
         f"they were seen, in the median ({np.nanmedian(off_px):.0f} in the whole recording); the pose may be "
         "wrong there, compare it with the video"
         for a, b in signals.runs(bad)
+        if np.isfinite(off_px[a:b]).any()
     )

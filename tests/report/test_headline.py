@@ -82,9 +82,7 @@ def test_the_summary_has_grade_headline_and_sections() -> None:
     assert plain["sections"] == {"image": "pass", "sensors": "warn"}
 
 
-BAND = AuditResult(
-    "room", ROOM_BAND, "position", 1.1, "m", note="± 1.1 m, the focal length is not checked", weak=True
-)
+BAND = AuditResult("room", ROOM_BAND, "position", 1.1, "m", note="the focal length is not checked", weak=True)
 LENS = AuditResult(
     "room", "height of the ankle", "the person", 0.4, "m", 0.2, 0.2, note="the lens is higher: measure it"
 )
