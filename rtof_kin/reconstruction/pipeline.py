@@ -20,6 +20,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
+from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
@@ -218,9 +219,9 @@ def _checked(
 ) -> tuple[Check, ...]:
     """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
     camera = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
-    view_suspect = any(check.failed for check in camera)
+    view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording, prepared, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
+        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
     )
     return (*sensors, *camera)
 

@@ -18,9 +18,10 @@ from rtof_kin.body.metrics import hinges
 from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
+from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, AuditResult
+from rtof_kin.report.audit_results import FAILED_FRAGMENTS, FAULT, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -97,9 +98,11 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         ]
     for name, subject, share, warn, fail, note in shares:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
+    seconds = statistics.frames / first.motion.poses.rate_hz
+    most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.5 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", -1.0,
+            "streams", FAULT, fault.what, fault.stop - fault.start, "s", -1.0, most.get(fault.kind, math.inf),
             source="any fault warns", note=fault.kind.value, at=fault.start,
         )  # fmt: skip
     for warning in statistics.warnings:

@@ -27,6 +27,7 @@ SECTIONS: Final = {
 """Sections of an audit, and their titles."""
 FAILED_FRAGMENTS: Final = "share of fragments that failed"
 UNOBSERVED_FRAGMENTS: Final = "share of fragments in which nothing was seen"
+FAULT: Final = "fault, duration"
 """Names of the figures about frames without a measurement, as they are stored in summary.json."""
 _NAMED: Final = 5  # largest number of similar results that are named beside the worst
 
