@@ -17,6 +17,8 @@ class FaultKind(Enum):
     )
     SOMEBODY_ELSE = "the keypoints jumped to another person and back; they were left out"
     JUMP = "the keypoints jumped and did not come back; which person is tracked is unclear"
+    UNSEEN = "nobody is seen in this gap; positions in it are bridged, or not valid"
+    ENDED = "no samples, the sensor stopped, started late or was out of reach; there the image alone is used"
     STUCK = "the sensor repeated one sample; it was left out"
     SATURATED = "the accelerometer was at the end of its range; its acceleration was left out"
     DISAGREES = (

@@ -21,6 +21,7 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
+from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
@@ -239,9 +240,16 @@ def _checked(
     camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
     if clocks.foreign:
         return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
-    view_suspect = any(check.failed and check.name != DIRECTION for check in camera)
+    view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording, prepared, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
+        declared.recording,
+        prepared,
+        poses,
+        prepared.skeleton,
+        job.lifter,
+        job.settings,
+        suspect,
+        view_suspect,
     )
     if wrong := next((check for check in sensors if check.failed), None):
         camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)

@@ -1,7 +1,7 @@
 """Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion.
 
-Checks run in the order of cause: form of the samples, then clocks, then placement of the sensors. A check
-that an earlier failure would mislead is skipped.
+Checks run in the order of cause: form of the samples, then the video's rate and the clocks, then what all
+sensors share, then single sensors. A check that an earlier failure would mislead is skipped.
 """
 
 from __future__ import annotations
@@ -21,11 +21,19 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.setup_causes import (
+    check_frame_rate,
+    check_still,
+    check_tilt,
+    check_turned,
+    check_twist,
+)
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -58,15 +66,16 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
 
 
 def check_sensor_evidence(
-    recording: Recording, prepared: Prepared, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, suspect: bool = False, view_suspect: bool = False,
+    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    lifter: LifterLike | None, settings: ReconstructionSettings, suspect: bool = False,
+    view_suspect: bool = False,
 ) -> tuple[Check, ...]:  # fmt: skip
     """Check the declared sensors and clocks.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
         prepared: the prepared streams and the poses of each stage before the solver.
-        skeleton: the subject's. lifter, settings: as for `reconstruct`.
+        poses: the final poses. skeleton: the subject's. lifter, settings: as for `reconstruct`.
         suspect: another finding may be explained by a wrong sensor setup.
         view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem
             rotated together.
@@ -83,10 +92,22 @@ def check_sensor_evidence(
         return (*form, *(Check.unknown(*what, why) for what in unknown))
     seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
     native = recording.calibration.apply(recording.imus)
+    images = bone_images(seen, native, lifted, skeleton)
+    rate = () if images is None else (check_frame_rate(images, seen),)
+    if any(check.failed for check in rate):
+        return (*form, *rate, Check.unknown(SETUP, "sensors", "nats", f"first {rate[0].cause}"))
     clocks = check_clocks(seen, native, lifted, skeleton)
+    form = (*form, *rate)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    images = bone_images(seen, native, lifted, skeleton)
+    shared = [check_still(native, skeleton), check_tilt(native, lifted)]
+    if images is not None and not view_suspect and not any(check.failed for check in shared):
+        shared += check_turned(images, seen.camera, shared[-1].passed)
+    if prepared.bone_imus is not None:
+        shared.append(check_twist(poses, prepared.bone_imus, skeleton))
+    form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
+    if wrong:
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
     off = np.full(1, np.nan) if images is None else images.by_sensor()
     if np.isnan(off).all() and not suspect:
         why = "no bone with a sensor is visible in the image"

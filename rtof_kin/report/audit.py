@@ -19,10 +19,18 @@ from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit_results import FAILED_FRAGMENTS, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
+from rtof_kin.report.audit_results import (
+    FAILED_FRAGMENTS,
+    FAULT,
+    ROOM,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+)
 from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -106,10 +114,12 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         ]
     for name, subject, share, warn, fail, note in shares:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
+    seconds = statistics.frames / first.motion.poses.rate_hz
+    most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.5 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", _SHORT_S,
-            source=_USER, note=fault.kind.value, at=fault.start,
+            "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,
+            max(most.get(fault.kind, math.inf), _SHORT_S), source=_USER, note=fault.kind.value, at=fault.start,
         )  # fmt: skip
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
