@@ -45,7 +45,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.headings import wrapped
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.setup.alignment import align_sensors
-from rtof_kin.setup.clocks import find_clock
+from rtof_kin.calibration.clocks import find_clock
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise

@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.room import Room
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.uncalibrated import with_camera_uncertainty
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -34,39 +36,61 @@ def quality_warnings(
             "no sensor has samples at the times of the video: the motion is estimated from the image "
             "alone; check the sensors' values and clock",
         )
-    return found if solution is None else found + misfit_warnings(solution, prepared.start.times, settings)
+    if solution is None:
+        return found
+    off = reprojection_errors(prepared.keypoints, prepared.skeleton, solution.poses)
+    return found + misfit_warnings(solution, off, settings)
+
+
+def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, poses: PoseSequence) -> Array:
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
+
+    Args:
+        keypoints: T frames. skeleton: the subject's. poses: at the same times.
+    """
+    keypoints, known = keypoints.landmarks, skeleton.landmarks
+    at = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    at = at[:, [list(known).index(name) for name in keypoints.names]]
+    error = np.linalg.norm(keypoints.camera.project(at) - keypoints.uv_px, axis=-1)
+    error[~poses.valid[:, skeleton.index(*(known[name][0] for name in keypoints.names))]] = np.nan
+    return np.asarray(error)
 
 
 def misfit_warnings(
-    solution: FragmentSolution, times: Array, settings: ReconstructionSettings
+    solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
     """Return warnings about intervals in which joints lie far from their keypoints.
 
     Args:
-        solution: of the fragment solver. times: (T,) s of its frames. settings: used.
+        solution: of the fragment solver. off_px: (T, L) of `reprojection_errors`. settings: used.
     """
     s = settings.fragment
     if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
         return ()
-    return misfits(solution.fragments, times, settings.frames, s.sigma_reprojection_range[1])
+    seen, by_frame = np.isfinite(off_px).any(axis=1), np.full(len(off_px), np.nan)
+    by_frame[seen] = np.nanmedian(off_px[seen], axis=1)
+    limit = s.sigma_reprojection_range[1]
+    return misfits(solution.fragments, solution.poses.times, settings.frames, limit, by_frame)
 
 
 def with_covariances(
     motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None,
-    others: Iterable[PoseSequence] = (),
-) -> MotionSequence:  # fmt: skip
-    """Return the motion with its pose covariances, inflated for autocorrelated errors.
+    others: Iterable[PoseSequence], room: Room,
+) -> tuple[MotionSequence, Room]:  # fmt: skip
+    """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:
         motion: of the solution. prepared: what was solved. solution: None in modes that do not optimise.
         others: poses with cameras one standard deviation off, of a camera that is not calibrated.
+        room: what is open of positions in world; it comes back with that in words.
     """
     if solution is None or solution.confidence is None:
-        return motion
+        return motion, room
     sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
     statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
-    return replace(motion, confidence=with_camera_uncertainty(inflated, motion.poses, others))
+    wide, room = room.added(inflated, motion.poses)
+    return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), room

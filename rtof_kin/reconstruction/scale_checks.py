@@ -39,6 +39,8 @@ short; and the fraction of the misfit that must remain with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
 _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
+_PARTS = 4
+"""Parts of a recording that have to agree on it."""
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
 LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
@@ -184,10 +186,17 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     seen, seen2 = limbs.seen[seen2 > 0], seen2[seen2 > 0]
     scale = np.maximum((seen * drawn).sum(axis=(2, 3)), 0) / (drawn**2).sum(axis=(2, 3))
     off = np.linalg.norm(seen - scale[..., None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
-    misfits = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=(1, 2))
+    by_frame = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=2)
+    misfits = by_frame.mean(axis=1)
     best = int(np.argmin(misfits))
-    if not misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN]:
-        return Check.unknown(_PERSPECTIVE, what, "times", "the person stays near the picture's middle")
+    clear = misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN] and by_frame.shape[1] >= _PARTS
+    parts = np.array_split(by_frame, _PARTS, axis=1) if clear else []
+    apart = [int(part.mean(axis=1).argmin()) for part in parts]
+    shorter = all(0 < one < _AS_GIVEN for one in apart)
+    longer = all(_AS_GIVEN < one < len(misfits) - 1 for one in apart)
+    if not clear or not (shorter or longer):
+        why = "its estimates differ, or the person stays near the picture's middle"
+        return Check.unknown(_PERSPECTIVE, what, "times", why)
     share = max(float(_PERSPECTIVES[best]), 0.05)
     return Check(
         _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",

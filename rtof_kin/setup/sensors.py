@@ -28,7 +28,7 @@ from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
 from rtof_kin.setup.assignment_check import check_assignment
-from rtof_kin.setup.clocks import ClockEstimate, find_clock
+from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
 _STILL: Final = np.radians(8.0)
@@ -79,7 +79,7 @@ def set_up_sensors(
         CalibrationError: nothing relates the sensors to the video. Errors of the map.
     """
     take = _Take(poses, keypoints, skeleton)
-    places = _told(log, sensor_map, skeleton)
+    places = known_places(log, sensor_map, skeleton)
     log = log if places is None else log.select(list(places))
     log, still = _moving(log_with_orientation(log))
     log = _from_zero(log)
@@ -120,12 +120,19 @@ def _clock(
     return search(reach=max(_USUAL_REACH, *(float(stream.times[-1]) for stream in log.streams)))
 
 
-def _told(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
-    """Return the segments that a map or the sensors' own names say; None where they do not say all."""
+def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
+    """Return the segments that a map or the sensors' own names say; None where they do not say all.
+
+    Args:
+        log: the sensors. sensor_map: file of two columns. skeleton: of the segments.
+
+    Raises:
+        FileFormatError: the map is damaged. UnknownNameError: a place is no segment.
+    """
     if sensor_map is not None:
-        places = matched(read_sensor_map(sensor_map), log.names)
+        places = matched(read_sensor_map(sensor_map), log.names, sensor_map)
         return {
-            name: Field(known_segment(place, skeleton), Origin.FILE, sensor_map.name)
+            name: Field(known_segment(place, skeleton, sensor_map), Origin.FILE, sensor_map.name)
             for name, place in places.items()
         }
     named = segments_of(log.names, skeleton)

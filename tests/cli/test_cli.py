@@ -80,8 +80,8 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
 @pytest.mark.parametrize("command, named", [
     ("reconstruct {wrong}/none -o {out}", "recording.toml"),
     ("reconstruct {wrong}/in_g -o {out}", "m/s^2"),
-    ("reconstruct {wrong}/camera_only -o {out}", "'rto'"),
-    ("reconstruct {wrong}/sensors_only -o {out}", "'imu'"),
+    ("reconstruct {wrong}/camera_only -o {out} --mode rtof", "'rto'"),
+    ("reconstruct {wrong}/sensors_only -o {out} --mode rtof", "'imu'"),
     ("reconstruct {short} -o {out} --model {wrong}/broken.pt", "broken.pt"),
     ("reconstruct {short} -o {out} --threads 0", "1 or more"),
     ("reconstruct {short} -o {out} --paper --space joint", "leave out --space joint"),
@@ -173,6 +173,24 @@ def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(
     assert "overwrite" in cli(*command).err
     out = tmp_path / "out"
     assert cli("reconstruct", short, "-o", out, "--no-figures", "--calibration", found).code == 0
+
+
+def test_reconstruct_takes_the_mode_of_what_was_recorded(short: Path, tmp_path: Path, cli: Any) -> None:
+    both = Recording.load(short)
+    few = both.video[:60]
+    replace(both, keypoints=few, imus=None, calibration=None).save(tmp_path / "seen")
+    assert cli("reconstruct", tmp_path / "seen", "-o", tmp_path / "out", "--no-figures").code == 0
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["mode"] == "rto"
+    assert "reconstructed motion" in cli("inspect", tmp_path / "out").out
+    assert both.usual_mode == "rtof"
+
+
+def test_a_mistyped_choice_is_one_line_with_what_was_meant(cli: Any) -> None:
+    done = cli("recnstruct")
+    assert done.code == 2
+    assert done.err.startswith(
+        "error: argument COMMAND: invalid choice: 'recnstruct'; did you mean reconstruct?"
+    )
 
 
 def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: Any) -> None:

@@ -21,7 +21,7 @@ from rtof_kin.reconstruction.lift import lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import sensors
 from rtof_kin.setup.alignment import align_sensors
-from rtof_kin.setup.clocks import ClockEstimate
+from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.setup.recording_text import Field, summaries
 from rtof_kin.setup.sensors import SetupSensors, set_up_sensors
 

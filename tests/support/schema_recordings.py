@@ -84,6 +84,17 @@ RECORDINGS = {
     acknowledgement = "Data by nobody."
     text = "-"
     """,
+    "counted from 0": """
+    schema_version = 1
+    [camera]
+    file = "cameras.toml"
+    name = "a"
+    [keypoints]
+    file = "keypoints.npz"
+    layout = "joints"
+    rate_hz = 60
+    person = 0
+    """,
     "a person": """
     schema_version = 1
     [subject]
@@ -112,7 +123,7 @@ RECORDINGS = {
     file = "keypoints.npz"
     layout = "joints"
     rate_hz = 60
-    person = 0
+    person_number = 1
     frame = 1
     [imus]
     file = "trial"

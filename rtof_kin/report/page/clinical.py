@@ -44,7 +44,7 @@ def way_line(travel: Travel) -> str:
                 + " from its first to its last position"
             )
     turns = [
-        f"{math.degrees(turn):.0f} deg to the {side}"
+        f"{math.degrees(turn):.0f}° to the {side}"
         for side, turn in (("left", travel.turned_left), ("right", travel.turned_right))
         if turn > 0
     ]
