@@ -21,6 +21,7 @@ from rich.progress import Progress
 from benchmarks.accuracy.row_file import RowFile, version_of
 from benchmarks.harness import HERE, write_results
 from benchmarks.planted.faults import FAULTS, RIGHT
+from benchmarks.planted.gross import GROSS
 from benchmarks.planted.measuring import Row, measured
 from benchmarks.planted.recordings import Scene, scenes
 from benchmarks.planted.tables import markdown, totals
@@ -70,7 +71,9 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
-    parser.add_argument("--faults", nargs="+", choices=[*RIGHT, *FAULTS], help="only these", metavar="NAME")
+    parser.add_argument(
+        "--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME"
+    )
     parser.add_argument("--motions", type=int, default=8, help="recordings that faults are planted in")
     parser.add_argument("--right", type=int, help="recordings without one; all by default")
     parser.add_argument("--sensors", default="8,0,8,10", help="numbers of sensors, in turn")
@@ -82,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     known = scenes(options.corpus, options.sensors.split(","), options.seed)
     count = max(options.motions, len(known) if options.right is None else options.right)
-    chosen, names = known[:count], options.faults or [*RIGHT, *FAULTS]
+    chosen, names = known[:count], options.faults or [*RIGHT, *FAULTS, *GROSS]
     own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
     version = version_of(own, names, options.motions, options.calibrate, options.seed)
     try:

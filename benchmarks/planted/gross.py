@@ -5,12 +5,14 @@ A fault that a recording cannot have returns the recording itself, or raises `Va
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.planted.faults import Fault
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -207,7 +209,7 @@ OF_SENSORS: Final[dict[str, Gross]] = {
     "gravity removed": Gross(_samples(_without_gravity), "gravity was removed"),
     "quaternions x, y, z, w": Gross(_samples(_as_xyzw), "order x, y, z, w"),
     "quaternions conjugated": Gross(_samples(_inverted), "orientations are inverted"),
-    "one sensor frozen": Gross(_samples(_frozen(0.6, slice(1))), "is frozen"),
+    "one sensor repeats a sample": Gross(_samples(_frozen(0.6, slice(1))), "is frozen"),
     "all sensors frozen": Gross(_samples(_frozen(1.0, slice(None))), "all sensors are frozen"),
     "sensors 0.5 s late": Gross(_late(0.5), "the clocks are off"),
     "sensors 1 s early": Gross(_late(-1.0), "the clocks are off"),
@@ -232,3 +234,17 @@ OF_SENSORS: Final[dict[str, Gross]] = {
         _segments_swapped(*_ARM), "sensors of LeftArm and LeftForeArm are swapped"
     ),
 }
+
+
+def _gross(found: dict[str, Gross], sensors: bool | None) -> dict[str, Fault]:
+    def plant(own: Gross) -> Callable[[Recording, Any, Any], Recording]:
+        return lambda recording, size, draws: own.plant(recording)
+
+    return {
+        name: Fault(plant(own), ("",), "", re.escape(own.named), sensors=sensors, floor=True)
+        for name, own in found.items()
+    }
+
+
+GROSS: Final[dict[str, Fault]] = _gross(OF_CAMERA, None) | _gross(OF_SENSORS, True)
+"""Gross faults, which are counted apart."""

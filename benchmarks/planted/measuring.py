@@ -22,7 +22,9 @@ from benchmarks.planted.faults import (
     height_alone,
     legs_unseen,
     matching,
+    of_another_take,
 )
+from benchmarks.planted.gross import GROSS
 from benchmarks.planted.recordings import Scene
 from benchmarks.scoring import EVERY
 from rtof_kin.body.metrics import at_times, evaluate
@@ -38,18 +40,20 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.report.audit import audit
 from rtof_kin.report.headline import headline
+from rtof_kin.report.residuals import reprojection_errors
+from rtof_kin.report.statistics import ReconstructionStatistics
 
 Row = dict[str, Any]
 BANDS = ("world", "relative", "angles")
 _FIGURE_LAST, _ROOM = re.compile(r", above [^()]*\)$"), "position in the room "
-_PARTS = re.compile(rf"; (?=more \w+ in |{_ROOM})")
+_PARTS = re.compile(rf"; (?=more \w+ in |checked, |not checked: |{_ROOM})")
 ERRORS = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 
 
 def cases(names: list[str]) -> Iterator[tuple[str, Size]]:
     """Faults and sizes by name; of `RIGHT` those without one."""
     for name in names:
-        for size in (RIGHT[name],) if name in RIGHT else FAULTS[name].sizes:
+        for size in (RIGHT[name],) if name in RIGHT else (FAULTS | GROSS)[name].sizes:
             yield name, size
 
 
@@ -63,17 +67,23 @@ def measured(scene: Scene, names: list[str], others: dict[str, Scene], calibrate
     right, rows = scene.recording(), list[Row]()
     other = cache(lambda whose: others[whose].recording())
     for name, size in cases(names):
-        fault = FAULTS.get(name)
+        fault = (FAULTS | GROSS).get(name)
         if fault is not None and not _possible(fault, right, scene.floor, size, others):
             continue
         rng = np.random.default_rng(zlib.crc32(f"{scene.seed} {scene.key} {name}".encode()))
         draws = Draws(rng, other)
         declared = replace(right, floor_height=0.0 if _floor(fault, scene.floor) else None)
-        if fault is not None:
-            planted = fault.plant(declared, size, draws)
-        else:
-            planted = height_alone(declared, float(size), draws) if size else declared
-        rows.append(_about(scene, name, size) | judged(planted, right, fault, size, draws, calibrate))
+        try:
+            if fault is not None:
+                planted = fault.plant(declared, size, draws)
+            else:
+                planted = height_alone(declared, float(size), draws) if size else declared
+            row = judged(planted, right, fault, size, draws, calibrate)
+        except RtofError as error:
+            row = _said(f"error: {error}", fault, draws)
+        except Exception:  # no answer at all, which is worse than a wrong one
+            row = _said("crash: " + traceback.format_exc().splitlines()[-1], None, draws)
+        rows.append(_about(scene, name, size) | row)
     return rows
 
 
@@ -85,7 +95,7 @@ def _possible(fault: Fault, right: Recording, floor: bool, size: Size, others: d
     sensors = right.imus is not None
     if fault.plant in (gap, legs_unseen) and float(size) > right.times[-1] - right.times[0] - 2.0:
         return False
-    return fault.sensors in (None, sensors) and (not isinstance(size, str) or size in others)
+    return fault.sensors in (None, sensors) and (fault.plant is not of_another_take or size in others)
 
 
 def _about(scene: Scene, name: str, size: Size) -> Row:
@@ -107,16 +117,11 @@ def judged(
     truth = planted.truth
     assert truth is not None
     mode: Mode = "rto" if planted.imus is None else "rtof"
-    try:
-        with without_warnings():
-            result = reconstruct(
-                replace(planted, truth=None), mode=mode, calibrate=calibrate and mode == "rtof"
-            )
-    except RtofError as error:
-        return _said(f"error: {error}", fault, draws)
-    except Exception:  # no answer at all, which is worse than a wrong one
-        return _said("crash: " + traceback.format_exc().splitlines()[-1], None, draws)
+    with without_warnings():
+        result = reconstruct(replace(planted, truth=None), mode=mode, calibrate=calibrate and mode == "rtof")
     row = _said(headline(audit(result)).line, fault, draws)
+    if fault is None:
+        row["image"] = _reprojection(result)
     clocks = [truth]
     if fault is not None and fault.sensor_clock is not None:
         clocks.append(replace(truth, times=fault.sensor_clock(truth.times, size)))
@@ -127,6 +132,14 @@ def judged(
     scores = [(dict(evaluate(result.motion.poses, one, skeleton)), one) for one in clocks]
     errors, truth = min(scores, key=lambda score: score[0]["mpjpe_mm"])
     return row | {name: errors[name] for name in ERRORS} | {"inside": inside(result, truth, right, draws)}
+
+
+def _reprojection(result: Reconstruction) -> list[float]:
+    """Median reprojection error of all landmarks, and that of the worst one, in % of the body's height."""
+    errors, statistics = reprojection_errors(result), ReconstructionStatistics(result)
+    height = float(statistics["body height px"].median_of_all)
+    each = [np.median(one[np.isfinite(one)]) for one in errors.T if np.isfinite(one).any()]
+    return [100 * float(np.nanmedian(errors)) / height, 100 * float(max(each)) / height]
 
 
 def _said(line: str, fault: Fault | None, draws: Draws) -> Row:

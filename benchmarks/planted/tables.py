@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks.planted.faults import FAULTS, RIGHT
+from benchmarks.planted.gross import GROSS
 from benchmarks.planted.measuring import ERRORS, Row
 
 COVERED = 0.9
@@ -40,7 +41,7 @@ def _inside(row: Row) -> float:
 def totals(rows: Sequence[Row]) -> dict[str, Any]:
     """The benchmark's figures."""
     right = [row for row in rows if row["fault"] in RIGHT]
-    wrong = [row for row in rows if row["fault"] not in RIGHT]
+    wrong = [row for row in rows if row["fault"] in FAULTS]
     unnamed = [row for row in wrong if not row["named"]]
     alarms = sum(map(false_alarm, right))
     bands = [share for row in unnamed if np.isfinite(share := _inside(row))]
@@ -85,7 +86,7 @@ def markdown(rows: Sequence[Row], how: str) -> str:
         f"least {COVERED:.0%}",
         f"- other faults that a naming first line names too: {t['other causes in a naming line']:.1f}; "
         f"crashes: {t['crashes']}",
-        "", *_by_fault(rows), "", "## Right recordings", "", *_of_right(rows), "",
+        "", *_by_fault(rows), *_of_gross(rows), "", "## Right recordings", "", *_of_right(rows), "",
     ]  # fmt: skip
     return "\n".join(lines)
 
@@ -114,6 +115,22 @@ def _by_fault(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def _of_gross(rows: Sequence[Row]) -> list[str]:
+    lines = [
+        "",
+        "## Gross faults",
+        "",
+        "| fault | n | named | first line where not named |",
+        "|---|---|---|---|",
+    ]
+    for name in GROSS:
+        own = [row for row in rows if row["fault"] == name]
+        left = [row for row in own if not row["named"]]
+        if own:
+            lines.append(f"| {name} | {len(own)} | {1 - len(left) / len(own):.0%} | {_typical(left)} |")
+    return lines if len(lines) > 5 else []
+
+
 def _typical(rows: Sequence[Row]) -> str:
     counts = Counter(row["line"].partition("; more ")[0][:_WORDS].replace("|", "/") for row in rows)
     return "; ".join(f"{text} ({count})" if count > 1 else text for text, count in counts.most_common(1))
@@ -137,4 +154,9 @@ def _of_right(rows: Sequence[Row]) -> list[str]:
             cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors]
             lines.append("| " + " | ".join(cells) + " |")
             alarms += [f"- {name}, {r['motion']}, {sensors} sensors: {r['line'][:200]}" for r in wrong]
+    image = np.array([row["image"] for row in rows if row["fault"] in RIGHT and "image" in row])
+    if len(image):
+        every, worst = np.quantile(image, 0.95, axis=0)
+        words = "Reprojection errors, medians of a recording, 95 % of recordings, in % of the body's height"
+        lines += ["", f"{words} in the image: all landmarks {every:.1f}, the worst landmark {worst:.1f}."]
     return [*lines, "", *alarms]

@@ -40,8 +40,8 @@ _LANDMARK: Final = (0.065, 0.13)
 _ALL_LANDMARKS: Final = (0.035, 0.07)
 """Median reprojection errors, as shares of the body's height in the image, that warn and fail."""
 _DETECTORS: Final = (
-    "of the body's height in the image; the first is what recordings of validation subjects with a real "
-    "detector's usual errors reach (benchmarks/results/audit.md), the second twice that"
+    "of the body's height in the image; the first is what recordings of held-out subjects with a real "
+    "detector's usual errors reach (benchmarks/results/planted.md), the second twice that"
 )
 _USER: Final = "a convention of this report"
 _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
