@@ -242,15 +242,9 @@ def _checked(
         return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
     view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording,
-        prepared,
-        poses,
-        prepared.skeleton,
-        job.lifter,
-        job.settings,
-        suspect,
+        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect,
         view_suspect,
-    )
+    )  # fmt: skip
     if wrong := next((check for check in sensors if check.failed), None):
         camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
     return (*clocks.checks, *sensors, *camera), room

@@ -119,7 +119,7 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     for fault in statistics.faults:
         yield AuditResult(
             "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,
-            max(most.get(fault.kind, math.inf), _SHORT_S), source=_USER, note=fault.kind.value, at=fault.start,
+            max(most.get(fault.kind, math.inf), _SHORT_S), _USER, fault.kind.value, fault.start,
         )  # fmt: skip
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:

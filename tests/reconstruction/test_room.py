@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-
 from benchmarks.input_checks import focal
+
 from benchmarks.scoring import bands
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
