@@ -1,7 +1,7 @@
 """What `find_offset` makes of clocks that are right, off or drifting, and of sensors of another take.
 
-``python -m benchmarks.clock_offsets --corpus DIR`` with DIR the folder of free motion (README.md here). 8 s of the
-benchmark's motions from two cameras, detections of `DetectorErrors` with their delay of 1 to 3 frames.
+``python -m benchmarks.clock_offsets --corpus DIR`` with DIR the folder of free motion (README.md here).
+8 s of the benchmark's motions from two cameras, detections of `DetectorErrors`, 1 to 3 frames late.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from rtof_kin.recording.recording import Recording
 
 PLANTED = {
     "right": (0.0, 0.0), "50 ms late": (0.05, 0.0), "50 ms early": (-0.05, 0.0), "120 ms late": (0.12, 0.0),
-    "120 ms early": (-0.12, 0.0), "200 ms late": (0.2, 0.0), "400 ms late": (0.4, 0.0), "1 % fast": (0.0, 0.01),
-    "another take": (0.0, 0.0),
+    "120 ms early": (-0.12, 0.0), "200 ms late": (0.2, 0.0), "400 ms late": (0.4, 0.0),
+    "1 % fast": (0.0, 0.01), "another take": (0.0, 0.0),
 }  # fmt: skip
 """[s] by which the sensors are late in the middle, and their drift."""
 

@@ -157,7 +157,8 @@ def test_sensors_that_fit_but_state_another_day_are_doubted_first(
     log = replace(take.log, start_utc=start - timedelta(days=9))
     found = set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
     assert found.doubts[0] == (
-        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, 9 days apart"
+        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, "
+        "9 days apart"
     )
 
 
