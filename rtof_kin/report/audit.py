@@ -290,7 +290,7 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     sensors = 0 if (imus := statistics.first.bone_imus) is None else len(imus.joints)
     note = "the recorded data give no better accuracy"
     if sensors < _MANY:
-        note += "; add sensors" if sensors else "without sensors; add some"
+        note = "the recorded data give no better accuracy; add sensors"
     figures = (
         ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
         ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),
