@@ -221,7 +221,14 @@ def _checked(
     camera = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
     view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
+        declared.recording,
+        prepared,
+        poses,
+        prepared.skeleton,
+        job.lifter,
+        job.settings,
+        suspect,
+        view_suspect,
     )
     return (*sensors, *camera)
 
