@@ -64,7 +64,7 @@ def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[St
     Args:
         imus: as recorded. start, stop: s.
     """
-    known = np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1)
+    known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
     by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
     shared = set(by_sensor[0]).intersection(*by_sensor[1:])
     yield from (StreamFault(FaultKind.ENDED, "all sensors", *span) for span in sorted(shared))

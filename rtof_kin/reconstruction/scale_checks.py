@@ -77,21 +77,24 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
     Args:
         bone_imus: at the sensors' own times. skeleton: the subject's.
     """
-    found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
-    if found is None:
+    bounds = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
+    if bounds is None:
         return Check.unknown(_SCALE, "bones", "times", "no two sensors at one joint that turns fast enough")
-    longer = 1 / found
-    word = "long" if longer > 1 else "short"
+    found = min(max(1.0, bounds[0]), bounds[1])  # the nearest to 1 that both directions of regression allow
+    word = "long" if found < 1 else "short"
     return Check(
-        _SCALE, "bones", max(longer, found), LARGEST_SCALE, "times",
+        _SCALE, "bones", max(1 / found, found), LARGEST_SCALE, "times",
         f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
         "in m, or look at the sensors' places",
-        cause=f"the bones are probably too {word}",
+        cause=f"the bones are probably too {word}, or the sensors sit elsewhere on them than declared",
     )  # fmt: skip
 
 
-def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
-    """Ratio of measured to declared bone lengths between sensors, by regression."""
+def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float, float] | None:
+    """Bounds of the ratio of measured to declared bone lengths between sensors: regression of the measured
+    accelerations on those of the declared bones, which errors of the orientations make too small, and the
+    other way round, which errors of the accelerations make too large (Frisch 1934).
+    """
     if len(imus.times) < _LEAST_SAMPLES:
         return None
     rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
@@ -122,7 +125,8 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | Non
     y, x = np.concatenate(measured), np.concatenate(declared)
     xx, xy, yy = x @ x, x @ y, y @ y
     moving = xx / len(x) > (_LEAST_ACCELERATION / 3) ** 2
-    return float(xy / xx) if moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy else None
+    explained = moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy
+    return (float(xy / xx), float(yy / xy)) if explained else None
 
 
 def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:

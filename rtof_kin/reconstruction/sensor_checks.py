@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.bone_images import best_exchange, bone_images
+from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
@@ -22,7 +22,7 @@ from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.recorded_form import check_form
+from rtof_kin.inertial.recorded_form import FROZEN, UNEXPLAINED, check_form
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
@@ -46,6 +46,8 @@ _THINNED = 0.05
 """[s] between the samples in which exchanged sensors are looked for."""
 _LEAST_SECONDS = 2.0
 """[s] Shortest movement by which placement and references of sensors can be checked."""
+_OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
+"""Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
 """Faults whose evidence differs where the sensors were calibrated in an N-pose."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
@@ -86,25 +88,25 @@ def check_sensor_evidence(
     form = check_sensor_form(recording)
     if not form or recording.imus is None or recording.calibration is None:
         return form
+    native = recording.calibration.apply(recording.imus)
+    tilt = check_tilt(native, prepared.stages["lift"])
+    if tilt.failed and not any(check.failed and check.name == FROZEN for check in form):
+        form = (tilt, *(check for check in form if not check.cause.startswith(UNEXPLAINED)))
     if wrong := next((check for check in form if check.failed), None):
         why = f"the samples are not as declared: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
     seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
-    native = recording.calibration.apply(recording.imus)
     images = bone_images(seen, native, lifted, skeleton)
-    rate = () if images is None else (check_frame_rate(images, seen),)
-    if any(check.failed for check in rate):
-        return (*form, *rate, Check.unknown(SETUP, "sensors", "nats", f"first {rate[0].cause}"))
+    if images is not None:
+        rate = check_frame_rate(images, seen)
+        form = (*form, rate)
+        if rate.failed:
+            return (*form, Check.unknown(SETUP, "sensors", "nats", f"first {rate.cause}"))
     clocks = check_clocks(seen, native, lifted, skeleton)
-    form = (*form, *rate)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    shared = [check_still(native, skeleton), check_tilt(native, lifted)]
-    if images is not None and not view_suspect and not any(check.failed for check in shared):
-        shared += check_turned(images, seen.camera, shared[-1].passed)
-    if prepared.bone_imus is not None:
-        shared.append(check_twist(poses, prepared.bone_imus, skeleton))
+    shared = _measured(recording, prepared, poses, skeleton, images, tilt, view_suspect)
     form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
     if wrong:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
@@ -124,6 +126,21 @@ def check_sensor_evidence(
         image_only = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
     setup = _check_setup(image_only, recording.calibration, view_suspect)
     return (*form, clocks, setup)
+
+
+def _measured(
+    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    images: BoneImages | None, tilt: Check, view_suspect: bool,
+) -> list[Check]:  # fmt: skip
+    """Check what is measured of the sensors: what all share, then single ones."""
+    assert recording.imus is not None
+    assert recording.calibration is not None
+    found = [check_still(recording.calibration.apply(recording.imus), skeleton), tilt]
+    if images is not None and not view_suspect and not any(check.failed for check in found):
+        found += check_turned(images, recording.video.camera, tilt.passed)
+    if prepared.bone_imus is not None:
+        found.append(check_twist(poses, prepared.bone_imus, skeleton))
+    return found
 
 
 @contextmanager
@@ -177,7 +194,7 @@ def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect
         why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
-        fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in diagnose_setup(
+        fault for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE)) for fault in diagnose_setup(
             bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration,
             kinds=kinds, most=1)
     ]  # fmt: skip

@@ -28,9 +28,15 @@ TILT, VIEW, HEADING = "tilt of the sensors' world", "tilt of the camera", "headi
 RATE, STILL, TWIST = "frame rate of the video", "motion beside a still sensor", "twist of a sensor"
 _TILT_DEG, _TILT_DEG_S = 1.7, 7.0
 """[deg] and [deg s]: largest tilt of the mean acceleration over a duration, less the change of velocity."""
-_VIEW_DEG, _HEADING_DEG, _SIGMAS, _VAGUE_DEG = 8.0, 12.0, 2.5, 15.0
+_APART = 1.0
+"""[m/s^2] Median distance of the sensors' mean accelerations from a shared one."""
+_VIEW_DEG, _HEADING_DEG, _SIGMAS, _VAGUE_DEG = 7.0, 10.0, 2.5, 15.0
 """[deg] Largest rotation of all sensors against the image about horizontal axes and about the vertical;
 standard deviations that it must exceed too; and the standard deviation of one that is not observed."""
+_FEWEST, _SCALE = 5, 0.3
+"""Sensors whose errors average out, and standard deviation of the logarithm of the body's size."""
+_AGREEING: Final = 1.4
+"""[nats] a frame and sensor: largest difference that a rotation may leave; 0.2 to 1.3 in right recordings."""
 _MEMORY: Final = 1.0
 """[s] Correlation time of differences between image and sensors."""
 _ENDS: Final = 0.3
@@ -45,8 +51,9 @@ _STILL_DEG, _STILL_WINDOW, _STILL_CUTOFF_HZ = 1.5, 2.0, 3.0
 _STILL_LIMIT: Final = 2.0
 """[m/s^2] RMS acceleration of a joint by the neighbouring sensor, or of the sensor itself, while the sensor
 does not turn."""
-_TWIST_DEG: Final = 24.0
-"""[deg] Largest median rotation of a sensor about its bone against the motion."""
+_TWIST_DEG, _TWIST_ARM_DEG = 24.0, 40.0
+"""[deg] Largest median rotation of a sensor about its bone against the motion; of arms more, as forearms
+turn in themselves."""
 
 
 # --- all sensors ---------------------------------------------------------------------------------
@@ -69,7 +76,10 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     mean = np.nanmean(native.a_world[inside][:, known], axis=0)
     ends = [_velocity(poses[part]) for part in (slice(None, n), slice(-n, None))]
     j = [poses.names.index(joint) for joint, own in zip(native.joints, known, strict=True) if own]
-    x, y, _ = np.median(mean - (ends[1] - ends[0])[j] / seconds, axis=0)
+    every = mean - (ends[1] - ends[0])[j] / seconds
+    x, y, _ = shared = np.median(every, axis=0)
+    if np.median(np.linalg.norm(every - shared, axis=1)) > _APART:
+        return Check.unknown(TILT, "sensors", "deg", "the sensors do not share one vertical")
     tilt = float(np.degrees(np.arctan2(np.hypot(x, y), STANDARD_GRAVITY)))
     return Check(
         TILT, "sensors", tilt, _TILT_DEG + _TILT_DEG_S / seconds, "deg",
@@ -82,7 +92,7 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
 def _velocity(poses: PoseSequence) -> Array:
     """Mean velocity (J, 3), m/s, by regression."""
     t = poses.times - poses.times.mean()
-    return np.einsum("t,tji->ji", t, poses.p_world_joint) / np.sum(t**2)
+    return np.asarray(np.einsum("t,tji->ji", t, poses.p_world_joint) / np.sum(t**2))
 
 
 def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Check, ...]:
@@ -97,20 +107,25 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
     """
     found = _rotation(images, camera)
     if found is None:
-        why = "too few bones with sensors are visible"
+        why = f"less than {_FEWEST} bones with sensors are visible"
         return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
-    w, sigma = np.degrees(found)
+    w = np.degrees(found[0])
+    if found[2] > _AGREEING:
+        why = "image and sensors show different motion"
+        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
     tilt, turn = float(np.hypot(*w[:2])), float(w[2])
+    level = np.array([*w[:2], 0.0]) / max(tilt, 1e-9)
+    spreads = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]]))
     about_view = float(w @ camera.R_camera_world[2])
     how = "about its line of sight" if abs(about_view) > tilt / 2 else "up or down"
     checks = []
     whose = "the camera" if upright else "the camera, or all sensors' references,"
     for name, subject, value, spread, least, cause, advice in (
-        (VIEW, "camera", tilt, float(sigma[:2].max()), _VIEW_DEG,
+        (VIEW, "camera", tilt, float(spreads[0]), _VIEW_DEG,
          f"{whose} is probably turned by about {tilt:.0f} deg {how}",
          "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
          "calibrate the camera again, or hold it level"),
-        (HEADING, "sensors", abs(turn), float(sigma[2]), _HEADING_DEG,
+        (HEADING, "sensors", abs(turn), float(spreads[1]), _HEADING_DEG,
          f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera",
          f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
          "or set the headings anew in a known pose"),
@@ -123,42 +138,46 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
     return tuple(checks)
 
 
-def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array] | None:
-    """Rotation vector (3,), rad in world, that brings the sensors' bones to the image, and its standard
-    deviations; by robust Gauss-Newton from no rotation and from the best heading.
+def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] | None:
+    """Rotation vector (3,), rad in world, that brings the sensors' bones to the image, its
+    covariance, and the mean difference left, nats a frame and sensor; by robust Gauss-Newton from no rotation
+    and from the best heading.
     """
     R, n = camera.R_camera_world, len(images.directions)
     index = np.clip(images.frames, 0, n - 1)
     directions = images.directions[index] @ R  # world axes
     known = np.isfinite(directions).all(axis=-1) & np.isfinite(images.vectors).all(axis=-1)
     known &= (images.frames >= 0)[:, None] & (images.frames < n)[:, None]
-    if known.any(axis=0).sum() < 2:
+    if len(set(images.sensors[known.any(axis=0)])) < _FEWEST:
         return None
     a_frame = float(np.median(np.diff(images.frames))) * STEP / _MEMORY
     weight = a_frame * images.weight * known
-    prior = np.eye(3) / np.radians(90.0) ** 2
+    prior = np.diag([*(np.radians(90.0) ** -2,) * 3, _SCALE**-2])
 
-    def off(W: Array) -> Array:
-        d = directions @ (R @ W).T
+    def off(W: Array, scale: float) -> Array:
+        d = np.exp(scale) * directions @ (R @ W).T
         difference = images.vectors - d[..., :2] + images.rays * d[..., 2:]
         return np.where(known[..., None], difference, 0.0) / images.sigma[:, None]
 
-    def cost(W: Array) -> float:
-        return float(np.sum(weight * 1.5 * np.log1p(np.sum(off(W) ** 2, axis=-1) / 3)))
+    def cost(W: Array, scale: float = 0.0) -> float:
+        return float(np.sum(weight * 1.5 * np.log1p(np.sum(off(W, scale) ** 2, axis=-1) / 3)))
 
     headings = so3.about_axis("z", np.radians(np.arange(-180.0, 180.0, 15.0)))
     results = []
     for W in (np.eye(3), min(headings, key=cost)):
+        scale = 0.0
         for _ in range(12):
-            r = off(W)
-            J = np.stack([off(so3.exp(1e-4 * e) @ W) - r for e in np.eye(3)], axis=-1) / 1e-4
+            r = off(W, scale)
+            moved = [off(so3.exp(1e-4 * e) @ W, scale) for e in np.eye(3)] + [off(W, scale + 1e-4)]
+            J = np.stack([one - r for one in moved], axis=-1) / 1e-4
             robust = weight / (1 + np.sum(r**2, axis=-1) / 3)
             H = np.einsum("fb,fbik,fbil->kl", robust, J, J) + prior
-            step = -np.linalg.solve(H, np.einsum("fb,fbik,fbi->k", robust, J, r))
-            W = so3.exp(step * min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-9))) @ W
-        results.append((cost(W), W, H))
-    _, W, H = min(results, key=lambda result: result[0])
-    return so3.log(W), np.sqrt(np.diag(np.linalg.inv(H)))
+            step = -np.linalg.solve(H, np.einsum("fb,fbik,fbi->k", robust, J, r) + prior[3] * scale)
+            step *= min(1.0, 0.3 / max(float(np.linalg.norm(step)), 1e-9))
+            W, scale = so3.exp(step[:3]) @ W, scale + float(step[3])
+        results.append((cost(W, scale), W, H))
+    least, W, H = min(results, key=lambda result: result[0])
+    return so3.log(W), np.linalg.inv(H)[:3, :3], least / float(weight.sum())
 
 
 # --- the frame rate ------------------------------------------------------------------------------
@@ -271,7 +290,7 @@ def _at_joints(native: BoneImuSequence, skeleton: SkeletonModel, s: int, rate_hz
     """Difference (T, 3), m/s^2, of the acceleration of each joint by sensor s and by the next one."""
     index = skeleton.names.index
     out = []
-    for n, other in enumerate(native.joints):
+    for n in range(len(native.joints)):
         for parent, child in ((s, n), (n, s)):
             if skeleton.parents[index(native.joints[child])] != index(native.joints[parent]):
                 continue
@@ -291,7 +310,7 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
     Args:
         poses: solved with these sensors. bone_imus: at the same times. skeleton: the subject's.
     """
-    worst = (0.0, "sensors")
+    worst = (0.0, "sensors", _TWIST_DEG)
     for s, joint in enumerate(bone_imus.joints):
         children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
         known = np.isfinite(bone_imus.R_world_bone[:, s]).all(axis=(1, 2)) & poses.valid.any(axis=1)
@@ -300,10 +319,11 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
         R = poses.R_world_bone[known, skeleton.names.index(joint)]
         off = so3.log(np.swapaxes(R, -1, -2) @ bone_imus.R_world_bone[known, s])
         twist = float(np.degrees(np.median(off @ so3.unit(skeleton.joint_offsets[children[0]]))))
-        worst = max(worst, (twist, joint), key=lambda own: abs(own[0]))
-    twist, joint = worst
+        limit = _TWIST_ARM_DEG if "Arm" in joint else _TWIST_DEG
+        worst = max(worst, (twist, joint, limit), key=lambda own: abs(own[0]) / own[2])
+    twist, joint, limit = worst
     return Check(
-        TWIST, f"sensor on {joint}", abs(twist), _TWIST_DEG, "deg",
+        TWIST, f"sensor on {joint}", abs(twist), limit, "deg",
         "Put it back as it was, or calibrate the sensors again as they sit now",
         cause=f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its "
         "calibration",

@@ -105,6 +105,8 @@ class AuditResult:
             return f"{self.subject}: {self.note}"
         if self.grade is Grade.NOT_CHECKED:
             return f"{self.subject}: {self.name}: {self.note}"
+        if self.name == FAULT and math.isfinite(self.at):
+            return f"{self.subject}, {self.at:.1f} to {self.at + self.value:.1f} s: {self.note}"
         line = f"{self.subject}: {self.name} {self.value:.3g} {self.unit}".rstrip()
         if self.grade in (Grade.PASS, Grade.INFORMATION):
             return line
