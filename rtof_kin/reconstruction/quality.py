@@ -69,4 +69,6 @@ def with_covariances(
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
+    if solution.spread is not None:
+        inflated = inflated.plus(solution.spread)
     return replace(motion, confidence=with_camera_uncertainty(inflated, motion.poses, others))
