@@ -35,10 +35,10 @@ LONGEST_BRIDGE: Final = 0.5
 
 def valid_positions(provenance: NDArray[np.uint8], times: Array, parents: Sequence[int]) -> Mask:
     """Return which positions (T, J) are valid: observed, or between two observations at most `LONGEST_BRIDGE`
-    apart.
+    apart and not out of the image.
 
-    A sensor turns the segment that ends in a joint; where a camera is used, the joint is observed by it only if
-    the segment's other end is valid.
+    A sensor turns the segment that ends in a joint; where a camera is used, the joint is observed by it only
+    if the segment's other end is valid.
 
     Args:
         provenance: (T, J) of the joints. times: (T,) s. parents: of the joints, parents first.
@@ -49,7 +49,7 @@ def valid_positions(provenance: NDArray[np.uint8], times: Array, parents: Sequen
     for j, parent in enumerate(parents):
         if parent >= 0:
             valid[:, j] |= by_imu[:, j] & valid[:, parent]
-    return _bridged(valid, times)
+    return np.asarray(_bridged(valid, times) & (provenance[:, :1] != Provenance.BRIDGED))
 
 
 def _bridged(observed: Mask, times: Array) -> Mask:
@@ -83,7 +83,7 @@ class PoseSequence:
     provenance: NDArray[np.uint8] = field(default_factory=_not_given)
     """(T, J) `Provenance` of each joint. Default: NOBODY."""
     valid: Mask = field(default_factory=_not_given)
-    """(T, J) True if the position was observed or bridged shortly (`valid_positions`). Default: where finite."""
+    """(T, J) True if the position was observed or shortly bridged (`valid_positions`). Default: finite."""
     orientation_observed: Mask = field(default_factory=_not_given)
     """(T, J), or (J,) for all frames, True if all three angles of the segment were observed; else its twist
     follows the parent. Default: False."""

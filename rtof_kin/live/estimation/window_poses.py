@@ -10,6 +10,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import LONGEST_BRIDGE, PoseSequence, Provenance
 from rtof_kin.live.estimation.window import Window
 
+
 class WindowPoses:
     """Poses of the frames of a window."""
 
@@ -37,7 +38,11 @@ class WindowPoses:
             np.where(seen, Provenance.CAMERA, unseen),
         )
         first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
-        valid = by_imu & sensed.any() if window.camera is None else window.seen[first : i + 1].any(axis=0)
+        valid = (
+            np.append(sensed.any(), by_imu[1:])
+            if window.camera is None
+            else window.seen[first : i + 1].any(axis=0)
+        )
         for j, parent in enumerate(skeleton.parents):
             valid[j] |= parent >= 0 and by_imu[j] and valid[parent]
         return PoseSequence(

@@ -25,8 +25,8 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.point_terms import PointData, PointTerm
 from rtof_kin.solve.joint_space.unseen import unseen_covariance, unseen_times
+from rtof_kin.solve.point_terms import PointData, PointTerm
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.vision.image_points import measurements
 

@@ -45,7 +45,9 @@ def unseen_times(data: Observations) -> Array:
         known = np.flatnonzero(seen[:, moved].any(axis=1))
         after = np.searchsorted(known, frames)
         ends = np.concatenate([[-np.inf], known, [np.inf]])
-        out[:, a] = np.minimum(frames - ends[np.searchsorted(known, frames, "right")], ends[after + 1] - frames)
+        out[:, a] = np.minimum(
+            frames - ends[np.searchsorted(known, frames, "right")], ends[after + 1] - frames
+        )
     return out / data.rate_hz
 
 
