@@ -23,7 +23,7 @@ from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 _SURE_DEG: Final = 4.0
-"""[deg] Largest standard deviation of the zero of a hinge that needs no warning: a mounting of a known pose."""
+"""[deg] Largest standard deviation of a hinge's zero without a warning: mountings by a known pose."""
 
 
 def quality_warnings(
@@ -110,7 +110,7 @@ def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
     if sigma < _SURE_DEG:
         return ()
     return (
-        f"the zero of knee and elbow flexion is not known to better than +-{BAND_95 * sigma:.0f} deg: how the "
-        "sensors sit on the limbs was estimated from this video, and no pose with a known angle (standing, "
+        f"the zero of knee and elbow flexion is not known to better than +-{BAND_95 * sigma:.0f} deg: how "
+        "the sensors sit on the limbs was estimated from this video, and no pose with a known angle (standing, "
         "T-pose or N-pose) fixed it; changes of an angle within the recording are not affected",
     )

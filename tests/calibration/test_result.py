@@ -12,6 +12,8 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.estimate import with_places
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.core import rotations as so3

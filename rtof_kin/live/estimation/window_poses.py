@@ -38,11 +38,9 @@ class WindowPoses:
             np.where(seen, Provenance.CAMERA, unseen),
         )
         first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
-        valid = (
-            np.append(sensed.any(), by_imu[1:])
-            if window.camera is None
-            else window.seen[first : i + 1].any(axis=0)
-        )
+        valid = np.array(window.seen[first : i + 1]).any(axis=0, keepdims=True)[0]
+        if window.camera is None:
+            valid = np.concatenate([[sensed.any()], by_imu[1:]])
         for j, parent in enumerate(skeleton.parents):
             valid[j] |= parent >= 0 and by_imu[j] and valid[parent]
         return PoseSequence(
