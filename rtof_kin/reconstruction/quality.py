@@ -111,6 +111,6 @@ def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
         return ()
     return (
         f"the zero of knee and elbow flexion is not known to better than +-{BAND_95 * sigma:.0f} deg: how "
-        "the sensors sit on the limbs was estimated from this video, and no pose with a known angle (standing, "
-        "T-pose or N-pose) fixed it; changes of an angle within the recording are not affected",
+        "the sensors sit on the limbs was estimated from this video, and no pose with a known angle "
+        "(standing, T-pose or N-pose) fixed it; changes of an angle within the recording are not affected",
     )

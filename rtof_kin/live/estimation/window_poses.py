@@ -38,7 +38,7 @@ class WindowPoses:
             np.where(seen, Provenance.CAMERA, unseen),
         )
         first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
-        valid = np.array(window.seen[first : i + 1]).any(axis=0, keepdims=True)[0]
+        valid: Mask = np.asarray(window.seen[first : i + 1].any(axis=0))
         if window.camera is None:
             valid = np.concatenate([[sensed.any()], by_imu[1:]])
         for j, parent in enumerate(skeleton.parents):

@@ -1,8 +1,8 @@
 """Covariance of joints that nobody sees, by the pose prior.
 
 The Hessian takes the frames of a gap as independent draws from the prior, coupled by the jerk: over seconds
-it knows an unseen leg better than any frame of it. People do not: where nothing that a joint moves is seen, its
-angles return from the last observed ones to the prior's as those of free motion do,
+it knows an unseen leg better than any frame of it. People do not: where nothing that a joint moves is seen,
+its angles return from the last observed ones to the prior's as those of free motion do,
 
 ::
 
