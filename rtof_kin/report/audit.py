@@ -100,6 +100,7 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     ]  # fmt: skip
     if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
+        shares = shares[1:]  # only joints between sensors are valid there
     else:
         note = "occluded, out of the image, or not detected"
         names = first.keypoints.landmarks.names

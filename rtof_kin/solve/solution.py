@@ -90,6 +90,8 @@ class Block:
     fragments: tuple[FragmentReport, ...]
     """Reports since the previous block."""
     confidence: Confidence | None = None
+    spread: Confidence | None = None
+    """Covariances of what nobody sees (`joint_space.unseen`); None where everything is seen."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,9 @@ class FragmentSolution:
     confidence: Confidence | None = None
     """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for
     autocorrelated errors (see `uncertainty.covariance_inflation`)."""
+    spread: Confidence | None = None
+    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated
+    ones; None where everything is seen."""
 
     @property
     def status(self) -> SolverStatus:

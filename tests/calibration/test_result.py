@@ -12,6 +12,8 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.estimate import with_places
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.core import rotations as so3
@@ -265,3 +267,17 @@ def test_further_views_keep_clock_and_pose_beside_the_first_camera() -> None:
     np.testing.assert_allclose(relative(after), relative(before), atol=1e-12)
     assert np.abs(after.views[0].camera.R_camera_world - camera.R_camera_world).max() > 1e-3
     np.testing.assert_allclose(after.views[0].times, after.video.times, atol=1e-12)
+
+
+def test_an_estimated_mounting_carries_the_place_errors_of_the_detector() -> None:
+    body = SkeletonModel.default()
+    sigma_prior = np.radians([20.0, 20.0, 20.0])
+    free = Quantity("mounting", "LeftLeg", np.zeros(3), np.radians([2.0] * 3), sigma_prior, 0.95)
+    known = replace(free, item="RightLeg", sigma_prior=np.radians([2.0] * 3))
+    variances = SelfCalibration((free, known)).place_variances(body)
+    length = np.linalg.norm(body.joint_offsets[body.index("LeftFoot")[0]])
+    assert variances["LeftLeg"] == pytest.approx(np.arctan(0.025 * np.sqrt(2) / length) ** 2)
+    assert variances["RightLeg"] == pytest.approx(np.radians(2.0) ** 2)
+    wide = with_places(free, body)
+    np.testing.assert_allclose(wide.sigma**2, free.sigma**2 + variances["LeftLeg"])
+    assert np.degrees(wide.sigma.min()) > 4
