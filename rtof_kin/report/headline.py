@@ -23,6 +23,8 @@ from rtof_kin.report.audit_results import (
     section_verdict,
 )
 
+_LONG: Final = 0.45
+"""[s] Faults of a stream from which they lead the warnings; shorter ones are repaired."""
 _NAMED: Final = 3  # largest number of unchecked things that are named
 
 
@@ -85,7 +87,7 @@ def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
         named,
         result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
-        result.name in ("", FAULT),
+        not result.name or (result.name == FAULT and result.value > _LONG),
         0.0 if named else result.value / limit if limit > 0 else math.inf,
     )
 

@@ -122,7 +122,7 @@ def test_noise_of_orientations_does_not_make_bones_too_long() -> None:
     assert recording.calibration is not None
     rng, T = np.random.default_rng(0), len(recording.imus)
     shake = np.cumsum(rng.standard_normal((T, len(recording.imus.names), 3)), axis=0)
-    shake = np.radians(1.0) * (shake - shake.mean(axis=0)) / 6
+    shake = np.radians(8.0) * (shake - shake.mean(axis=0)) / 6
     R = recording.imus.R_inertial_sensor @ so3.exp(shake)
     bone_imus = recording.calibration.apply(replace(recording.imus, R_inertial_sensor=R))
     check = check_bones(bone_imus, recording.skeleton)
