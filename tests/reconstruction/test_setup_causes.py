@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from benchmarks.input_checks import exchanged_sides, seen
+from benchmarks.input_checks import seen
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
+from rtof_kin.reconstruction.image_checks import exchanged_sides
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.scale_checks import check_bones
 from rtof_kin.reconstruction.settings import ReconstructionSettings
