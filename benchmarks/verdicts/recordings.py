@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks import audit, harness
+from benchmarks import harness
 from benchmarks.accuracy import video_faults
 from benchmarks.accuracy.faults import FAULTS, with_wrong_focal_length
 from rtof_kin.recording.recording import Recording
@@ -45,12 +45,30 @@ def _longer_focal(recording: Recording, rng: Generator) -> Recording:
     return recording
 
 
+def _short_limbs(recording: Recording) -> Recording:
+    """The skeleton's limbs are 20 % too short."""
+    offsets = recording.joint_offsets.copy()
+    names = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("ForeArm", "Hand", "Leg", "Foot")]
+    offsets[recording.skeleton.index(*names)] *= 0.8
+    return replace(recording, joint_offsets=offsets)
+
+
+def _exchanged_shanks(recording: Recording) -> Recording:
+    """The sensors of the two shanks were put on the wrong legs."""
+    imus = recording.imus
+    assert imus is not None
+    other = {"L_LowLeg": "R_LowLeg", "R_LowLeg": "L_LowLeg"}
+    order = [imus.names.index(other.get(name, name)) for name in imus.names]
+    R, f = imus.R_inertial_sensor[:, order], imus.f_sensor[:, order]
+    return replace(recording, imus=replace(imus, R_inertial_sensor=R, f_sensor=f))
+
+
 def _plain(change: Callable[[Recording], Recording]) -> Apply:
     return lambda recording, rng: change(recording)
 
 
 CAMERA_FAULTS: dict[str, Apply] = {
-    "limbs 20 % too short": _plain(audit.short_limbs),
+    "limbs 20 % too short": _plain(_short_limbs),
     "left and right exchanged": FAULTS["left and right exchanged for 0.5 s"].apply,
     "focal length + 8 %": _longer_focal,
     "camera tilted by 1 deg": FAULTS["camera tilted by 1 deg"].apply,
@@ -62,7 +80,7 @@ CAMERA_FAULTS: dict[str, Apply] = {
 SENSOR_FAULTS: dict[str, Apply] = {
     "video 150 ms late": partial(video_faults.with_late_video, delay=0.15),
     "sensor slipped": FAULTS["left forearm's sensor slips by 30 deg halfway"].apply,
-    "shank sensors exchanged": _plain(audit.exchanged),
+    "shank sensors exchanged": _plain(_exchanged_shanks),
     "heading off for 1 s": FAULTS["left forearm's heading off by 40 deg for 1 s"].apply,
     "headings off by 10 deg": FAULTS["headings off by 10 deg"].apply,
     "mounting off by 6 deg": FAULTS["mounting off by 6 deg per axis"].apply,

@@ -80,8 +80,8 @@ ENTRIES = (
         "The page of three visits",
     ),
     Entry(
-        "rtof-kin live SETUP --camera 0 --imus udp:9000 --view",
-        "[Poses while a person moves](live.md), from a webcam, LSL, UDP, or recordings replayed as here.",
+        "rtof-kin live SETUP --camera 0 --imus lsl:DOTs --view",
+        "[Poses while a person moves](live.md), from a webcam, LSL, or recordings replayed as here.",
         "live.png",
         "The live page: skeleton, angles and streams",
     ),

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from rtof_kin.batch.bundle_file import FILES, LABELS, MANIFEST, RECORDINGS, RESULT_FILES, RESULTS, Bundle, Run
 from rtof_kin.batch.privacy import Finding, Search, of_this_machine
+from rtof_kin.batch.reproduction import REDACTED
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.archive import write_archive
 from rtof_kin.core.files.folder import check_new_file
@@ -38,7 +39,6 @@ _INPUTS: Final = (
     "calibration",
 )  # fmt: skip
 """Fields of ``summary.json``, and of its inputs, that are kept."""
-_REDACTED: Final = "[left out: it named a person or a place in the file system]"
 _OF_RUN: Final = ("recording", "joined")
 """Recordings beside the motion in the output of `run`."""
 _NAMED: Final = 5
@@ -279,7 +279,7 @@ def _write_result(folder: Path, source: _Source, name: str, choice: Choice, sear
 def _redacted(data: Any, search: Search) -> Any:
     """Return plain data with sentences that identify replaced."""
     if isinstance(data, str):
-        return _REDACTED if search.in_text("", data) else data
+        return REDACTED if search.in_text("", data) else data
     if isinstance(data, dict):
         return {key: _redacted(value, search) for key, value in data.items()}
     return [_redacted(value, search) for value in data] if isinstance(data, list) else data

@@ -17,6 +17,7 @@ from rtof_kin.batch.rows import Numbered, read_rows
 from rtof_kin.batch.work import mark_of
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, WritingError
 from rtof_kin.core.files.lock import is_held, only_one
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.files.text import write_text
 
 BOOKS: Final = ".batch"
@@ -69,7 +70,7 @@ def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Pl
     books = out / BOOKS
     _check_own(out)
     try:
-        books.mkdir(parents=True, exist_ok=True)
+        make_folders(books)
     except OSError as error:
         raise WritingError(f"{out}: cannot be written ({error}); name another folder") from error
     with ExitStack() as held:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.files.text import load_json
 from rtof_kin.formats.measurements_npz import MEASUREMENTS
 from rtof_kin.formats.motion_npz import MOTION, read_motion_npz
 
+REDACTED: Final = "[left out: it named a person or a place in the file system]"
+_OF_A_RUN: Final = frozenset({"recording", "run", "lifter", "threads", "seconds"})
+"""Fields of a summary that repeat what the bundle's manifest has, or differ from run to run."""
 CLOSE_MM, CLOSE_DEG = 1.0, 0.1
 """Largest differences of joints' positions and segments' orientations of a result that counts as the same."""
 
@@ -38,7 +44,7 @@ class Comparison:
     turn_deg: float = 0.0
     """Largest difference of a segment's orientation."""
     arrays: tuple[str, ...] = ()
-    """Arrays that are not equal."""
+    """Arrays, texts and fields of the summary that are not equal."""
 
     def sentence(self, causes: Sequence[str]) -> str:
         """Return the verdict in one line.
@@ -49,7 +55,9 @@ class Comparison:
         if self.agreement is Agreement.EXACT:
             return str(self.agreement.value)
         differ = "numbers or flags of frames differ"
-        if np.isfinite(self.position_mm):
+        if self.arrays and not any(".npz " in name for name in self.arrays):
+            differ = f"the motion is the same, but not {', '.join(self.arrays)}: changed after the run"
+        elif np.isfinite(self.position_mm):
             differ = (
                 f"joints differ by up to {self.position_mm:.2g} mm, segments by up to {self.turn_deg:.2g} deg"
             )
@@ -71,10 +79,12 @@ def compare_results(bundled: Path, again: Path) -> Comparison:
         FileFormatError: a file is missing or damaged.
     """
     arrays = tuple(name for file in (MOTION, MEASUREMENTS) for name in _unequal(bundled / file, again / file))
+    texts = tuple(_changed_texts(bundled, again))
     after = read_motion_npz(again / MOTION)
     frames = len(after.q)
     if not arrays:
-        return Comparison(Agreement.EXACT, frames)
+        exact = Agreement.DIFFERENT if texts else Agreement.EXACT
+        return Comparison(exact, frames, arrays=texts)
     before = read_motion_npz(bundled / MOTION)
     a, b = before.poses, after.poses
     if a.names != b.names or len(a) != len(b) or not np.allclose(a.times, b.times, rtol=0, atol=1e-6):
@@ -89,6 +99,28 @@ def compare_results(bundled: Path, again: Path) -> Comparison:
     mm, deg = (float(np.max(part, initial=0.0)) for part in (1000 * apart, np.degrees(turns)))
     close = mm <= CLOSE_MM and deg <= CLOSE_DEG and same_flags
     return Comparison(Agreement.CLOSE if close else Agreement.DIFFERENT, frames, mm, deg, arrays)
+
+
+def _changed_texts(bundled: Path, again: Path) -> Iterator[str]:
+    """Yield the URDF, and fields of the summary, that differ beside the same motion."""
+    urdf = [folder / "skeleton.urdf" for folder in (bundled, again)]
+    if urdf[0].is_file() and urdf[0].read_bytes() != urdf[1].read_bytes():
+        yield urdf[0].name
+    before, after = (load_json(folder / "summary.json") for folder in (bundled, again))
+    for field in before:
+        if field not in _OF_A_RUN and not _same(before[field], after.get(field)):
+            yield f"summary.json {field}"
+
+
+def _same(before: Any, after: Any) -> bool:
+    """Whether what a bundle keeps of a value is in another; times of computation do not count."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        return all(key in _OF_A_RUN or (key in after and _same(before[key], after[key])) for key in before)
+    if isinstance(before, list) and isinstance(after, list):
+        return len(before) == len(after) and all(map(_same, before, after))
+    if isinstance(before, float) and isinstance(after, float):  # sums of figures depend on the threads
+        return math.isclose(before, after, rel_tol=1e-6, abs_tol=1e-9)
+    return bool(before in (after, REDACTED))
 
 
 def _unequal(bundled: Path, again: Path) -> list[str]:

@@ -29,8 +29,8 @@ from rtof_kin.batch.index import write_index
 from rtof_kin.batch.place import Place, claim
 from rtof_kin.batch.recordings import Entry, Shard
 from rtof_kin.batch.rows import ERROR, Row, RowFile
-from rtof_kin.batch.work import Command, Task, process
-from rtof_kin.core.errors import RtofError
+from rtof_kin.batch.work import DISK_FULL, Command, Task, process
+from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.files.manifest import fingerprint
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.engine import Engine
@@ -67,34 +67,47 @@ def run_batch(
         Rows of this shard's recordings, in their order.
 
     Raises:
-        OutputExistsError: see `rtof_kin.batch.place.claim`. WritingError: the table cannot be written.
+        OutputExistsError: see `rtof_kin.batch.place.claim`. WritingError: the folder cannot be written, or
+            the disk is full.
     """
-    report = progress or (lambda done, total, text: None)
+    try:
+        with claim(batch.out, batch.source, batch.shard, overwrite) as place:
+            return _run(batch, place, command, engine, progress or (lambda done, total, text: None))
+    except RtofError:
+        raise
+    except OSError as error:
+        raise WritingError(f"{batch.out}: cannot be written ({error}); make room and go on") from error
+
+
+def _run(batch: Batch, place: Place, command: Command, engine: Engine, report: Progress) -> list[Row]:
     own = [entry for entry in batch.entries if batch.shard.has(entry.name)]
     steps = {entry.name: steps_of(batch.chain, entry) for entry in own}
-    with claim(batch.out, batch.source, batch.shard, overwrite) as place:
-        names = {entry.name for entry in own}
-        before = {name: row for name, row in place.rows().items() if name in names}
-        rows = RowFile(place.rows_file, place.run, before)
-        ended = {name for name, (_, row) in before.items() if row.verdict != ERROR}
-        own.sort(key=lambda entry: entry.name in ended)  # what is new comes first
-        title = batch.source.resolve().name
-        tables = Tables(batch.out, title, frozenset(entry.name for entry in batch.entries), place)
+    names = {entry.name for entry in own}
+    before = {name: row for name, row in place.rows().items() if name in names}
+    rows = RowFile(place.rows_file, place.run, before)
+    ended = {name for name, (_, row) in before.items() if row.verdict != ERROR}
+    own.sort(key=lambda entry: entry.name in ended)  # what is new comes first
+    title = batch.source.resolve().name
+    tables = Tables(batch.out, title, frozenset(entry.name for entry in batch.entries), place)
+    tables.write()
+    report(0, len(own), f"{len(ended)} of {len(own)} have a result; it is checked" if ended else "")
+    done = 0
+    try:
+        with closing(engine.run(partial(process, command), _tasks(batch, place, own, steps))) as results:
+            for result in results:
+                row = Row.of_plain(result.answer) or Row(result.key, error=str(result.lost))
+                rows.add(row)
+                done += 1
+                failed = f"{row.recording} failed: {row.step + ': ' if row.step else ''}{row.error}"
+                report(done, len(own), failed if row.verdict == ERROR else row.recording)
+                if result.answer and result.answer.get(DISK_FULL):
+                    raise WritingError(
+                        f"{batch.out}: the disk is full ({failed}); make room, and the same command goes on"
+                    )
+                tables.write_if_due()
+    finally:
         tables.write()
-        report(0, len(own), f"{len(ended)} of {len(own)} have a result; it is checked" if ended else "")
-        done = 0
-        try:
-            with closing(engine.run(partial(process, command), _tasks(batch, place, own, steps))) as results:
-                for result in results:
-                    row = Row.of_plain(result.answer) or Row(result.key, error=str(result.lost))
-                    rows.add(row)
-                    done += 1
-                    failed = f"{row.recording} failed: {row.step + ': ' if row.step else ''}{row.error}"
-                    report(done, len(own), failed if row.verdict == ERROR else row.recording)
-                    tables.write_if_due()
-        finally:
-            tables.write()
-        return [rows.rows[entry.name][1] for entry in batch.entries if entry.name in names]
+    return [rows.rows[entry.name][1] for entry in batch.entries if entry.name in names]
 
 
 def _tasks(

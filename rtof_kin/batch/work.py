@@ -7,6 +7,7 @@ written before every step and at the end, so a run that was killed goes on with 
 from __future__ import annotations
 
 import contextlib
+import errno
 import faulthandler
 import hashlib
 import json
@@ -22,12 +23,14 @@ from typing import Any, Final
 from rtof_kin.batch.chain import MOTION, PAGE, Step, output_name
 from rtof_kin.batch.rows import DONE, ERROR, Row
 from rtof_kin.core.errors import OutputExistsError, RtofError
-from rtof_kin.core.files.manifest import MANIFEST, fingerprint
+from rtof_kin.core.files.manifest import MANIFEST, fingerprint, make_folders, make_private
 from rtof_kin.core.files.temporary import remove_leftovers
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak
 
 STATE: Final = "batch.json"
+DISK_FULL: Final = "disk_full"
+"""Entry of the plain row of a recording that failed because of it, as all others would."""
 Command = Callable[[list[str]], int]
 """Runs a command line, raises its `RtofError`, and returns the exit code."""
 _MB: Final = 1e6
@@ -77,12 +80,19 @@ def process(command: Command, task: Task) -> dict[str, Any]:
         row = _with_figures(_verdict(task, state), task, state)
         state.keep(row)
         return row.plain()
-    except _StepError as error:
-        said = _without_places(str(error), task)
-        row = Row(task.name, step=error.step.command, error=said, log=_log_name(error.step))
-    except (RtofError, OSError) as error:
-        row = Row(task.name, error=_without_places(str(error), task))
-    return _with_figures(row, task, state).plain()
+    except (_StepError, RtofError, OSError) as error:
+        row, full = Row(task.name, error=_without_places(str(error), task)), _is_of_full_disk(error)
+        if isinstance(error, _StepError):
+            row = replace(row, step=error.step.command, log=_log_name(error.step))
+    return _with_figures(row, task, state).plain() | {DISK_FULL: full}
+
+
+def _is_of_full_disk(error: BaseException | None) -> bool:
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _without_places(text: str, task: Task) -> str:
@@ -202,10 +212,11 @@ def _run_step(command: Command, task: Task, state: _State, step: Step, made_from
 @contextlib.contextmanager
 def _printing_to(path: Path) -> Iterator[None]:
     """Collect what is printed and logged, and the traceback of an error or a crash."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folders(path.parent)
     root = logging.getLogger()
     before = root.handlers[:]
     with path.open("w", encoding="utf-8", errors="replace") as stream:
+        make_private(path)
         handler = logging.StreamHandler(stream)
         handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
         root.handlers = [handler]
@@ -288,4 +299,4 @@ def _visible(folder: Path) -> Iterator[Path]:
     return (path for path in folder.iterdir() if not path.name.startswith(".rtof_kin-"))
 
 
-__all__ = ["ERROR", "STATE", "Command", "Task", "mark_of", "process"]
+__all__ = ["DISK_FULL", "ERROR", "STATE", "Command", "Task", "mark_of", "process"]

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -147,6 +147,28 @@ def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSe
     if len(known) == 0:
         return estimate
     return estimate.with_poses(slice(None), estimate.p_world_joint + shift[known[0]])
+
+
+def aligned_worlds(estimate: PoseSequence, truth: PoseSequence) -> tuple[PoseSequence, float, Array]:
+    """Return an estimate in the world of the truth, the angle (rad) and the shift (3,) m that bring it there.
+
+    One rotation about the vertical and one translation for all frames, by least squares over all joints
+    (Umeyama 1991, in the horizontal plane): two systems share the vertical, not where they count from.
+
+    Args:
+        estimate, truth: poses of the same joints.
+    """
+    true = at_times(truth, estimate.times).p_world_joint
+    known = np.isfinite(estimate.p_world_joint + true).all(axis=2)
+    p, q = estimate.p_world_joint[known], true[known]
+    if not len(p):
+        return estimate, 0.0, np.zeros(3)
+    a, b = (points[:, :2] - points[:, :2].mean(axis=0) for points in (p, q))
+    angle = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
+    R = so3.about_axis("z", angle)
+    shift = q.mean(axis=0) - R @ p.mean(axis=0)
+    moved = estimate.p_world_joint @ R.T + shift
+    return replace(estimate, p_world_joint=moved, R_world_bone=R @ estimate.R_world_bone), angle, shift
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:

@@ -37,6 +37,9 @@ _UNITS: Final = {
     "posture": _DEGREES,
 }  # fmt: skip
 """Kind -> factor and unit for display; of drifting kinds, those of the constant."""
+_DETECTOR: Final = (0.0, 0.05)
+_USUAL_DETECTOR, SIGMA_DETECTOR = 0.028, 0.014
+"""[s] Range, mean and standard deviation of detectors' delays: up to 3 frames at 60 Hz."""
 _DRIFTING: Final = ("delay", "heading")
 BONE_GROUPS: Final = {
     "trunk": ("Spine", "Spine1", "Spine2", "Spine3", "LeftShoulder", "RightShoulder"),
@@ -49,6 +52,11 @@ BONE_GROUPS: Final = {
     "shanks": ("LeftFoot", "RightFoot"),
 }
 """Joints at the ends of the bones that are estimated together."""
+
+
+PLACE_ERROR: Final = 0.025
+"""[m] Standard deviation of the constant distance between a joint and where a detector sees it; 20 to 30 mm
+were measured at the knees of people on a treadmill."""
 
 
 class Verdict(Enum):
@@ -132,10 +140,10 @@ class SelfCalibration:
         raise CalibrationError(f"{' of '.join(kind_item)} was not estimated")
 
     def of_kind(self, kind: str) -> dict[str, Array]:
-        """Return the observed quantities of a kind: item -> value."""
+        """Return the quantities of a kind that are observed and not in doubt: item -> value."""
         return {
             q.item: q.value.copy() for q in self.quantities  # SciPy's rotations need writable arrays
-            if q.kind == kind and q.verdict is not Verdict.PRIOR
+            if q.kind == kind and q.verdict not in (Verdict.PRIOR, Verdict.DOUBTFUL)
         }  # fmt: skip
 
     @property
@@ -158,6 +166,21 @@ class SelfCalibration:
         kept = tuple(q for q in self.quantities if (q.kind, q.item) not in again)
         return replace(later, quantities=(*kept, *later.quantities))
 
+    def after(self, clocks: Self) -> Self:
+        """Return this, estimated on a recording with corrected clocks, for the recording as it was.
+
+        Args:
+            clocks: the correction, of a delay alone.
+        """
+        (delay,) = clocks.quantities
+        value, sigma = delay.value.copy(), delay.sigma.copy()
+        value[0] += value[1:].sum() * (self.middle - clocks.middle)
+        for own in self.quantities:
+            if own.kind == "delay" and own.verdict not in (Verdict.PRIOR, Verdict.DOUBTFUL):
+                value[0], sigma[0] = value[0] + own.value[0], own.sigma[0]
+        delay = replace(delay, value=value, sigma=sigma)
+        return self.followed_by(replace(self, quantities=(delay,)))
+
     def apply(self, recording: Recording) -> Recording:
         """Return the recording corrected by the observed quantities.
 
@@ -169,9 +192,10 @@ class SelfCalibration:
             keypoints = self._keypoints(keypoints)
         views = tuple(self._view(view, recording.video.camera) for view in recording.views)
         imus, calibration = recording.imus, recording.calibration
-        if imus is not None and calibration is not None:
-            imus = self._imus(imus, calibration)
-            calibration = self._calibration(calibration)
+        if imus is not None:
+            imus = imus if calibration is None else self._imus(imus, calibration)
+            imus = self._on_clock(imus)
+            calibration = None if calibration is None else self._calibration(calibration)
         recording = replace(recording, keypoints=keypoints, views=views, imus=imus, calibration=calibration)
         if turns := self.of_kind("posture"):
             recording = _with_posture(recording, turns)
@@ -179,6 +203,18 @@ class SelfCalibration:
             offsets = self._offsets(recording.skeleton, bones)
             recording = replace(recording, joint_offsets=offsets, bone_lengths=None)
         return recording
+
+    def place_variances(self, skeleton: SkeletonModel) -> dict[str, float]:
+        """Return the variance, rad^2, that the detector's place errors add to each estimated mounting, by
+        segment: no more than the mounting was uncertain before.
+
+        Args:
+            skeleton: the subject's.
+        """
+        return {
+            q.item: min(place_swing(skeleton, q.item), float(q.sigma_prior.max())) ** 2
+            for q in self.quantities if q.kind == "mounting" and q.verdict is not Verdict.PRIOR
+        }  # fmt: skip
 
     def moved(self, keypoints: KeypointSequence, poses: PoseSequence) -> KeypointSequence:
         """Return keypoints corrected by the places of the detector's landmarks.
@@ -216,18 +252,41 @@ class SelfCalibration:
             if name in keypoints.names:
                 uv[:, keypoints.names.index(name)] -= bias
         camera = self._camera(keypoints.camera)
-        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self.on_sensors_clock(keypoints.times))
+        return replace(keypoints, uv_px=uv, camera=camera).on_clock(self.on_clock(keypoints.times))
 
     def _view(self, view: KeypointSequence, first: Camera) -> KeypointSequence:
         """A further camera's keypoints; its pose relative to the first one stays."""
         camera = view.camera.carried(first, self._camera(first))
-        return replace(view, camera=camera).on_clock(self.on_sensors_clock(view.times))
+        return replace(view, camera=camera).on_clock(self.on_clock(view.times))
 
-    def on_sensors_clock(self, times: Array) -> Array:
-        """Return times of the video (T,), s, on the clock of the sensors."""
+    @property
+    def sensors_late(self) -> float:
+        """[s] Part of the delay, in the middle of the recording, that is the sensors' and not the detector's.
+
+        A detector's delay of usual size explains a delay alone; else the clocks are wrong, and the
+        detector's delay is taken to be the usual one.
+        """
+        for q in self.quantities:
+            if q.kind == "delay" and q.item in self.of_kind("delay"):
+                margin = 2 * q.sigma[0]
+                if not _DETECTOR[0] - margin <= q.value[0] <= _DETECTOR[1] + margin:
+                    return _USUAL_DETECTOR - float(q.value[0])
+        return 0.0
+
+    def on_clock(self, times: Array) -> Array:
+        """Return when what the video shows at times (T,), s, happened: the detector's delay earlier."""
         for delay in self.of_kind("delay").values():
-            times = times - np.polyval(delay[::-1], times - self.middle)
+            times = times - (delay[0] + self.sensors_late)
         return times
+
+    def _on_clock(self, imus: ImuSequence) -> ImuSequence:
+        """IMUs on the clock that `on_clock` returns."""
+        for delay in self.of_kind("delay").values():
+            if len(delay) > 1 or self.sensors_late:
+                rate = float(np.append(delay, 0.0)[1])
+                seen = self.middle + (imus.times - self.middle + delay[0]) / (1 - rate)
+                return replace(imus, times=self.on_clock(seen))
+        return imus
 
     def _camera(self, camera: Camera) -> Camera:
         for longer in self.of_kind("focal length").values():
@@ -283,6 +342,19 @@ def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
     moved = [turns.get(joint, np.zeros(3)) for joint in known.joints]
     turned = quat.multiply(quat.exp(np.array(moved)), known.quat_wxyz)
     return replace(recording, posture=replace(known, quat_wxyz=turned))
+
+
+def place_swing(skeleton: SkeletonModel, joint: str) -> float:
+    """Return the standard deviation, rad, by which a segment is turned if both its ends are seen beside the
+    joints: sqrt(2) `PLACE_ERROR` over its length.
+
+    Args:
+        skeleton: the subject's. joint: where the segment begins.
+    """
+    j = skeleton.names.index(joint)
+    ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]
+    length = max((float(np.linalg.norm(end)) for end in ends), default=0.2)
+    return float(np.arctan(np.sqrt(2) * PLACE_ERROR / max(length, PLACE_ERROR)))
 
 
 def _rms(values: Array) -> float:

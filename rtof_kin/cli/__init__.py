@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import argparse
 
+    from rtof_kin.cli.terminal import Parser
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return the exit code.
@@ -47,11 +49,23 @@ def dispatch(arguments: list[str] | None) -> int:
     Raises:
         RtofError: of the command. SystemExit: the arguments are wrong, or ask for help.
     """
+    import errno
     import logging
 
+    from rtof_kin.cli.terminal import log_handler
+    from rtof_kin.core.errors import RtofError, too_long
+
     options = parse(arguments)
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    return int(options.run(options) or 0)
+    logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
+    try:
+        return int(options.run(options) or 0)
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        raise RtofError(too_long(error.filename)) from error
+    except MemoryError as error:
+        problem = f"not enough memory ({error})" if str(error) else "not enough memory"
+        raise RtofError(f"{problem}; end other programs, or take a shorter recording") from error
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -71,10 +85,8 @@ def command_names() -> set[str]:
     return set(_parser()[1].choices)
 
 
-def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]:
+def _parser() -> tuple[Parser, argparse._SubParsersAction[Parser]]:
     """Return the parser and its commands."""
-    import argparse
-
     from rtof_kin.cli import (
         batch,
         bundle,
@@ -97,8 +109,9 @@ def _parser() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argpa
         validation,
         view,
     )
+    from rtof_kin.cli.terminal import Parser
 
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="rtof-kin",
         description="Human motion from one camera and a handful of IMUs. Everything stays on this "
         "machine. Start with: rtof-kin demo",

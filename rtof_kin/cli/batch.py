@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-import signal
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtof_kin.cli.terminal import STYLES, command, err, job_progress, out
+from rtof_kin.cli.terminal import STYLES, command, ended_by_signals, err, job_progress, out
 
 if TYPE_CHECKING:
     from rtof_kin.batch.rows import Row
@@ -74,7 +71,7 @@ def _batch(options: argparse.Namespace) -> int:
     )
     check_chain(batch, _check)
     try:
-        with _stopped_by_sigterm(), job_progress("recordings") as update:
+        with ended_by_signals(), job_progress("recordings") as update:
             rows = run_batch(batch, dispatch, engine, options.overwrite, update)
     except KeyboardInterrupt:
         err.print("stopped; what is done is kept, and the same command goes on from here", style="bold")
@@ -106,16 +103,6 @@ def _check(line: list[str]) -> None:
     except SystemExit as error:
         text = said.getvalue().strip().splitlines() or ["asks for help only"]
         raise InvalidInputError(text[-1].partition("error: ")[2] or text[-1]) from error
-
-
-@contextmanager
-def _stopped_by_sigterm() -> Iterator[None]:
-    """Stop as by Ctrl-C when a job scheduler asks for it."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _print_rows(rows: list[Row], folder: Path) -> int:

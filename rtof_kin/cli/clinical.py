@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Column, Table
 
-from rtof_kin.cli.terminal import add_output, command, out, print_files
+from rtof_kin.cli.terminal import add_output, command, decimal, out, print_files
 
 
 def add_commands(commands: Any) -> None:
@@ -27,7 +27,7 @@ def add_commands(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
-    parser.add_argument("--height", type=float, metavar="M", help="to check the skeleton's size")
+    parser.add_argument("--height", type=decimal, metavar="M", help="to check the skeleton's size")
     add_analysis(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
 
@@ -39,7 +39,7 @@ def add_analysis(parser: argparse.ArgumentParser) -> None:
         parser: of the command.
     """
     parser.add_argument(
-        "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
+        "--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording"
     )
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
@@ -55,6 +55,7 @@ def _analyse(options: argparse.Namespace) -> None:
     out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
     if analysis.gait.is_gait:
         _print_gait(analysis.gait)
+        out.print(f"gait: from {analysis.gait.rests_on}", soft_wrap=True)
     else:
         out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
     if analysis.repetitions is not None:
@@ -109,13 +110,17 @@ def _print_ranges(analysis: Any) -> None:
 
     columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
     table = Table(Column("angle [deg]", no_wrap=True), *columns)
-    for row in analysis.ranges:
-        if row.known_share > 0 and not row.about_vertical:
-            half = BAND_95 * row.range_sigma
-            figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
-            cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
-            table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
+    shown = [row for row in analysis.ranges if row.known_share > 0 and not row.about_vertical]
+    for row in shown:
+        half = math.nan if row.is_uncertain else BAND_95 * row.range_sigma
+        figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
+        cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
+        cells[2] = f">= {cells[2]}" if row.is_uncertain else cells[2]
+        table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
     out.print(table)
+    for row in shown:
+        if row.is_uncertain:
+            out.print(f"{row.name}: {row.text}", soft_wrap=True)
 
 
 def _print_gait(gait: Any) -> None:

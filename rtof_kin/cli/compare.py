@@ -86,8 +86,8 @@ def _compare(options: argparse.Namespace) -> None:
 
 def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
     """Comparison as the options ask for it, and why its axis was chosen."""
-    from rtof_kin.clinical.comparison import compare, sides_of
-    from rtof_kin.clinical.comparison_axis import agreement, choose_axis, choose_sides
+    from rtof_kin.clinical.comparison import compare
+    from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.report.comparison.inputs import distinct, read_compared
 
@@ -98,16 +98,14 @@ def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
     shifted = options.align or options.shift is not None
     if shifted and (options.sides or options.by not in (None, "time")):
         raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
-    clocks = None
     if options.sides:
-        a, b = sides_of(read_compared(options.a))
-        choice = choose_sides(a, b, options.by)
-    else:
-        a, b = read_compared(options.a), read_compared(options.b)
-        first, second = distinct(a, b, (options.a, options.b))
-        a, b = replace(a, name=first), replace(b, name=second)
-        clocks = agreement(a, b)
-        choice = choose_axis(a, b, clocks, "time" if shifted else options.by)
+        kind = options.repetitions or ""
+        return compare_sides(read_compared(options.a), options.by, names=names, kind=kind)
+    a, b = read_compared(options.a), read_compared(options.b)
+    first, second = distinct(a, b, (options.a, options.b))
+    a, b = replace(a, name=first), replace(b, name=second)
+    clocks = agreement(a, b)
+    choice = choose_axis(a, b, clocks, "time" if shifted else options.by)
     shift = _found_shift(clocks) if options.align else options.shift or 0.0
     if choice.by != "time":
         clocks = None

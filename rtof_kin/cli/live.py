@@ -15,9 +15,19 @@ from rich.text import Text
 
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import lifter_of
-from rtof_kin.cli.terminal import add_model, command, err, out, print_calibration, warnings_in_summary
+from rtof_kin.cli.terminal import (
+    add_model,
+    command,
+    ended_by_signals,
+    err,
+    out,
+    print_calibration,
+    warnings_in_summary,
+)
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.live.outputs.websocket_server import WebSocketServer
@@ -40,19 +50,17 @@ cameras (--camera):
   0, /dev/video2           a webcam: the person is detected on this machine
   walk.mp4                 a video, at its speed
   lsl:NAME                 points that another program detects, over LSL
-  udp:9000                 points in UDP datagrams (OSC, JSON)
   take.xdf, walk.npz       points that a detector wrote, replayed
   FOLDER                   the keypoints of a recording, replayed
 
 sensors (--imus, may be given several times):
   lsl:NAME                 sensors in an LSL stream
-  udp:9000, udp:HOST:9000  sensors in UDP datagrams (OSC, JSON, CSV); this machine's own unless HOST is given
   FILE                     sensor files, replayed
   FOLDER                   the sensors of a recording, replayed
 
 examples:
   rtof-kin live out/setup --camera 0 --imus lsl:DOTs -o out/take1
-  rtof-kin live out/setup --imus udp:9000 --out ws --view
+  rtof-kin live out/setup --imus lsl:DOTs --out ws --view
   rtof-kin live out/take1 --camera out/take1 --imus out/take1 --speed 4
 """
 
@@ -66,12 +74,16 @@ def add_commands(commands: Any) -> None:
     parser = command(
         commands, "live", _live, "poses while a person moves, from cameras and sensors, recorded on request",
         "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
-        "the sensors; its streams are not used. Ctrl-C ends and finishes the recording. Nothing leaves this "
-        "machine unless an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
+        "the sensors; its streams are not used. Ctrl-C, as SIGTERM and SIGHUP, ends and finishes "
+        "the recording; --finish does so for a session that was killed. Nothing leaves this machine unless "
+        "an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
     )  # fmt: skip
     parser.formatter_class = _Help
     parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES
-    parser.add_argument("setup", metavar="SETUP", help="folder of the recording that was set up")
+    parser.add_argument("setup", metavar="SETUP", nargs="?", help="folder of the recording that was set up")
+    parser.add_argument(
+        "--finish", metavar="FOLDER", help="make a recording of a session that was killed, and end"
+    )
     parser.add_argument(
         "--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below"
     )
@@ -132,6 +144,32 @@ class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpF
 
 
 def _live(options: argparse.Namespace) -> None:
+    from rtof_kin.core.errors import InvalidInputError
+
+    if (options.setup is None) == (options.finish is None):
+        raise InvalidInputError("name the folder of the recording that was set up, or --finish FOLDER")
+    if options.finish is not None:
+        _finish(options.finish)
+        return
+    with ended_by_signals():
+        _run_session(options)
+
+
+def _finish(folder: str) -> None:
+    """Make a recording of a session that was killed."""
+    from rtof_kin.live.session.recorded_session import finish
+
+    for note in finish(folder):
+        _line("note", note)
+    _print_recorded(folder)
+
+
+def _print_recorded(folder: Path | str) -> None:
+    _line("recorded", f"{folder}")
+    _line("next", f"rtof-kin reconstruct {folder} -o OUT")
+
+
+def _run_session(options: argparse.Namespace) -> None:
     from rtof_kin.core.threads import limit_threads
 
     limit_threads(None)
@@ -243,9 +281,9 @@ def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketSe
         servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
         sinks += servers
     for server in servers:
-        err.print(f"{server.url} shows the skeleton in a browser", soft_wrap=True)
+        err.print(f"{server.url} shows the skeleton in a browser, to who has this address", soft_wrap=True)
     if view:
-        webbrowser.open(servers[0].url)
+        webbrowser.open(servers[0].url_once)
     return servers
 
 
@@ -286,10 +324,12 @@ def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None
         said = "".join(f", {count} {what}" for what, count in counts.items() if count)
         _line("stream", f"{name}: {one.received} samples{said}")
     if summary.folder is not None:
-        _line("recorded", f"{summary.folder}")
-        _line("next", f"rtof-kin reconstruct {summary.folder} -o OUT")
+        _print_recorded(summary.folder)
     elif options.output is not None:
-        _line("recorded", f"nothing that is a recording; what came is in {options.output}")
+        _line(
+            "recorded", f"nothing that is a recording; what came is in {options.output}, and rtof-kin live "
+            f"--finish {options.output} tries again",
+        )  # fmt: skip
 
 
 def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.cli.terminal import add_output, command, err, out, progress
+from rtof_kin.cli.terminal import STYLES, add_output, command, err, out, progress
 
 _OTHERS = (
     "only the tracked person's face is made unrecognisable, not those of other people, nor clothes, gait or "
@@ -24,9 +24,9 @@ def add_commands(commands: Any) -> None:
 
     parser = command(
         commands, "overlay", _overlay, "draw a motion on its video, as an MP4 or GIF",
-        "Skeleton coloured by what observed it, angles with their 95 % bands, faults of sensors while they "
-        "last, time and verdict. Sound and metadata of the video (place, date, device) are not copied. "
-        "Nothing leaves this machine.",
+        "Skeleton coloured by what observed it, and none where nothing did; angles with their 95 % bands, "
+        "faults of sensors while they last, and time. Prints the verdict on the motion. Sound and metadata "
+        "of the video (place, date, device) are not copied. Nothing leaves this machine.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="OUT", help="output folder of reconstruct or run")
     parser.add_argument(
@@ -94,7 +94,12 @@ def _print_result(result: Any, blurred: bool) -> None:
         soft_wrap=True,
     )
     if result.without_motion:
-        out.print(f"{result.without_motion} pictures are outside the motion and have no skeleton")
+        out.print(
+            f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are "
+            "outside the motion",
+            soft_wrap=True,
+        )
+    out.print(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""), soft_wrap=True)
     if result.encoder == "mpeg4":
         out.print("this PyAV cannot encode H.264: the file is MPEG-4 part 2, which browsers do not play")
     if blurred:

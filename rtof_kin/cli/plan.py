@@ -67,8 +67,8 @@ def _plan(options: argparse.Namespace) -> None:
     if folder is not None:
         check_replaceable(folder, MARKER, options.overwrite)
     lifter = Lifter.load(options.model)
-    protocol, setup = planned(options.plan, lifter)
     with progress() as update:
+        protocol, setup = planned(options.plan, lifter, update)
         found = plan(
             protocol, setup, draws=options.draws, seed=options.seed, lifter=lifter, search=options.search,
             workers=options.workers, progress=update,

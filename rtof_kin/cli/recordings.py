@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -94,7 +95,7 @@ def _reconstruct(options: argparse.Namespace) -> None:
     from rtof_kin.recording.recording import Recording
 
     with opened(options.recording) as recording:
-        found = _reconstruct_to(recording, options.mode, options)
+        found = _reconstruct_to(recording, options.mode or recording.usual_mode, options)
     if found.stage_metrics:
         zero = with_zero_motion(recording) if isinstance(recording, Recording) else {}
         print_scores(zero | found.stage_metrics)
@@ -245,7 +246,7 @@ def _reconstruct_to(
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from rtof_kin.body.metrics import comparable, evaluate
+    from rtof_kin.body.metrics import aligned_worlds, comparable, evaluate
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
     from rtof_kin.formats.opensim_table import SUFFIXES
@@ -259,8 +260,16 @@ def _evaluate(options: argparse.Namespace) -> None:
     if recording.truth is None:
         raise InvalidInputError(f"{options.truth}: the recording has no truth to compare with")
     poses = comparable(motion.poses, recording.truth, motion.mode)
-    metrics = evaluate(poses, recording.truth, recording.skeleton)
-    print_scores(with_zero_motion(recording) | {motion.mode or "motion": metrics})
+    moved, turn, shift = aligned_worlds(poses, recording.truth)
+    metrics, aligned = (evaluate(p, recording.truth, recording.skeleton) for p in (poses, moved))
+    name = motion.mode or "motion"
+    print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
+    out.print(
+        f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
+        f"by {math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
+        "By joint below: not aligned.",
+        soft_wrap=True,
+    )
     columns = {key: label for key, label in SCORE_COLUMNS.items() if key != "coverage"}
     table = Table(Column("joint", no_wrap=True), *columns.values())
     for joint, figures in metrics.per_joint.items():
@@ -318,9 +327,8 @@ def _add_reconstruct(commands: Any) -> None:
     parser.add_argument(
         "--mode",
         choices=MODES,
-        default="rtof",
         help="lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision "
-        "only; rtof: everything; imu: sensors only, without a camera",
+        "only; rtof: everything; imu: sensors only, without a camera; default: uses all that was recorded",
     )
     add_reconstruction(parser)
 

@@ -14,7 +14,7 @@ from typing import Any
 from rich.table import Table
 
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
-from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, out, print_headline
+from rtof_kin.cli.terminal import add_model, add_output, command, decimal, job_progress, out, print_headline
 
 
 def add_commands(commands: Any) -> None:
@@ -124,7 +124,7 @@ def _add_report(commands: Any) -> None:
     for name, what in labels.items():
         parser.add_argument(f"--{name}", default="", help=f"{what}; overrides the recording")
     parser.add_argument(
-        "--weight", type=float, metavar="KG", help="body mass, for torques; overrides the recording"
+        "--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording"
     )
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
 

@@ -20,12 +20,12 @@ from rtof_kin.cli.terminal import (
     add_model,
     add_output,
     command,
+    decimal,
     err,
     out,
     progress,
     warnings_in_summary,
 )
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.files.manifest import fingerprint, made_from
 
 if TYPE_CHECKING:
@@ -95,11 +95,17 @@ def add_commands(commands: Any) -> None:
 def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "files", metavar="FILE", nargs="+",
-        help="a video, a detector's keypoints or both; files or folders of sensors; a calibration of the "
-        "camera and a map of sensors: each is recognised",
+        help="a video, a detector's keypoints or both; files or folders of sensors, also alone; a "
+        "calibration of the camera and a map of sensors: each is recognised",
     )  # fmt: skip
     add_output(parser, None, what)
-    parser.add_argument("--height", type=float, metavar="M", help="of the person, m; every length follows it")
+    parser.add_argument(
+        "--height", type=decimal, metavar="M", help="of the person, m; every length follows it"
+    )
+    parser.add_argument(
+        "--pose", choices=["N", "T", "seated"], default="N",
+        help="of sensors without a video: how the person stood still at first",
+    )  # fmt: skip
     parser.add_argument("--person", type=int, metavar="N", help="number in frames.png, if there are several")
     parser.add_argument(
         "--camera", type=Path, metavar="FILE",
@@ -115,7 +121,7 @@ def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
         help="two columns: serial number of each sensor and its segment; default: found from the motion",
     )  # fmt: skip
     parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="frames per second of keypoints without times"
+        "--rate", type=decimal, metavar="HZ", help="frames per second of keypoints without times"
     )
     parser.add_argument(
         "--size", type=image_size, metavar="WxH", help="of the image, for keypoints without a video"
@@ -183,7 +189,7 @@ def _run(options: argparse.Namespace) -> None:
         own = folder / JOINED
     with warnings_in_summary(_OF_KEYPOINTS):
         recording = Recording.load(own)
-    mode: Mode = "rto" if recording.imus is None else "rtof"
+    mode = recording.usual_mode
     notes, source = recording.notes, own
     del recording  # a long one is read in parts
 
@@ -208,7 +214,8 @@ def _run(options: argparse.Namespace) -> None:
     _line("accuracy", accuracy(None, summary.mean_sigmas, mode))
     _line("caution", _headline(summary))
     _line("report", f"{folder / PAGE} ({time.monotonic() - started:.0f} s); open it in a browser")
-    _line("next", f"rtof-kin view {folder} (in 3D); rtof-kin overlay {folder} VIDEO -o FILE.mp4")
+    film = "" if mode == "imu" else f"; rtof-kin overlay {folder} VIDEO -o FILE.mp4"
+    _line("next", f"rtof-kin view {folder} (in 3D){film}")
 
 
 def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
@@ -217,6 +224,7 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.recording.index import INDEX
     from rtof_kin.setup.init import find_people, make_recording, read_findings
+    from rtof_kin.setup.sensors_alone import make_sensor_recording
     from rtof_kin.setup.sources import Sources
 
     told = (path for path in (options.camera, options.map) if path is not None)
@@ -233,6 +241,17 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
             f"{folder}: was made from other files; name another folder by -o, or add --overwrite"
         )
     check_replaceable(folder, INDEX, bool(before) or options.overwrite)
+    if (
+        "recording" in before
+        and before.get("person", inputs["person"]) != inputs["person"]
+        and not options.overwrite
+    ):
+        raise OutputExistsError(
+            f"{folder}: is of another person of the video; name another folder by -o, or add --overwrite, "
+            "which replaces that person's results"
+        )
+    if not sources.seen:
+        return make_sensor_recording(sources, settings, folder, options.pose, name=name, inputs=inputs)
     if before.get("people") != inputs["people"]:
         begun = {step: inputs[step] for step in ("files", "people")}
         find_people(sources, settings, folder, lambda video: _detect(video, options), begun)
@@ -286,11 +305,12 @@ def _fingerprints(sources: Sources, options: argparse.Namespace) -> dict[str, st
     """Return what a recording is made from: its files, the picture of the people, everything."""
     image = [path for path in (sources.video, sources.keypoints) if path is not None]
     log = [options.phone_log] if options.phone_log is not None else []
-    told = ("height", "person", "camera_name", "model")
+    told = ("height", "person", "camera_name", "model", "pose")
     shown = _values(options, ("rate", "size", "model_dir", "fetch_models", "discard_video"))
     return {
         "files": fingerprint(*sources.paths),
         "people": fingerprint(*image, *shown),
+        "person": str(options.person or 1),
         "recording": fingerprint(*sources.paths, *log, *shown, *_values(options, told)),
     }
 

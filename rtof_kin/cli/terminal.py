@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import logging
 import math
+import os
+import re
+import signal
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -24,6 +29,7 @@ from rich.progress import (
 from rich.table import Column, Table
 from rich.text import Text
 
+from rtof_kin.core.errors import plain
 from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -48,6 +54,36 @@ _LONG = 600.0
 """[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
 """Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser whose errors are one line with the likely meant choice, in place of the whole usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2.
+
+        Args:
+            message: what is wrong.
+        """
+        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        close = difflib.get_close_matches(wrong[1], re.findall("'(.*?)'", wrong[2]), 1) if wrong else []
+        if close:
+            message = f"{message.partition(' (choose')[0]}; did you mean {close[0]}?"
+        self.exit(2, f"error: {message} ({self.prog} --help has all options)\n")
+
+
+def decimal(text: str) -> float:
+    """Return a decimal number, also with a comma as its point; raises ArgumentTypeError for other text.
+
+    Args:
+        text: of the option.
+    """
+    try:
+        return float(text.replace(",", "."))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a number, such as 1.72 (without its unit)"
+        ) from error
 
 
 def command(
@@ -98,6 +134,20 @@ def add_model(parser: argparse.ArgumentParser, what: str = _MODEL, required: boo
     names.add_argument("--lifter", dest="model", type=Path, help=argparse.SUPPRESS)
 
 
+class _PlainFormatter(logging.Formatter):
+    """One line without what a terminal would obey: messages are of other packages too."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return plain(super().format(record))
+
+
+def log_handler() -> logging.Handler:
+    """Return what prints log messages on the error stream."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_PlainFormatter("%(levelname)s: %(message)s"))
+    return handler
+
+
 @contextmanager
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""
@@ -143,6 +193,38 @@ def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], 
     finally:
         if bar.live.is_started:
             bar.stop()
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM (of a job scheduler, or the end of the system) and SIGHUP (a closed terminal) act as Ctrl-C
+    once; signals that are ignored, as under nohup, stay so.
+    """
+    kinds = [kind for name in ("SIGTERM", "SIGHUP") if (kind := getattr(signal, name, None)) is not None]
+    before = {kind: found for kind in kinds if (found := signal.getsignal(kind)) is not signal.SIG_IGN}
+
+    def end(number: int, _: object) -> None:
+        for kind in before:
+            signal.signal(kind, signal.SIG_IGN)  # a terminal sends it twice
+        if number != signal.SIGTERM:
+            _leave_terminal()
+        raise KeyboardInterrupt
+
+    try:
+        for kind in before:
+            signal.signal(kind, end)
+        yield
+    finally:
+        for kind, found in before.items():
+            signal.signal(kind, found)
+
+
+def _leave_terminal() -> None:
+    """Print nowhere, where output went to a terminal: it is no more, and printing would fail."""
+    for stream in (1, 2):
+        with suppress(OSError):
+            if stat.S_ISCHR(os.fstat(stream).st_mode):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
 
 
 @contextmanager

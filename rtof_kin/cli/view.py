@@ -29,9 +29,9 @@ def add_commands(commands: Any) -> None:
     """
     parser = command(
         commands, "view", _view, "a motion in 3D in the browser, with cameras, sensors, truth and curves",
-        "OUT is the output of reconstruct or run. The page is served to this machine only; nothing leaves "
-        "it. Ctrl-C ends. Keys: space plays, arrows step by a frame (left, right) or a second (up, down). "
-        "Needs the extra: pip install 'rtof-kin[view]'.",
+        "OUT is the output of reconstruct or run. The page is served to this machine only, under an address "
+        "with a secret token; nothing leaves it. Ctrl-C ends. Keys: space plays, arrows step by a frame "
+        "(left, right) or a second (up, down). Needs the extra: pip install 'rtof-kin[view]'.",
     )  # fmt: skip
     parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.npz")
     parser.add_argument(
@@ -41,7 +41,7 @@ def add_commands(commands: Any) -> None:
     parser.add_argument("--second", metavar="OUT_B", help="another motion beside it, e.g. of another setting")
     parser.add_argument(
         "--live", nargs="?", const=_NO_ADDRESS, metavar="ADDRESS",
-        help="show rtof-kin live instead; ADDRESS is the one it printed, e.g. ws://127.0.0.1:8765",
+        help="show rtof-kin live instead; ADDRESS is the one it printed, with its token",
     )  # fmt: skip
     parser.add_argument("--port", type=int, default=0, help="of the page; 0: a free one")
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
@@ -123,8 +123,8 @@ def _live(options: argparse.Namespace) -> None:
 
     if options.live == _NO_ADDRESS:
         raise InvalidInputError(
-            "--live: give the address that rtof-kin live printed, e.g. --live ws://127.0.0.1:8765; with "
-            "rtof-kin live ... --out ws:8765 it is always that one"
+            "--live: give the address that rtof-kin live ... --out ws printed, e.g. --live "
+            "http://127.0.0.1:8765/kq0T.../"
         )
     url = live_address(options.live)
     with LiveClient(url) as client, local_server(options.port, "rtof_kin live") as server:
@@ -164,9 +164,9 @@ def _open(server: Any, options: argparse.Namespace) -> None:
     from rtof_kin.view.scene.local_server import address
 
     url = address(server)
-    _line("address", f"{url} (this machine only; Ctrl-C ends)")
+    _line("address", f"{url} (this machine only, to who has this address; Ctrl-C ends)")
     if not options.no_browser:
-        webbrowser.open(url)
+        webbrowser.open(address(server, once=True))
 
 
 @contextmanager

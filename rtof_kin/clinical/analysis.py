@@ -88,8 +88,10 @@ def analyse_motion(
         contacts = foot_contacts(paths, gait)
         torques = joint_torques(source, weight_kg, height, sex, contacts.support if gait.strides else None)
         reaction = ground_reaction(torques, contacts, paths)
+    heading = angles.names.index("pelvis_rotation")
+    heading_sigma = None if angles.sigma is None else angles.sigma[:, heading]
     return MotionAnalysis(
-        paths.table, angles, ranges_of_motion(angles), gait, travel(paths, gait.verdict),
+        paths.table, angles, ranges_of_motion(angles), gait, travel(paths, gait.verdict, heading_sigma),
         cycle_curves(angles, gait), counted, torques, reaction, paths,
     )  # fmt: skip
 

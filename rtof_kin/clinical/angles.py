@@ -239,7 +239,8 @@ def _joint_angles(
     if joint.hinge:
         # The angle between the long axes does not depend on the axial rotation of the parent.
         between = np.arccos(np.clip(np.cos(raw[:, 0]) * np.cos(raw[:, 1]), -1, 1))
-        raw[:, 0] = np.where(parent_level < WHOLE, np.copysign(between, raw[:, 0]), raw[:, 0])
+        signed = np.copysign(between, np.sin(raw[:, 0]))  # the sine: `raw` may be whole turns off
+        raw[:, 0] = np.where(parent_level < WHOLE, signed, raw[:, 0])
         observed &= ~_fixed(raw)
     weaker = seen_by[:, [parent, child]].min(axis=1)
     both_seen = (weaker >= Provenance.IMU) | (not seen_by[:, [parent, child]].any())

@@ -27,9 +27,10 @@ from rtof_kin.clinical.comparison_alignment import Alignment
 from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
 from rtof_kin.clinical.comparison_samples import Pair, Samples, Spans, in_time, over_phases, whole
-from rtof_kin.clinical.gait import PHASES, analyse_gait
+from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import BodyPaths, body_paths
+from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
@@ -40,14 +41,10 @@ BYS: Final[tuple[By, ...]] = get_args(By)
 LEAST_SHARE: Final = 0.1
 """Smallest share of the common frames, or of all repeats, with which an angle is compared."""
 LEAST_OF_RANGE: Final = 0.8
-"""Smallest share of the frames with which a range over a recording is tested: gaps are where angles are
-largest or near a singular posture."""
+"""Smallest share of the common frames with which a range in time is tested: gaps are where angles are largest
+or near a singular posture. Ranges of whole recordings: `RangeOfMotion.is_comparable`."""
 HEADINGS: Final = ("pelvis_rotation", "pelvis_opensim_tilt", "pelvis_opensim_list", "pelvis_opensim_rotation")
 """Angles that depend on the direction of the world's axes, which two recordings do not share."""
-
-_TOO_LITTLE: Final = (
-    f"observed and reliable in less than {100 * LEAST_OF_RANGE:.0f} % of the frames of A or B"
-)
 
 
 @dataclass(frozen=True)
@@ -168,10 +165,18 @@ def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared
         name: for the output. motion: reconstructed. recording: name of what it was computed from.
     """
     angles, paths = clinical_angles(motion), body_paths(motion)
-    gait = analyse_gait(gait_events(paths), angles)
-    strides = {side: [(s.start, s.stop) for s in gait.strides if s.side == side] for side in SIDES}
-    repetitions = repetition_spans(paths, angles)
-    return Compared(name, angles, strides, repetitions, recording, notes=gait.notes, not_gait=gait.why_not)
+    found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))
+    return replace(found, repetitions=repetition_spans(paths, angles), recording=recording)
+
+
+def with_strides(name: str, angles: ClinicalAngles, gait: GaitAnalysis) -> Compared:
+    """Return angles with their strides, without repetitions.
+
+    Args:
+        name: for the output. angles, gait: of one motion.
+    """
+    strides = {side: [(s.start, s.stop) for s in gait.counted if s.side == side] for side in SIDES}
+    return Compared(name, angles, strides, notes=gait.notes, not_gait=gait.why_not)
 
 
 def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list[tuple[float, float]]]:
@@ -221,13 +226,14 @@ def compare(
     """
     left_out = _left_out(a, b, by, names)
     chosen = [n for n in (names or a.angles.names) if n in common_angles(a, b) and n not in left_out]
+    if by == "range":
+        left_out |= _uncertain_ranges(a, b, chosen)
+        chosen = [name for name in chosen if name not in left_out]
     axis, pairs = _pairs(a, b, by, chosen, shift, kind)
     for name in chosen:
         found = next((pair for pair in pairs if pair.name == name), None)
         if found is None or found.share < LEAST_SHARE:
             left_out[name] = "hardly any common sample is observed and reliable in both"
-        elif by == "range" and found.share < LEAST_OF_RANGE:
-            left_out[name] = _TOO_LITTLE
     pairs = [pair for pair in pairs if pair.name not in left_out]
     if not pairs:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
@@ -271,6 +277,12 @@ def _left_out(a: Compared, b: Compared, by: By, names: Sequence[str]) -> dict[st
     return out
 
 
+def _uncertain_ranges(a: Compared, b: Compared, names: Sequence[str]) -> dict[str, str]:
+    """Angles whose range of A or B may not be compared, and why."""
+    rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles.select(names))]
+    return {row.name: f"{name}: {row.why_not_comparable}" for name, row in rows if row.why_not_comparable}
+
+
 def _pairs(
     a: Compared, b: Compared, by: By, names: Sequence[str], shift: float, kind: str
 ) -> tuple[Array | None, list[Pair]]:
@@ -312,7 +324,7 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
     changes = adjusted([
         change(
             measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), _repeats(pair, repeated),
-            tested=repeated or measure == "mean" or pair.share >= LEAST_OF_RANGE,
+            tested=repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE,
         )
         for pair in pairs for measure in measures
     ])  # fmt: skip

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from rtof_kin.clinical.comparison import By, Compared, common_angles
+from rtof_kin.clinical.comparison import By, Compared, Comparison, common_angles, compare, sides_of
 from rtof_kin.clinical.comparison_alignment import Alignment, align
 from rtof_kin.clinical.repetitions import KINDS
 from rtof_kin.core.errors import InvalidInputError
@@ -58,17 +59,28 @@ def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | 
     )
 
 
-def choose_sides(left: Compared, right: Compared, asked: By | None = None) -> Choice:
-    """Return the axis on which the sides of one motion are compared; no reason if it was asked for.
+def compare_sides(
+    one: Compared, asked: By | None = None, *, names: Sequence[str] = (), kind: str = ""
+) -> tuple[Comparison, str]:
+    """Return left (A) against right (B) of a motion, and why on this axis, for the command and the report.
+
+    Unless asked, it is by gait cycle if the motion is walking with two strides of each side, else by the
+    ranges of the whole recording: its repetitions may be of both legs, of the right or of the left one.
 
     Args:
-        left, right: the sides. asked: the axis that the user asks for.
+        one: the motion. asked: the axis that the user asks for. names, kind: see `compare`.
+
+    Raises:
+        InvalidInputError, UnknownNameError: see `compare`.
     """
+    left, right = sides_of(one)
     if asked is not None:
-        return _asked(left, right, asked)
-    return repeated_axis(left, right) or Choice(
-        "range", "the motion has no gait cycles or repetitions of both sides"
-    )
+        choice = _asked(left, right, asked)
+    elif not one.not_gait and min(map(len, one.strides.values()), default=0) >= _LEAST_REPEATS:
+        choice = Choice("cycle", "the motion is walking, with complete gait cycles of both sides")
+    else:
+        choice = Choice("range", "the motion is not walking with two strides or more of each side")
+    return compare(left, right, choice.by, names=names, kind=kind or choice.kind), choice.why
 
 
 def repeated_axis(a: Compared, b: Compared) -> Choice | None:

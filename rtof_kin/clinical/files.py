@@ -6,7 +6,9 @@ angles.csv, angles.json         angles over time, degrees, and their standard de
 angles_provenance.csv           observation source of each value (`Provenance` by number)
 angles_trusted.csv              1 where a value is reliable (`angle_confidence`), else 0
 range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
-                                standard deviations of both ends and of the range; 1 for a heading
+                                standard deviations of both ends and of the range; 1 for a heading; 95 %
+                                intervals with the unreliable samples, their seconds and furthest value
+                                beyond either end; 1 for a range that may be compared with others
 gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
                                 side, symmetry
 travel.json                     way and turning of the pelvis
@@ -100,6 +102,7 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
     return {
         "is_gait": gait.is_gait,
         "why_not": gait.why_not,
+        "rests_on": gait.rests_on,
         "walking_strides": len(gait.verdict.walking),
         "on_the_spot": gait.verdict.on_the_spot,
         "events_s": {
@@ -133,6 +136,9 @@ def _travel_data(travel: Travel) -> dict[str, Any]:
         "direction_from_facing_deg": _number(np.degrees(travel.relative_direction)),
         "turned_left_deg": _number(np.degrees(travel.turned_left)),
         "turned_right_deg": _number(np.degrees(travel.turned_right)),
+        "turned_left_sigma_deg": _number(np.degrees(travel.turned_left_sigma)),
+        "turned_right_sigma_deg": _number(np.degrees(travel.turned_right_sigma)),
+        "turns_within_their_error": travel.unsure_turns,
         "walking_share": travel.walking_share,
         "observed_share": travel.observed_share,
         "notes": list(travel.notes),
@@ -164,11 +170,18 @@ def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
 def _write_ranges(path: Path, ranges: Sequence[RangeOfMotion]) -> None:
     header = ("angle", "low_deg", "high_deg", "range_deg", "mean_deg", "time_low_s", "time_high_s",
               "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share",
-              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical")  # fmt: skip
+              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical",
+              *(f"{name}_interval_{end}_deg" for name in ("low", "high", "range") for end in ("low", "high")),
+              *(f"uncertain_{end}_{unit}" for end in ("low", "high") for unit in ("s", "deg")),
+              "comparable")  # fmt: skip
     figures = (
         (*np.degrees([r.low, r.high, r.range, r.mean]), r.time_low, r.time_high, np.degrees(r.peak_velocity),
          r.known_share, r.singular_share, r.trusted_share,
-         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical))
+         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical),
+         *np.degrees([*r.low_interval, *r.high_interval, *r.range_interval]),
+         *(x for end in (r.uncertain_low, r.uncertain_high)
+           for x in ((0.0, np.nan) if end is None else (end.seconds, np.degrees(end.value)))),
+         float(r.is_comparable))
         for r in ranges
     )  # fmt: skip
     _write_csv(path, header, ([r.name, *map(_cell, row)] for r, row in zip(ranges, figures, strict=True)))

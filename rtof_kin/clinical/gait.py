@@ -10,7 +10,14 @@ import numpy as np
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
-from rtof_kin.clinical.gait_recognition import STANCE, UNSTEADY, GaitVerdict, recognise_gait
+from rtof_kin.clinical.gait_recognition import (
+    STANCE,
+    UNSTEADY,
+    GaitVerdict,
+    progression,
+    recognise_gait,
+    stride_shape,
+)
 from rtof_kin.clinical.strides import LONGEST_STRIDE, Stride, find_strides
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -35,6 +42,21 @@ class GaitAnalysis:
     """Measure -> (right - left) / mean of both; 0 is symmetric. Empty if a side has no stride."""
     notes: tuple[str, ...]
     verdict: GaitVerdict
+
+    @property
+    def counted(self) -> tuple[Stride, ...]:
+        """Strides of which measures and curves are: those of walking if it is gait, else all."""
+        return self.verdict.walking if self.is_gait else self.strides
+
+    @property
+    def rests_on(self) -> str:
+        """What the measures rest on: '1 stride, of the right side alone', '5 strides, 3 right and 2 left'."""
+        counts = {side: int(own["stride_time"][2]) for side, own in self.summary.items()}
+        total = sum(counts.values())
+        text = f"{total} stride" + ("s" if total != 1 else "")
+        if len(counts) == 1:
+            return f"{text}, of the {next(iter(counts))} side alone"
+        return f"{text}, {' and '.join(f'{n} {side}' for side, n in counts.items())}" if counts else text
 
     @property
     def is_gait(self) -> bool:
@@ -84,8 +106,12 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
         notes.append(
             f"{len(found) - len(strides)} of {len(found)} strides are excluded: unreliable knee flexion"
         )
+    verdict = recognise_gait(strides, events)
+    if found and not strides:
+        verdict = replace(verdict, why_not="No stride has a reliable knee flexion throughout.")
+    counted = verdict.walking if verdict.is_gait else strides
     for side in SIDES:
-        own = [stride for stride in strides if stride.side == side]
+        own = [stride for stride in counted if stride.side == side]
         if own:
             summary[side] = {name: _statistics(own, name) for name in MEASURES}
         strikes = events.feet[side].strikes.size if side in events.feet else 0
@@ -104,10 +130,11 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
         for name in MEASURES:
             right, left = (summary[side][name][0] for side in SIDES)
             symmetry[name] = 2 * (right - left) / (right + left) if right + left > 0 else float("nan")
-    verdict = recognise_gait(strides, events)
-    if found and not strides:
-        verdict = replace(verdict, why_not="No stride has a reliable knee flexion throughout.")
-    return GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
+    found_gait = GaitAnalysis(events, tuple(strides), summary, symmetry, tuple(notes), verdict)
+    if verdict.is_gait and verdict.too_few:
+        first = f"all measures rest on {found_gait.rests_on}: they may not represent usual walking"
+        return replace(found_gait, notes=(first, *notes))
+    return found_gait
 
 
 def _trusted(stride: Stride, angles: ClinicalAngles | None) -> bool:
@@ -148,18 +175,19 @@ def _statistics(strides: list[Stride], name: str) -> tuple[float, float, int]:
 def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurves, ...]:
     """Sample each angle over the cycles of its own side; those of the trunk over the cycles of both.
 
-    Angles without a stride in which they are known and reliable throughout are omitted.
+    Headings are from the direction of progression, which turns evenly in a stride with a turn. Angles without
+    a stride in which they are known and reliable throughout are omitted.
 
     Args:
         angles, gait: of the same motion.
     """
     times, max_gap = angles.times, 1.5 / angles.rate_hz
     sampled: dict[str, list[Array]] = {side: [] for side in SIDES}
-    for s in gait.strides:
+    headings = [row.about_vertical for row in angles.rows]
+    for s in gait.counted:
         own, at = s.frames(times), s.start + PHASES * s.stride_time
-        values = angles.values[own]
-        if angles.trusted is not None:
-            values = np.where(angles.trusted[own], values, np.nan)
+        values = angles.trusted_values[own]
+        values[:, headings] = _from_progression(values[:, headings], times[own], s, gait.events)
         sampled[s.side].append(signals.interpolate(times[own], values, at, max_gap))
     out = []
     for a, row in enumerate(angles.rows):
@@ -168,3 +196,11 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
             if known := [curve for curve in curves if np.isfinite(curve).all()]:
                 out.append(CycleCurves(row.name, side, np.array(known)))
     return tuple(out)
+
+
+def _from_progression(values: Array, times: Array, stride: Stride, events: GaitEvents) -> Array:
+    """Headings (T', n), rad, at times of a stride, from the direction in which the person walks."""
+    turn = stride_shape(stride, events).turn
+    phase = (times - stride.start) / stride.stride_time
+    ahead = progression(stride, events) + np.nan_to_num(turn) * (phase - 0.5)
+    return np.asarray((values - ahead[:, None] + np.pi) % (2 * np.pi) - np.pi)

@@ -1,15 +1,15 @@
 """Recognition of walking among the strides of a motion.
 
 Every alternation of the feet relative to the pelvis has strikes, offs and strides: dances, exercises and
-kicks too. A stride is one of walking if its shape is (`StrideShape`, `is_walking`); a motion is gait if
-enough of its strides are, and if these are steady. The limits were chosen on free motion and are measured on
-other people by ``python -m benchmarks.gait_recognition``.
+kicks too. A stride is one of walking if its shape is (`StrideShape`, `departures`); a motion is gait if most
+of its strides are, and if these are three or more and steady, or take most of the recording. The limits were
+chosen on free motion and are measured on other people by ``python -m benchmarks.gait_recognition``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -35,7 +35,12 @@ FORWARD: Final = np.cos(np.radians(35.0))
 """Least cosine between the way of the pelvis and the direction in which it faces."""
 LARGEST_TURN: Final = np.radians(70.0)  # [rad] change of heading within a stride
 LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noise has a decimetre
-FEWEST: Final = 3  # strides of both feet together
+MID_STANCE: Final = np.array([0.2, 0.7])
+"""Share of stance in which a heel stands, or moves with a treadmill's belt."""
+FEWEST: Final = 3
+"""Strides of both feet together from which on walking is told whatever else the recording shows."""
+MOST_OF_TIME: Final = 0.5
+"""Share of the recording that fewer strides must take; those within other movements take less."""
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
 UNSTEADY: Final = 0.15  # coefficient of variation of stride times
 
@@ -76,6 +81,14 @@ class GaitVerdict:
         """Whether the motion is gait."""
         return not self.why_not
 
+    @property
+    def too_few(self) -> str:
+        """Sentence where strides of walking are fewer than `FEWEST`, for what needs their mean; else ''."""
+        count = len(self.walking)
+        strides = "stride" if count == 1 else "strides"
+        enough = count >= FEWEST
+        return "" if enough else f"Only {count} complete {strides} of walking: at least {FEWEST} are needed."
+
 
 def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     """Return the shape of a stride.
@@ -88,7 +101,7 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     inside = (times >= stride.start) & (times <= stride.stop)
     forward = events.forward[own][inside]
     ahead = np.sum((heel - pelvis)[inside] * forward, axis=-1)
-    stance = stride.start + (stride.toe_off - stride.start) * np.array([0.2, 0.7])
+    stance = stride.start + (stride.toe_off - stride.start) * MID_STANCE
     way = _way(times, pelvis, np.array([stride.start, stride.stop]))
     facing = np.nanmean(forward, axis=0)
     heading = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
@@ -109,6 +122,23 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     )
 
 
+def progression(stride: Stride, events: GaitEvents) -> float:
+    """Return the direction of progression of a stride from world x, rad.
+
+    It is that of the way of the pelvis from strike to strike, or, on a treadmill, against the way of the heel
+    in mid stance.
+
+    Args:
+        stride: one of the events. events: of both feet.
+    """
+    own = stride.frames(events.times)
+    way = _way(events.times[own], events.pelvis[own], np.array([stride.start, stride.stop]))
+    if np.linalg.norm(way) < LEAST_PROGRESS:
+        at = stride.start + (stride.toe_off - stride.start) * MID_STANCE
+        way = -_way(events.times[own], events.feet[stride.side].heel[own], at)
+    return float(np.arctan2(way[1], way[0]))
+
+
 def _way(times: Array, path: Array, at: Array) -> Array:
     """(2,) horizontal displacement of a path between two instants, m."""
     ends = signals.interpolate(times, path, at)
@@ -126,10 +156,25 @@ def recognise_gait(strides: Sequence[Stride], events: GaitEvents) -> GaitVerdict
     walking = tuple(stride for stride, reasons in zip(strides, against, strict=True) if not reasons)
     progress = [shape.progress for shape, reasons in zip(shapes, against, strict=True) if not reasons]
     on_the_spot = bool(progress) and float(np.median(progress)) < ON_THE_SPOT
-    why_not = _why_not(strides, walking, against)
+    verdict = GaitVerdict(walking, on_the_spot, _why_not(strides, walking, against))
     if not events.feet:
-        why_not = f"Walking cannot be recognised: {'; '.join(events.notes) or 'no foot was observed'}."
-    return GaitVerdict(walking, on_the_spot, why_not)
+        text = f"Walking cannot be recognised: {'; '.join(events.notes) or 'no foot was observed'}."
+        return replace(verdict, why_not=text)
+    if verdict.is_gait and (on_the_spot or share_of_time(walking, events.times) < MOST_OF_TIME):
+        return replace(verdict, why_not=verdict.too_few)
+    return verdict
+
+
+def share_of_time(strides: Sequence[Stride], times: Array) -> float:
+    """Return the share of a recording within strides.
+
+    Args:
+        strides: of either foot. times: (T,) s.
+    """
+    inside = np.zeros(len(times), dtype=np.bool_)
+    for stride in strides:
+        inside[signals.within(times, stride.start, stride.stop)] = True
+    return float(inside.mean())
 
 
 def departures(shape: StrideShape) -> tuple[str, ...]:
@@ -173,11 +218,8 @@ def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequ
         if not walking:
             share = f"none of {count} stride-like movements has the shape of walking"
         return f"This is not steady walking: {share}; most often, {most}."
-    if len(walking) < FEWEST:
-        strides_of = "stride" if len(walking) == 1 else "strides"
-        return f"Only {len(walking)} complete {strides_of} of walking: at least {FEWEST} are needed."
     times = np.array([stride.stride_time for stride in walking])
-    if (spread := float(times.std(ddof=1) / times.mean())) > UNSTEADY:
+    if count >= FEWEST and (spread := float(times.std(ddof=1) / times.mean())) > UNSTEADY:
         return (
             f"The strides are not steady: their times vary by {100 * spread:.0f} %, more than "
             f"{100 * UNSTEADY:.0f} %."

@@ -23,8 +23,8 @@ from rtof_kin.clinical.angles import ClinicalAngles, angles_of
 from rtof_kin.clinical.comparison_samples import usable
 from rtof_kin.clinical.decomposition import DecomposedAngles
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
-from rtof_kin.clinical.gait_events import GaitEvents, gait_events
-from rtof_kin.clinical.gait_recognition import LEAST_PROGRESS, stride_shape
+from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.gait_recognition import progression, stride_shape
 from rtof_kin.clinical.neutral import relative_to_standing
 from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.clinical.strides import Stride
@@ -33,7 +33,6 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE
 
 STRAIGHT: Final = np.radians(20.0)  # [rad] largest change of the pelvis's heading within a counted stride
-MID_STANCE: Final = np.array([0.2, 0.7])  # share of stance in which a heel moves with a treadmill's belt
 _GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
 _ANGLES: Final = (
     ("pelvis_tilt", 1, False), ("pelvis_list", -1, False), ("pelvis_rotation", 1, True),
@@ -135,7 +134,7 @@ def gait_cycles(motion: MotionSequence | MotionSource, *, from_standing: bool = 
         sampled = _Sampled.of(angles, feet, side)
         for k, stride in enumerate(strides):
             if stride.side == side:
-                curves[k], found = sampled.over(stride, _direction(stride, gait.events))
+                curves[k], found = sampled.over(stride, progression(stride, gait.events))
                 if sigma is not None and found is not None:
                     sigma[k] = found
                 speeds[k] = stride.speed if not gait.verdict.on_the_spot else np.nan
@@ -195,8 +194,8 @@ def _angles(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, Clini
 
 def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:
     """Straight strides of walking; why there are none; notes."""
-    if not gait.is_gait:
-        return [], gait.why_not, ()
+    if why_not := gait.why_not or gait.verdict.too_few:
+        return [], why_not, ()
     walking = gait.verdict.walking
     straight = [s for s in walking if abs(stride_shape(s, gait.events).turn) <= STRAIGHT]
     if not straight:
@@ -208,16 +207,3 @@ def _counted(gait: GaitAnalysis) -> tuple[list[Stride], str, tuple[str, ...]]:
     if gait.verdict.on_the_spot:
         notes.append("on a treadmill: the direction of progression is that of the belt")
     return straight, "", tuple(notes)
-
-
-def _direction(stride: Stride, events: GaitEvents) -> float:
-    """Direction of progression from world x, rad."""
-    own = stride.frames(events.times)
-    times = events.times[own]
-    ends = signals.interpolate(times, events.pelvis[own], np.array([stride.start, stride.stop]))
-    way = (ends[1] - ends[0])[:2]
-    if np.linalg.norm(way) < LEAST_PROGRESS:
-        at = stride.start + (stride.toe_off - stride.start) * MID_STANCE
-        ends = signals.interpolate(times, events.feet[stride.side].heel[own], at)
-        way = (ends[0] - ends[1])[:2]
-    return float(np.arctan2(way[1], way[0]))

@@ -1,27 +1,32 @@
 """Way and turning of a person: where the pelvis goes, and how far it turns about the vertical.
 
 Positions and headings of every frame have errors and sway. A change counts once it exceeds a threshold
-(`LEAST_WAY`, `LEAST_TURN`), so that a person who stands has no way and no turns.
+(`LEAST_WAY`, `LEAST_TURN`), so that a person who stands has no way and no turns. A turn has a standard
+deviation: that of the heading at both ends, as for a range, and, where the pelvis moves on throughout, the
+difference from the turn of its path, which sees the same turn. Only turns beyond their 95 % band count.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.clinical.gait_recognition import GaitVerdict
+from rtof_kin.clinical.gait_recognition import GaitVerdict, share_of_time
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 
 CUTOFF_HZ: Final = 1.0  # low-pass of the path, which removes jitter and most of the sway within a step
 LEAST_WAY: Final = 0.15  # [m] shortest way that counts
 LEAST_TURN: Final = np.radians(30.0)  # [rad] smallest turn that counts; the pelvis rotates less in walking
+LEAST_SPEED: Final = 0.3  # [m/s] from which on the path has a direction
 STRAIGHT: Final = 0.7  # least displacement of a straight way, share of the path
 DRIFT: Final = "no camera saw the pelvis: its way is integrated from sensors and drifts"
 
@@ -31,23 +36,30 @@ class Travel:
     """Way and turning of the pelvis; NaN where it was never observed."""
 
     path_length: float
-    """[m] length of its horizontal path, without what is shorter than `LEAST_WAY`."""
+    """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight
+    across gaps."""
     displacement: float
-    """[m] horizontal distance from its first to its last observed position."""
+    """[m] distance from the first to the last point of that path, never longer; 0 if below `LEAST_WAY`."""
     direction: float
-    """[rad] heading of that displacement from world x, counterclockwise; NaN if it is below `LEAST_WAY`."""
+    """[rad] heading of that displacement from world x, counterclockwise; NaN if it is 0."""
     relative_direction: float
     """[rad] the same from the mean direction in which the pelvis faces: 0 forward, pi/2 to the left, pi
     backward; NaN also if it turned by more than a right angle in between."""
     turned_left: float
-    """[rad] sum of all turns to the left."""
+    """[rad] sum of all turns to the left that are beyond their 95 % band."""
     turned_right: float
-    """[rad] sum of all turns to the right, positive."""
+    """[rad] the same to the right, positive."""
     walking_share: float
     """Share of the recording within strides of walking (`GaitVerdict.walking`)."""
     observed_share: float
     """Share of the recording in which the position of the pelvis was observed."""
     notes: tuple[str, ...]
+    turned_left_sigma: float = float("nan")
+    """[rad] standard deviation of `turned_left`; NaN if the motion has no confidence, 0 without a turn."""
+    turned_right_sigma: float = float("nan")
+    """[rad] standard deviation of `turned_right`."""
+    unsure_turns: bool = False
+    """Whether turns were left out that are within their 95 % band."""
 
     @property
     def way(self) -> str:
@@ -68,94 +80,140 @@ class Travel:
             straight = self.displacement >= STRAIGHT * self.path_length
             to = self.way if straight else f"in all, ending {self.displacement:.1f} m from the start"
             path = f"{about}{self.path_length:.1f} m {to}".rstrip()
-        turns = [
-            f"{np.degrees(turn):.0f}° {side}"
-            for side, turn in (("left", self.turned_left), ("right", self.turned_right))
-            if turn > 0
-        ]
-        return f"{path}, turning {' and '.join(turns)}" if turns else f"{path}, without turns"
+        return f"{path}, {self.turns}" if self.turns else path
+
+    @property
+    def turns(self) -> str:
+        """Turns in words: 'turning 87 \u00b1 30\u00b0 left', 'without turns', or '' if that is not known."""
+        sides = (("left", self.turned_left, self.turned_left_sigma),
+                 ("right", self.turned_right, self.turned_right_sigma))  # fmt: skip
+        said = []
+        for side, turn, sigma in sides:
+            if turn > 0 and np.isfinite(sigma):
+                said.append(f"{np.degrees(turn):.0f} \u00b1 {np.degrees(BAND_95 * sigma):.0f}\u00b0 {side}")
+            elif turn > 0:
+                said.append(f"about {np.degrees(turn):.0f}\u00b0 {side}")
+        if said:
+            return f"turning {' and '.join(said)}"
+        return "" if self.unsure_turns or np.isnan(self.turned_left) else "without turns"
 
 
-def travel(paths: BodyPaths, verdict: GaitVerdict) -> Travel:
+@dataclass(frozen=True)
+class _Turns:
+    """Turns of a heading, one after the other."""
+
+    angles: Array
+    """(n,) rad, positive to the left."""
+    sigma: Array
+    """(n,) rad, NaN without stated errors of the heading."""
+    against_path: Array
+    """(n,) rad, difference from the turn of the path; 0 where it has none."""
+
+    @property
+    def certain(self) -> Mask:
+        """(n,) whether a turn is beyond its 95 % band."""
+        error = np.hypot(np.nan_to_num(self.sigma), self.against_path)
+        return np.asarray(np.abs(self.angles) > BAND_95 * error)
+
+    def sum(self, sign: int) -> tuple[float, float]:
+        """Return the sum of the certain turns to one side and its standard deviation, rad.
+
+        Args:
+            sign: 1 for the left, -1 for the right.
+        """
+        own = self.certain & (sign * self.angles > 0)
+        both = np.hypot(self.sigma[own], self.against_path[own])
+        return float(np.abs(self.angles[own]).sum()), float(np.sqrt(np.sum(both**2)))
+
+
+def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None = None) -> Travel:
     """Return way and turning of a person.
 
     Args:
         paths: of a motion in world, z up. verdict: of its gait.
+        heading_sigma: (T,) rad, standard deviation of the heading of the pelvis; None if unknown.
     """
-    pelvis, masks = paths.joint("pelvis"), paths.masks
+    pelvis, masks, nan = paths.joint("pelvis"), paths.masks, float("nan")
     seen: Mask = masks.position_observed[:, pelvis]
     heading = np.where(masks.valid[:, pelvis], paths.heading, np.nan)
-    turns = _turns(paths.times, heading)
-    path = np.where(seen[:, None], paths.points["pelvis"][:, :2], np.nan)
-    known = np.flatnonzero(seen)
-    way = path[known[-1]] - path[known[0]] if len(known) else np.full(2, np.nan)
+    path = signals.low_pass_known(
+        paths.times, np.where(seen[:, None], paths.points["pelvis"][:, :2], np.nan), CUTOFF_HZ
+    )
+    sigma = np.full(len(paths), np.nan) if heading_sigma is None else heading_sigma
+    turns = _turns(paths.times, heading, sigma, path)
+    known = path[seen]
+    way = known[-1] - known[0] if len(known) else np.full(2, nan)
     displacement = float(np.linalg.norm(way))
-    direction = float(np.arctan2(way[1], way[0])) if displacement >= LEAST_WAY else float("nan")
+    displacement = 0.0 if displacement < LEAST_WAY else displacement
+    direction = float(np.arctan2(way[1], way[0])) if displacement > 0 else nan
+    (left, left_sigma), (right, right_sigma) = (
+        (nan, nan) if turns is None else turns.sum(sign) for sign in (1, -1)
+    )
     return Travel(
-        _path_length(paths.times, path), displacement, direction, _relative(direction, heading, turns),
-        float(turns[~(turns < 0)].sum()), float(-turns[~(turns > 0)].sum()),
-        _walking_share(paths.times, verdict), float(seen.mean()),
-        _notes(masks.provenance[:, pelvis], seen),
+        max(_path_length(known), displacement), displacement, direction,
+        _relative(direction, heading, turns), left, right, share_of_time(verdict.walking, paths.times),
+        float(seen.mean()), _notes(masks.provenance[:, pelvis], seen), left_sigma, right_sigma,
+        turns is not None and not bool(turns.certain.all()),
     )  # fmt: skip
 
 
-def _turns(times: Array, heading: Array) -> Array:
-    """Turns of a heading (T,), rad, one after the other, positive to the left; NaN if never observed."""
+def _turns(times: Array, heading: Array, sigma: Array, path: Array) -> _Turns | None:
+    """Turns of a heading (T,), rad, with their errors; None if it was never observed.
+
+    Args:
+        times: (T,) s. heading, sigma: (T,) rad. path: (T, 2) m, low-passed.
+    """
     found = []
-    for start, stop in signals.runs(np.isfinite(heading)):
+    moves = np.gradient(path, times, axis=0) if len(times) > 1 else np.full(path.shape, np.nan)
+    moving = np.linalg.norm(moves, axis=1) > LEAST_SPEED
+    runs = signals.runs(np.isfinite(heading))
+    for start, stop in runs:
         own = np.unwrap(heading[start:stop])[:, None]
         smooth = signals.low_pass_known(times[start:stop], own, CUTOFF_HZ)[:, 0]
-        found.append(np.diff(_turning_points(smooth, LEAST_TURN)))
-    return np.concatenate(found) if found else np.full(1, np.nan)
+        points = _turning_points(smooth, LEAST_TURN)
+        for first, last in pairwise(points):
+            turn, frames = smooth[last] - smooth[first], slice(start + first, start + last + 1)
+            against = 0.0
+            if moving[frames].all():
+                along = np.unwrap(np.arctan2(moves[frames, 1], moves[frames, 0]))
+                against = turn - (along[-1] - along[0])
+            found.append((turn, np.hypot(*sigma[[start + first, start + last]]), against))
+    return _Turns(*np.reshape(found, (-1, 3)).T) if runs else None
 
 
-def _turning_points(values: Array, least: float) -> list[float]:
-    """Extrema of a signal between which it changes by some least value."""
-    points: list[float] = []
-    rising, low, high = 0, values[0], values[0]
-    for value in values.tolist():
-        low, high = min(low, value), max(high, value)
-        if rising >= 0 and high - value >= least:  # the signal has turned downwards
+def _turning_points(values: Array, least: float) -> list[int]:
+    """Indices of the extrema of a signal between which it changes by some least value."""
+    points: list[int] = []
+    rising, low, high = 0, 0, 0
+    for i, value in enumerate(values.tolist()):
+        low, high = i if value < values[low] else low, i if value > values[high] else high
+        if rising >= 0 and values[high] - value >= least:  # the signal has turned downwards
             points.append(high)
-            rising, low = -1, value
-        elif rising <= 0 and value - low >= least:
+            rising, low = -1, i
+        elif rising <= 0 and value - values[low] >= least:
             points.append(low)
-            rising, high = 1, value
+            rising, high = 1, i
     return [*points, high if rising > 0 else low] if points else []
 
 
-def _path_length(times: Array, path: Array) -> float:
-    """Length of a path (T, 2), m, from a point to the next that is `LEAST_WAY` away; NaN if unobserved."""
-    runs = signals.runs(np.isfinite(path).all(axis=1))
-    smooth = signals.low_pass_known(times, path, CUTOFF_HZ)
-    length = 0.0 if runs else float("nan")
-    for start, stop in runs:
-        points = smooth[start:stop].tolist()
-        anchor, way = points[0], 0.0
-        for point in points:
-            if (step := math.dist(point, anchor)) >= LEAST_WAY:
-                way, anchor = way + step, point
-        length += way + math.dist(points[-1], anchor) if way else 0.0
-    return length
+def _path_length(path: Array) -> float:
+    """Length of a path (N, 2), m, from a point to the next that is `LEAST_WAY` away; NaN if unobserved."""
+    points = path.tolist()
+    if not points:
+        return float("nan")
+    anchor, way = points[0], 0.0
+    for point in points:
+        if (step := math.dist(point, anchor)) >= LEAST_WAY:
+            way, anchor = way + step, point
+    return way + math.dist(points[-1], anchor) if way else 0.0
 
 
-def _relative(direction: float, heading: Array, turns: Array) -> float:
+def _relative(direction: float, heading: Array, turns: _Turns | None) -> float:
     """Direction of the way from the mean heading, rad in (-pi, pi]; NaN after a turn of a right angle."""
-    if (
-        np.isnan(direction)
-        or not np.isfinite(heading).any()
-        or np.abs(np.cumsum(turns)).max(initial=0) > np.pi / 2
-    ):
+    if np.isnan(direction) or turns is None or np.abs(np.cumsum(turns.angles)).max(initial=0) > np.pi / 2:
         return float("nan")
     facing = np.angle(np.nanmean(np.exp(1j * heading)))
     return float(np.angle(np.exp(1j * (direction - facing))))
-
-
-def _walking_share(times: Array, verdict: GaitVerdict) -> float:
-    inside = np.zeros(len(times), dtype=np.bool_)
-    for stride in verdict.walking:
-        inside[signals.within(times, stride.start, stride.stop)] = True
-    return float(inside.mean())
 
 
 def _notes(provenance: NDArray[np.uint8], seen: Mask) -> tuple[str, ...]:
@@ -167,5 +225,5 @@ def _notes(provenance: NDArray[np.uint8], seen: Mask) -> tuple[str, ...]:
         notes.append(DRIFT)
     if not seen.all():
         share = 100 * float(1 - seen.mean())
-        notes.append(f"the pelvis was not observed for {share:.0f} % of the time, in which no way counts")
+        notes.append(f"the pelvis was not observed for {share:.0f} % of the time, which is crossed straight")
     return tuple(notes)

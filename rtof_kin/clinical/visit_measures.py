@@ -24,7 +24,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.comparison import HEADINGS, LEAST_OF_RANGE, LEAST_SHARE
+from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE
 from rtof_kin.clinical.comparison_change import Measured
 from rtof_kin.clinical.comparison_samples import own_side, repeats_of, whole
 from rtof_kin.clinical.strides import Stride
@@ -87,15 +87,16 @@ def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Mea
 def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Measured]]:
     angles = trial.analysis.angles
     strides = {
-        side: [(s.start, s.stop) for s in trial.analysis.gait.strides if s.side == side] for side in SIDES
+        side: [(s.start, s.stop) for s in trial.analysis.gait.counted if s.side == side] for side in SIDES
     }
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
+    ranges = {row.name: row for row in trial.analysis.ranges}
     for row in angles.rows:
         if row.name in HEADINGS or row.about_vertical:
             continue
         if by == "range":
-            samples, share = whole(angles, row.name)
-            enough = share >= LEAST_OF_RANGE
+            samples, _ = whole(angles, row.name)
+            enough = ranges[row.name].is_comparable
         else:
             side = own_side(row.name, spans, spans)
             if side is None:
@@ -113,13 +114,13 @@ def _gait(trial: Trial) -> dict[Measure, Measured]:
     gait, sigma = trial.analysis.gait, trial.stride_sigma
     moving = not gait.verdict.on_the_spot
     out = {}
-    if gait.strides:
-        out[Measure("gait_cadence", "steps/min")] = _over(gait.strides, "cadence")
+    if gait.counted:
+        out[Measure("gait_cadence", "steps/min")] = _over(gait.counted, "cadence")
         if moving:
-            speeds = [sigma[s] / s.stride_time for s in gait.strides if s in sigma]
-            out[Measure("gait_speed", "m/s")] = _over(gait.strides, "speed", speeds)
+            speeds = [sigma[s] / s.stride_time for s in gait.counted if s in sigma]
+            out[Measure("gait_speed", "m/s")] = _over(gait.counted, "speed", speeds)
     for side in SIDES:
-        own = [stride for stride in gait.strides if stride.side == side]
+        own = [stride for stride in gait.counted if stride.side == side]
         for name, unit in _UNITS.items() if own else ():
             if name != "stride_length" or moving:
                 stated = [sigma[s] for s in own if s in sigma] if name == "stride_length" else []

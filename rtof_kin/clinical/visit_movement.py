@@ -27,15 +27,15 @@ def movement(
         InvalidInputError: a visit does not have what was asked for. UnknownNameError: no such kind.
     """
     every = [one for visit in visits for one in visit.trials]
-    walking = [[one for one in visit.trials if one.analysis.gait.is_gait] for visit in visits]
+    walking = [[one for one in visit.trials if not _not_gait(one)] for visit in visits]
     if by == "cycle" or (by is None and all(walking)):
         if absent := [v.name for v, own in zip(visits, walking, strict=True) if not own]:
             raise InvalidInputError(
                 f"follow: no gait in {', '.join(absent)}; measure by repetition or range (--by)"
             )
         out = {
-            f"{visit.name}, {one.name}": f"left out, not gait: {one.analysis.gait.why_not}"
-            for visit in visits for one in visit.trials if not one.analysis.gait.is_gait
+            f"{visit.name}, {one.name}": f"left out, not gait: {_not_gait(one)}"
+            for visit in visits for one in visit.trials if _not_gait(one)
         }  # fmt: skip
         return "cycle", "", "" if by else "all visits are walking", out
     if kind:
@@ -51,12 +51,18 @@ def movement(
     return "range", "", why, _other_movements(visits, walking)
 
 
+def _not_gait(trial: Trial) -> str:
+    """Sentence on why a trial is not measured by its gait; '' if it is."""
+    gait = trial.analysis.gait
+    return gait.why_not or gait.verdict.too_few
+
+
 def _other_movements(visits: Sequence[Visit], walking: Sequence[Sequence[Trial]]) -> dict[str, str]:
     """Visits that are not walking where others are; nothing of them is left out."""
     if not any(walking):
         return {}
     return {
-        visit.name: f"another movement: not gait, as others are ({visit.trials[0].analysis.gait.why_not})"
+        visit.name: f"another movement: not gait, as others are ({_not_gait(visit.trials[0])})"
         for visit, own in zip(visits, walking, strict=True)
         if not own
     }

@@ -6,13 +6,73 @@ remedy. The command line prints it as one line and exits with code 2.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Final
+
+_CONTROL: Final = re.compile(
+    r"\x1b\[[0-?]*[ -/]*[@-~]?|\x1b\][^\x07\x1b]*(\x07|\x1b\\)?|[\x00-\x08\x0b-\x1f\x7f-\x9f]"
+)
+"""Escape sequences (ECMA-48) and other control characters but tab and newline."""
+
+
+def plain(text: str) -> str:
+    """Return a text without what a terminal would obey.
+
+    Args:
+        text: maybe of another package, or with names of files.
+    """
+    return _CONTROL.sub("", text)
+
+
+def too_long(path: object) -> str:
+    """Return the sentence about a path that the system does not take.
+
+    Args:
+        path: of the error.
+    """
+    return (
+        f"{str(path)[:60]}...: the path is longer than the system allows (usually 255 bytes a name, 4,096 in "
+        "all); name a shorter one"
+    )
+
+
+def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """Return a question about the nearest valid names, ' Did you mean ...?'; '' if there is none near.
+
+    Args:
+        unknown: names that are not valid. known: names that are, whatever their case.
+    """
+    lower = {name.lower(): name for name in known}
+    near = [match for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
+    return f" Did you mean {', '.join(repr(lower[match]) for match in near)}?" if near else ""
+
+
+def line_of(path: str | Path, word: str, field: str = "") -> int | None:
+    """Return the first line of a text file with a word outside of comments, from 1; None if there is none.
+
+    Args:
+        path: of the file. word: e.g. a misspelt name. field: '[table] field' after whose table it stands.
+    """
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return None
+    whole = re.compile(rf"(?<![\w-]){re.escape(word)}(?![\w-])")
+    found = [n for n, line in enumerate(lines, 1) if whole.search(line.partition("#")[0])]
+    table = field.partition("]")[0] + "]"
+    begins = next((n for n, line in enumerate(lines, 1) if field and line.strip().startswith(table)), 0)
+    return next((n for n in found if n > begins), found[0] if found else None)
 
 
 class RtofError(Exception):
-    """Base of all errors raised on purpose by this package."""
+    """Base of all errors raised on purpose by this package; its message has no control characters."""
+
+    def __init__(self, *arguments: object):
+        """Take the message."""
+        super().__init__(*(plain(one) if isinstance(one, str) else one for one in arguments))
 
 
 class InvalidInputError(RtofError, ValueError):
@@ -34,12 +94,21 @@ class UnitError(RtofError, ValueError):
 class UnknownNameError(RtofError, KeyError):
     """A joint, landmark, sensor or setting of this name does not exist."""
 
-    def __init__(self, kind: str, unknown: Iterable[str], known: Sequence[str]):
-        """Take the kind of names, the unknown names and all valid ones."""
+    def __init__(
+        self, kind: str, unknown: Iterable[str], known: Sequence[str], path: str | Path | None = None,
+        field: str = "", also: Iterable[str] = (),
+    ):  # fmt: skip
+        """Take the kind of names, the unknown names, all valid ones, the text file and its field where the
+        unknown ones stand, and further words that may be meant.
+        """
         unknown = list(unknown)
-        hints = [match for name in unknown for match in get_close_matches(name, known, n=1)]
-        hint = f" Did you mean {', '.join(map(repr, hints))}?" if hints else ""
-        super().__init__(f"unknown {kind} {', '.join(map(repr, unknown))}.{hint} Known: {', '.join(known)}")
+        where = ""
+        if path is not None:
+            line = line_of(path, unknown[0], field)
+            where = ", ".join(filter(None, (f" in {path}", f"line {line}" if line else "", field)))
+        hint = did_you_mean(unknown, [*known, *also])
+        names = ", ".join(map(repr, unknown))
+        super().__init__(f"unknown {kind}{where} {names}.{hint} Known: {', '.join(known)}")
 
     def __str__(self) -> str:
         return str(self.args[0])

@@ -25,6 +25,7 @@ class FaultKind(Enum):
         "the sensor's orientation disagreed with the image and the other sensors, e.g. because it slipped "
         "or its heading was disturbed; it was left out"
     )
+    FOREIGN = "the sensor does not move as the video shows; it was left out"
 
 
 @dataclass(frozen=True)

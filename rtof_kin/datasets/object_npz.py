@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.archive import check_sizes
+from rtof_kin.core.files.archive import array_members, check_sizes
 from rtof_kin.core.files.arrays import LARGEST_BYTES, read_npy_header
 from rtof_kin.core.files.pickles import PlainUnpickler, RefusedError, numbers_of, unpickled
 from rtof_kin.core.files.text import check_file
@@ -38,7 +38,7 @@ def read_object_npz(path: str | Path, wanted: Sequence[str], limit: int = LARGES
     try:
         check_file(path, "an NPZ archive")
         with zipfile.ZipFile(path) as archive:
-            there = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
+            there = array_members(path, archive)
             check_sizes(path, [there[name] for name in wanted if name in there], limit)
             for name in wanted:
                 if name not in there:

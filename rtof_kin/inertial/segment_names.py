@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Final
 
 from rtof_kin.body.skeleton import SkeletonModel
@@ -80,18 +81,20 @@ def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]
     return {name: joint for name, joint in found.items() if taken.count(joint) == 1}
 
 
-def known_segment(name: str, skeleton: SkeletonModel, what: str = "segment") -> str:
+def known_segment(name: str, skeleton: SkeletonModel, path: str | Path | None = None) -> str:
     """Return the segment that a name means.
 
     Args:
-        name, skeleton: as in `segment_of`. what: kind of name, for the message.
+        name, skeleton: as in `segment_of`. path: file where the name stands, for the message.
 
     Raises:
         UnknownNameError: it means none.
     """
     found = segment_of(name, skeleton)
     if found is None:
-        raise UnknownNameError(what, [name], (*skeleton.names, *skeleton.sensors))
+        words = (*_MIDDLE, *(f"{side} {place}" for side in ("left", "right") for place in _LIMBS))
+        known = (*skeleton.names, *skeleton.sensors)
+        raise UnknownNameError("segment", [name], known, path, also=words)
     return found
 
 

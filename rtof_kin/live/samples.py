@@ -54,7 +54,7 @@ class Source(Protocol):
 
     @property
     def name(self) -> str:
-        """Short name for messages, such as ``udp:9000``."""
+        """Short name for messages, such as ``lsl:DOTs``."""
 
     @property
     def clock(self) -> Clock:

@@ -51,7 +51,7 @@ def plan_figure(plan: Plan) -> Figure:
     _draw_options(figure.add_subplot(grid[0, 1]), _shortened(plan.cameras), "camera place")
     named = [
         Option(
-            f"{o.name}, {where(plan.setup, o.name)}" if o.name else "as planned",
+            " at ".join(dict.fromkeys((o.name, where(plan.setup, o.name)))) if o.name else "as planned",
             o.loss,
             o.gain,
             o.most,
@@ -76,18 +76,19 @@ def _draw_angles(ax: Any, plan: Plan) -> None:
     colours = [_WEAK if name in weak else _OWN for name in own.names]
     ax.barh(at, np.minimum(np.nan_to_num(sigma), _CUT), color=colours, height=0.7)
     ax.plot(np.minimum(error, _CUT), at, "k|", markersize=9, label="error in the simulations")
-    for y, value in zip(at, sigma, strict=True):
+    for y, value, far in zip(at, sigma, np.fmax(sigma, error), strict=True):
         text = "not observed" if np.isnan(value) else f"{value:.1f}"
-        ax.annotate(text, (min(np.nan_to_num(value), _CUT), y), (4, 0), textcoords="offset points",
-                    va="center", fontsize=7)  # fmt: skip
+        right_of_both = (min(np.nan_to_num(far if np.isfinite(value) else 0.0), _CUT), y)
+        ax.annotate(text, right_of_both, (5, 0), textcoords="offset points", va="center", fontsize=7)
     ax.set_yticks(at, [label(name) for name in own.names], fontsize=8)
     ax.set_ylim(-0.8, len(at) - 0.2)
     ax.bar(0, 0, color=_WEAK, label="not identifiable by the measurements alone")
     if plan.protocol.wanted_sd_deg is not None:
         ax.axvline(plan.protocol.wanted_sd_deg, color="0.4", linestyle="--", label="wanted")
+    ax.set_xlim(0.0, None)
     ax.set_xlabel("expected standard deviation [deg]")
     ax.set_title(f"camera {plan.protocol.camera.words}", fontsize=9, loc="left")
-    ax.margins(x=0.08)
+    ax.margins(x=0.15)
     ax.figure.legend(*ax.get_legend_handles_labels(), fontsize=8, loc="outside lower left", ncols=3)
 
 

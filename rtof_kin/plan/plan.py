@@ -96,29 +96,42 @@ def plan(
         InvalidInputError: the movement cannot be recorded so, for example because the person is not in view.
     """
     report = progress or (lambda stage, done, total: None)
-    seen = seen_share(setup)
+    part = replace(setup, poses=liveliest(setup.poses, _SEARCHED))
+    places = _cameras(protocol, setup, part) if search else {}
+    with_sensor = _sensors(protocol, part) if search else {}
+    steps = {"cameras": 2 * len(places), "predict": draws, "sensors": 2 * len(with_sensor)}
+    for stage, total in steps.items():
+        if total:
+            report(stage, 0, total)  # a bar for all that is to be done
+    compare = partial(_compared, seed=seed, lifter=lifter, workers=workers)
+    found = information(setup, seed, lifter)
+    usual = usual_angles(setup.skeleton, found)
+    shown = protocol.wanted or usual
+    cameras = compare(part, places, shown=shown, progress=_staged(report, "cameras")) if places else ()
+    best = cameras[0] if cameras and not cameras[0].problem else None
+    if protocol.any_camera and best is not None and best.name != protocol.camera.words:
+        place = next(place for place in protocol.further_cameras if place.words == best.name)
+        protocol = replace(protocol, camera=place)
+        setup, part = (replace(own, camera=place.camera(setup.poses)) for own in (setup, part))
+        with_sensor, found = _sensors(protocol, part), information(setup, seed, lifter)
+        cameras = tuple(
+            replace(o, gain=best.loss - o.loss, most="" if o is best else o.most or best.most)
+            for o in cameras
+        )
     predicted = predict(
         {"plan": setup}, draws, seed, lifter=lifter, workers=workers, progress=_staged(report, "predict")
     )["plan"]
     if isinstance(predicted, str):
         raise InvalidInputError(f"plan: the simulated recording cannot be reconstructed: {predicted}")
-    report("information", 0, 1)
-    found = information(setup, seed, lifter)
-    report("information", 1, 1)
-    usual = usual_angles(setup.skeleton, found)
-    shown = protocol.wanted or usual
-    cameras: tuple[Option, ...] = ()
     sensors: tuple[Option, ...] = ()
     calibration = None
     if search:
-        compare = partial(_compared, shown=shown, seed=seed, lifter=lifter, workers=workers)
-        part = replace(setup, poses=liveliest(setup.poses, _SEARCHED))
-        cameras = compare(part, _cameras(protocol, setup, part), progress=_staged(report, "cameras"))
-        sensors = compare(part, _sensors(protocol, part), progress=_staged(report, "sensors"))
+        sensors = compare(part, with_sensor, shown=shown, progress=_staged(report, "sensors"))
         if setup.sensors:
             calibration = calibration_time(
                 setup, 2, seed, lifter=lifter, workers=workers, progress=_staged(report, "calibration")
             )
+    seen = seen_share(setup)
     return Plan(
         protocol, setup, predicted, shown, found.weaknesses(shown, usual), cameras, sensors, calibration, seen
     )

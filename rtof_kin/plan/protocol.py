@@ -99,6 +99,8 @@ class Protocol:
     """Where one more could go; None: everywhere else."""
     possible_cameras: tuple[CameraPlace, ...] | None = None
     """Places that the camera could have; None: eight directions at its distance and height."""
+    any_camera: bool = False
+    """Whether nothing is said about the camera's place, so that the best of the possible ones is planned."""
     detector: str = DETECTORS[0]
     error_factor: float = 1.0
     """[1] on the errors of the measured detector in the image."""
@@ -149,6 +151,7 @@ class Protocol:
             sensors=worn.optional_names("worn") or (),
             possible_sensors=worn.optional_names("possible"),
             possible_cameras=possible,
+            any_camera=not {"angle_deg", "distance_m", "height_m"} & {*seen.data},
             detector=detector.text("points", DETECTORS[0]),
             error_factor=detector.number("error_factor", 1.0),
             wanted=wanted.optional_names("angles") or (),
@@ -236,4 +239,4 @@ def direction(angle_deg: float) -> str:
         135: f"behind to the {side} of", 180: "behind",
     }  # fmt: skip
     nearest = min(places, key=lambda place: abs(place - abs(angle)))
-    return f"{places[nearest]} the person ({angle:g} deg)"
+    return f"{places[nearest]} the person ({180 if angle == -180 else angle:g} deg)"

@@ -75,14 +75,25 @@ def advice(plan: Plan) -> tuple[str, ...]:
     """
     found = list(_not_identifiable(plan.weaknesses))
     cameras = [option for option in plan.cameras if not option.problem]
-    if cameras and _is_clear(cameras[0]):
+    if cameras and cameras[0].name == plan.protocol.camera.words:
+        best, worst = cameras[0], cameras[-1]
+        found.append(
+            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean "
+            f"{np.degrees(best.loss):.1f} deg, the worst ({worst.name.partition(', ')[0]}) "
+            f"{np.degrees(worst.loss):.1f} deg."
+        )
+    elif cameras and _is_clear(cameras[0]):
         best = cameras[0]
         found.append(
             f"Better camera place: {best.name}; mean {np.degrees(best.loss):.1f} deg, "
             f"{np.degrees(best.gain):.1f} deg less, most at {best.most.replace('_', ' ')}."
         )
     elif cameras:
-        found.append("No other camera place is clearly better.")
+        best = cameras[0]
+        found.append(
+            f"No other camera place is clearly better; the best is {best.name}, by "
+            f"{np.degrees(best.gain):.1f} deg."
+        )
     blind = [option for option in plan.cameras if option.problem]
     if blind:
         found.append(
@@ -140,4 +151,4 @@ def where(setup: Setup, sensor: str) -> str:
     """
     joint, _ = setup.skeleton.sensors[sensor]
     terms = {own: term for term, own in angle_table(setup.skeleton.table).segments.items()}
-    return terms.get(joint, joint)
+    return terms.get(joint, joint).replace("_", " ")

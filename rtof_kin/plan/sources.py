@@ -22,6 +22,7 @@ from rtof_kin.plan.protocol import Protocol, place_of
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 
@@ -43,13 +44,15 @@ class Moved:
     """[m] z of a flat floor, where it is declared."""
 
 
-def planned(what: str | Path, lifter: LifterLike | None = None) -> tuple[Protocol, Setup]:
+def planned(
+    what: str | Path, lifter: LifterLike | None = None, progress: Progress | None = None
+) -> tuple[Protocol, Setup]:
     """Return the protocol and the setup of what a plan is asked for.
 
     Args:
         what: a protocol's TOML file; the name of a movement of the library, recorded by a usual camera;
             the folder of a recording, or the output of `reconstruct`, planned as it was recorded.
-        lifter: as for `reconstruct`, for a recording.
+        lifter, progress: as for `reconstruct`, for a recording.
 
     Raises:
         InvalidInputError: no camera filmed the recording, or it has no complete frame.
@@ -58,14 +61,14 @@ def planned(what: str | Path, lifter: LifterLike | None = None) -> tuple[Protoco
     path = Path(what)
     if path.is_file() and path.suffix == ".toml" and path.name != INDEX:
         protocol = Protocol.read(path)
-        return protocol, setup_of(protocol, lifter)
+        return protocol, setup_of(protocol, lifter, progress)
     folder = path.parent if path.name == INDEX else path
     if not folder.is_dir():
         if str(what) not in MOVEMENTS:
             raise UnknownNameError("file, folder or movement", [str(what)], tuple(MOVEMENTS))
-        protocol = Protocol(str(what))
+        protocol = Protocol(str(what), any_camera=True)
         return protocol, setup_of(protocol, lifter)
-    moved = _moved(folder, lifter)
+    moved = _moved(folder, lifter, progress)
     if moved.camera is None:
         raise InvalidInputError(f"plan: no camera filmed {folder}; name it as movement in a protocol's file")
     place = place_of(moved.camera, moved.poses, moved.poses.rate_hz)
@@ -75,19 +78,19 @@ def planned(what: str | Path, lifter: LifterLike | None = None) -> tuple[Protoco
     )  # fmt: skip
 
 
-def setup_of(protocol: Protocol, lifter: LifterLike | None = None) -> Setup:
+def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Progress | None = None) -> Setup:
     """Return the setup of a protocol.
 
     Args:
         protocol: with the name of a movement, or the folder of a motion or recording.
-        lifter: as for `reconstruct`, for a recording.
+        lifter, progress: as for `reconstruct`, for a recording.
     """
     if protocol.movement in MOVEMENTS:
         skeleton = SkeletonModel.default()
         skeleton = skeleton if protocol.height_m is None else skeleton.with_height(protocol.height_m)
         poses = movement(protocol.movement, skeleton, protocol.repetitions, protocol.camera.rate_hz)
     elif Path(protocol.movement).is_dir():
-        moved = _moved(Path(protocol.movement), lifter)
+        moved = _moved(Path(protocol.movement), lifter, progress)
         poses, skeleton = moved.poses, moved.skeleton
     else:
         raise UnknownNameError("movement", [protocol.movement], tuple(MOVEMENTS))
@@ -97,13 +100,13 @@ def setup_of(protocol: Protocol, lifter: LifterLike | None = None) -> Setup:
     )  # fmt: skip
 
 
-def _moved(folder: Path, lifter: LifterLike | None) -> Moved:
+def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -> Moved:
     """The movement of a recording, which is reconstructed, or of a motion."""
     camera, joints, floor = None, tuple[str, ...](), None
     if (folder / INDEX).exists():
         recording = Recording.load(folder)
         mode: Mode = "imu" if recording.keypoints is None else "rto" if recording.imus is None else "rtof"
-        motion = reconstruct(recording, mode=mode, lifter=lifter).motion
+        motion = reconstruct(recording, mode=mode, lifter=lifter, progress=progress).motion
         camera = None if recording.keypoints is None else recording.keypoints.camera
         joints = () if recording.calibration is None else recording.calibration.joints
         floor = recording.floor_height

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.clinical.angle_errors import ALL, AngleErrors
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import can_draw
 from rtof_kin.protocols.published_angles import METRICS, PUBLISHED, WITHOUT_METRIC, Metric
@@ -113,7 +114,7 @@ def write_angle_tables(
     Raises:
         RtofError: one of them cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folders(folder)
     written = write_tables(folder, tables, {"first": first, "rows": plain_rows(rows)} | dict(facts))
     write_text(folder / "tables.md", f"{first}\n\n" + "\n".join(t.markdown() for t in tables), overwrite=True)
     text = io.StringIO(newline="")

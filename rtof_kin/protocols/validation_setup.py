@@ -10,6 +10,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.public_sets import Take, TakeInputs
@@ -78,7 +79,7 @@ def _of_sensors(take: Take, inputs: TakeInputs) -> tuple[Recording, list[str]]:
 
 def _of_images(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recording, list[str]]:
     folder = setup.folder
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folders(folder)
     settings = _settings(inputs, setup)
     sources = Sources(
         keypoints=_keypoints(take, inputs, setup, settings), camera=_calibration(inputs, folder),

@@ -16,15 +16,16 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.camera_evidence import WALK_IN_DEPTH, Scene, check_walk, standing_feet
 from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.room import Room, look_at_room, unseen_room
 from rtof_kin.reconstruction.scale_checks import (
     ANKLE_HEIGHT,
     Standing,
     check_bones,
     check_perspective,
-    check_walk,
     standing,
 )
 from rtof_kin.recording.body_checks import check_camera
@@ -45,16 +46,20 @@ MOST_OUTSIDE = 50.0
 LONGEST_FROZEN = 0.5
 """[s] for which a detector may repeat its points exactly."""
 _FEWEST, _FRAMES = 6, 64
+_OF_ASSUMED = 2.5
+"""Standard deviations of an assumption by which it may be off."""
 _LARGE = 0.6
 """[m] between ankle and floor from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
 _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
+ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre")
+"""Beginnings of the names of checks about the position in the room, which angles hardly depend on."""
 
 
 def check_camera_evidence(
     recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
     lifter: LifterLike | None = None,
-) -> tuple[Check, ...]:  # fmt: skip
+) -> tuple[tuple[Check, ...], Room]:  # fmt: skip
     """Check the declared camera, image and body.
 
     Args:
@@ -64,15 +69,20 @@ def check_camera_evidence(
         lifter: the shipped one where not given.
 
     Returns:
-        Every check that the recording allows; failed ones name a likely cause, the likeliest first.
+        Every check that the recording allows; failed ones name a likely cause, the likeliest first. And what
+        they leave open of positions in the room.
     """
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
     picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
     video = prepared.recording.video
-    walk = check_walk(poses, prepared.bone_imus, video, skeleton)
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
-    return _ordered(recording, picture, skeleton, stands, (walk,))
+    contacts = standing_feet(video, poses, skeleton)
+    scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
+    room, direction = look_at_room(unseen_room(recording), scene, video, poses, picture)
+    return _ordered(
+        recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses), direction)
+    ), room
 
 
 def check_camera_alone(
@@ -125,9 +135,8 @@ def _ordered(
     perspective = check_perspective(picture, skeleton)
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), picture.small)
-    focal = () if any(c.passed for c in (perspective, *of_motion)) else _focal_is_open(camera, stands)
     return (
-        *first, *focal, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
+        *first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
     )  # fmt: skip
 
 
@@ -217,18 +226,6 @@ def _check_distance(stands: Standing | None) -> Check:
     )  # fmt: skip
 
 
-def _focal_is_open(camera: Camera, stands: Standing | None) -> tuple[Check, ...]:
-    """State the uncertainty of the focal length where only standing feet constrain it: a longer one moves
-    the person away along the camera's axis, which a level camera does not observe.
-    """
-    if stands is None:
-        return ()
-    share = 100 * stands.tolerance / max(abs(stands.distance * camera.R_camera_world[2, 2]), 1e-9)
-    name = f"focal length to better than {share:.0f} %" if share < 50 else "focal length"
-    why = "standing feet constrain it no further, and absolute positions may be off by that share"
-    return (Check.unknown(name, "camera", "%", why),)
-
-
 def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:
     """Check that the person stands on the floor, at z = 0 where none is declared.
 
@@ -239,18 +236,32 @@ def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Ch
         return Check.unknown(_FEET, "the person", "m", "no person could be lifted")
     floor = recording.floor_height
     off = stands.height - (floor or 0.0) - ANKLE_HEIGHT
+    limit, assumed = stands.tolerance, recording.video.camera.uncertainty
+    if assumed is not None:
+        level = assumed.focal * recording.video.camera.R_camera_world[2, 2]
+        own = np.hypot(assumed.height, stands.distance * np.hypot(assumed.tilt, level))
+        limit = float(np.hypot(limit, _OF_ASSUMED * own))
     advice = f"It is at z = {stands.height:.2f} m, {stands.distance:.1f} m away, by the body's size"
     if floor is None:
         advice += "; no floor is declared: give its z, floor_height_m, where it is not 0"
     return Check(
         f"{_FEET} over {'z = 0' if floor is None else 'the floor'}", "the person",
-        abs(off), stands.tolerance, "m off", advice,
-        cause=cause or _cause_of_height(off, floor is None),
+        abs(off), limit, "m off", advice,
+        cause=cause or _cause_of_height(off, stands.distance, recording),
     )  # fmt: skip
 
 
-def _cause_of_height(off: float, undeclared: bool) -> str:
+def _cause_of_height(off: float, distance: float, recording: Recording) -> str:
+    """The likeliest cause first: what is assumed, a floor or camera far off, a scale."""
+    undeclared, camera = recording.floor_height is None, recording.video.camera
+    if camera.uncertainty is not None or camera.assumed:
+        deg = np.degrees(abs(off) / distance)
+        return (
+            f"the lens is {abs(off):.1f} m {'lower' if off > 0 else 'higher'} than assumed, or looks "
+            f"{deg:.0f} degrees {'less' if off > 0 else 'more'} down: measure its height"
+        )
     floor = "the floor is not at z = 0" if undeclared else "the floor is probably wrong"
+    floor += ", or the camera's height or tilt is"
     scale = f"the focal length or the bones are too {'short' if off > 0 else 'long'}"
     return f"{floor}, or {scale}" if abs(off) > _LARGE or undeclared else f"{scale}, or {floor}"
 

@@ -24,6 +24,7 @@ from rtof_kin.calibration.camera_estimate import Evidence
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -69,6 +70,11 @@ WALK_LEG: Final = 0.08
 """[m] Standard deviation of the root of the sum of squares of all contacts' paths."""
 LEAST_WALK: Final = 2.0
 """[m^2] Sum of squares of the legs' paths below which nothing follows from them: some five steps."""
+
+
+WALK_IN_DEPTH: Final = "walk in depth"
+_OF_WALK: Final = 3.0
+"""Standard deviations by which a walk may contradict the focal length."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,7 @@ def evidence(
     parts = (
         _floor(scene, camera, refit_root(poses, keypoints, sigma_depth=1.0)),
         _tilt(scene, camera, by_image),
-        _walk(scene, camera, poses),
+        walk(scene, camera, poses),
     )
     value = np.concatenate([part.value for part in parts])
     if not scene.floor_and_tilt:
@@ -135,22 +141,43 @@ def _level_axes(camera: Camera) -> Array:
 def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     """Height of standing ankles and its slopes: of the mean, in depth and across."""
     p = poses.p_world_joint[:, scene.skeleton.index(*scene.contacts.joints)][scene.contacts.standing]
-    if scene.floor_height is None or len(p) < 10:
+    plane = None if scene.floor_height is None else floor_plane(camera, p, scene.floor_height)
+    if plane is None:
         return Evidence(np.full(3, np.nan), np.ones(3))
+    return plane.evidence
+
+
+@dataclass(frozen=True)
+class FloorPlane:
+    """Plane through the ankles of standing feet."""
+
+    evidence: Evidence
+    """(3,) height of the mean over that of a standing ankle, slopes in depth and across."""
+    p: Array
+    """(n, 3) ankles."""
+    fit: Array
+    """(3, n) from their heights."""
+
+
+def floor_plane(camera: Camera, p: Array, floor_height: float) -> FloorPlane | None:
+    """Return the plane through standing ankles (n, 3), m; None where there are too few.
+
+    Args:
+        camera: that saw them. p: in world. floor_height: z of the floor, m.
+    """
+    if len(p) < 10:
+        return None
+    height = p[:, 2] - floor_height - ANKLE_HEIGHT
+    p = p[np.abs(height - np.median(height)) < 0.3]
     places = (p - camera.center_world) @ _level_axes(camera).T
     away = places - np.median(places, axis=0)
-    height = p[:, 2] - scene.floor_height - ANKLE_HEIGHT
-    away, height = away[near := np.abs(height - np.median(height)) < 0.3], height[near]
-    spread = away.std(axis=0)
     A = np.column_stack([np.ones(len(away)), away])
     ridge = np.diag([0.0, *(len(away) * 0.05**2,) * 2])
-    mean, depth, across = np.linalg.solve(A.T @ A + ridge, A.T @ height)
-    over = abs(float(camera.center_world[2]) - scene.floor_height)
-    slopes = np.hypot(UNEVEN / np.maximum(spread, 0.05), SLOPE)
-    return Evidence(
-        np.array([mean - HEIGHT.mean, depth, across]),
-        np.array([np.hypot(HEIGHT.sigma, SIZE * over), *slopes]),
-    )
+    fit = np.linalg.solve(A.T @ A + ridge, A.T)
+    value = fit @ (p[:, 2] - floor_height - ANKLE_HEIGHT) - [HEIGHT.mean, 0.0, 0.0]
+    over = abs(float(camera.center_world[2]) - floor_height)
+    slopes = np.hypot(UNEVEN / np.maximum(away.std(axis=0), 0.05), SLOPE)
+    return FloorPlane(Evidence(value, np.array([np.hypot(HEIGHT.sigma, SIZE * over), *slopes])), p, fit)
 
 
 def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
@@ -162,22 +189,49 @@ def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
         up = so3.unit(np.median(so3.unit(above), axis=0))
         value, usual = _level_axes(camera) @ up, LEAN
     else:
-        products = np.zeros((3, 3))
-        for s, joint in enumerate(skeleton.index(*scene.bone_imus.joints)):
-            children = kinematics.children_of(skeleton.parents, joint)
-            sensed = scene.bone_imus.R_world_bone[:, s] @ so3.unit(skeleton.joint_offsets[children[0]])
-            known = np.isfinite(sensed).all(axis=-1) & (len(children) == 1)
-            seen = so3.unit(p[:, children[0]] - p[:, joint])
-            products += seen[known].T @ sensed[known]
-        turn = camera.R_camera_world @ so3.log(so3.nearest_rotation(products))
-        value, usual = turn[[0, 2]], TURN
-    shorter = max(1.0, SECONDS / max(float(poses.times[-1] - poses.times[0]), 0.1))
-    sigma = np.array([u.sigma for u in usual]) * np.sqrt(LASTING + (1 - LASTING) * shorter)
+        value, usual = turn_of_image(scene.bone_imus, skeleton, camera, poses)[[0, 2]], TURN
+    sigma = np.array([u.sigma for u in usual]) * lasting(float(poses.times[-1] - poses.times[0]))
     return Evidence(value - [u.mean for u in usual], sigma)
 
 
-def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
-    """Path of the body over standing feet, along the view, per that of its legs."""
+def lasting(seconds: float) -> float:
+    """Return the factor on `LEAN` and `TURN` in a recording of another length.
+
+    Args:
+        seconds: its length.
+    """
+    return float(np.sqrt(LASTING + (1 - LASTING) * max(1.0, SECONDS / max(seconds, 0.1))))
+
+
+def turn_of_image(
+    imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera, poses: PoseSequence
+) -> Array:
+    """Return the rotation vector (3,), camera axes, from the sensors' bones to the image's, or NaN.
+
+    Args:
+        imus: at the poses' times. skeleton: the subject's. camera: of the image.
+        poses: lifted without sensors.
+    """
+    p, products = poses.p_world_joint, np.zeros((3, 3))
+    for s, joint in enumerate(skeleton.index(*imus.joints)):
+        children = kinematics.children_of(skeleton.parents, joint)
+        if len(children) != 1:  # a segment without a direction, or at the end of a limb
+            continue
+        sensed = imus.R_world_bone[:, s] @ so3.unit(skeleton.joint_offsets[children[0]])
+        seen = so3.unit(p[:, children[0]] - p[:, joint])
+        known = np.isfinite(sensed + seen).all(axis=-1)
+        products += seen[known].T @ sensed[known]
+    if not products.any():
+        return np.full(3, np.nan)
+    return np.asarray(camera.R_camera_world @ so3.log(so3.nearest_rotation(products)))
+
+
+def walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
+    """Return the logarithm of the path of the body over standing feet, along the view, per that of its legs.
+
+    Args:
+        scene: of the recording. camera, poses: solved with it.
+    """
     body, legs = walked(scene, camera, poses)
     total = float(legs @ legs)
     if total < LEAST_WALK or not body @ legs > 0.2 * total:
@@ -185,6 +239,26 @@ def _walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     value = np.log(body @ legs / total) - WALK.mean
     sigma = np.hypot(WALK.sigma, WALK_LEG / np.sqrt(total))
     return Evidence(np.array([value]), np.array([sigma]))
+
+
+def check_walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Check:
+    """Check the focal length by walking to or from the camera.
+
+    Args:
+        scene: of the recording. camera, poses: solved with it.
+    """
+    if camera.uncertainty is not None:
+        return Check.unknown(WALK_IN_DEPTH, "the feet", "times", "the focal length is estimated by it")
+    found = walk(scene, camera, poses)
+    (value,), (sigma,) = found.value, found.sigma
+    if np.isnan(value):
+        why = "needs some five steps to or from the camera, with sensors on thighs and shanks"
+        return Check.unknown(WALK_IN_DEPTH, "the feet", "times", why)
+    return Check(
+        WALK_IN_DEPTH, "the feet", float(np.exp(abs(value))), float(np.exp(_OF_WALK * sigma)), "times",
+        f"Along the view the body moves {np.exp(value):.2f} times as far over standing feet as its legs do",
+        cause=f"the focal length is probably too {'long' if value > 0 else 'short'}",
+    )  # fmt: skip
 
 
 def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Array]:

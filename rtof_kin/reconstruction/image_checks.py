@@ -31,7 +31,7 @@ STEP, PIECE, PIECES = 0.1, 48, 2
 """[s] between the frames of an excerpt, frames of a piece, and number of pieces."""
 LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
 """Least gain of a hypothesis to be reported, without and with sensors; correct recordings stay below
-(benchmarks/results/input_checks.md)."""
+(benchmarks/results/planted.md)."""
 LEAST_GAIN_OF_SIZE = 0.1
 """The same for the lifter's certainty in another image size."""
 _CERTAINTY = 3.0

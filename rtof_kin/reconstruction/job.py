@@ -80,7 +80,7 @@ class Job:
         job = self
         if calibration is not None:
             skeleton = None if calibration.of_kind("bones") else self.skeleton
-            times = None if self.times is None else calibration.on_sensors_clock(self.times)
+            times = None if self.times is None else calibration.on_clock(self.times)
             recording = calibration.apply(self.recording)
             job = replace(self, recording=recording, skeleton=skeleton, times=times)
         return job.with_solver(calibration)

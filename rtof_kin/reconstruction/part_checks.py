@@ -13,7 +13,7 @@ from scipy.stats import binom
 from rtof_kin.core.plausibility import Check
 
 _FALSE_ALARMS: Final = 0.05
-"""Share of correct recordings in which a check fails, at most (benchmarks/results/input_checks.md)."""
+"""Share of correct recordings in which a check fails, at most (benchmarks/results/planted.md)."""
 _CHANCE: Final = 0.95
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 

@@ -16,7 +16,7 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.reconstruction.prepare import evenly_spaced
-from rtof_kin.reconstruction.quality import misfit_warnings
+from rtof_kin.reconstruction.quality import misfit_warnings, reprojection_errors
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus
@@ -72,12 +72,13 @@ def _cut_solution(solution: FragmentSolution, kept: slice) -> FragmentSolution:
 def _cut_warnings(result: Reconstruction, cut: FragmentSolution | None, kept: slice) -> tuple[str, ...]:
     """Warnings, but of misfits those in the kept frames."""
     settings = result.choices.settings
-    if cut is None or settings is None or result.solution is None:
+    if cut is None or settings is None or result.solution is None or result.keypoints is None:
         return result.warnings
-    of_all = misfit_warnings(result.solution, result.motion.times, settings)
+    off = reprojection_errors(result.keypoints, result.motion.skeleton, result.solution.poses)
+    of_all = misfit_warnings(result.solution, off, settings)
     others = tuple(warning for warning in result.warnings if warning not in of_all)
     own = (replace(f, first_frame=f.first_frame - (kept.start or 0)) for f in cut.fragments)
-    return others + misfit_warnings(replace(cut, fragments=tuple(own)), cut.poses.times, settings)
+    return others + misfit_warnings(replace(cut, fragments=tuple(own)), off[kept], settings)
 
 
 def _clipped(faults: Iterable[StreamFault], start: float, stop: float) -> Iterator[StreamFault]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Final
 
@@ -23,6 +23,7 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.memory import return_free_memory
 from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, lost, sample
@@ -182,19 +183,21 @@ class _Once:
     camera: CameraEstimate | None
     choices: Choices
     warnings: tuple[str, ...]
+    clocks: ClockOffset = field(default_factory=ClockOffset)
 
     def run(self, job: Job, mode: Mode, first: bool) -> Reconstruction:
         """Reconstruct a part; the first one has the warnings of the calibration."""
-        found = run(job, mode, calibration=self.calibration, camera=self.camera)
+        found = run(job, mode, calibration=self.calibration, camera=self.camera, clocks=self.clocks)
         choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
         warnings = (*self.warnings, *found.warnings) if first else found.warnings
         return replace(found, choices=choices, warnings=warnings)
 
-    def corrected(self, recording: Recording) -> Recording:
-        """Return a part with this camera and calibration."""
+    def corrected(self, job: Job) -> Job:
+        """Return the job on a part with these clocks, camera and calibration."""
+        job = self.clocks.corrected(job)
         if self.camera is not None:
-            recording = with_camera(recording, self.camera.found)
-        return recording if self.calibration is None else self.calibration.apply(recording)
+            job = replace(job, recording=with_camera(job.recording, self.camera.found))
+        return job.calibrated(self.calibration)
 
 
 def _lost(
@@ -203,17 +206,18 @@ def _lost(
 ) -> Iterator[Reconstruction]:  # fmt: skip
     """Parts that could not be reconstructed."""
     for times, error in missing:
-        on_clock = times if like.calibration is None else like.calibration.on_sensors_clock(times)
-        recording = like.recording
+        recording, on_clock = like.recording, once.corrected(replace(job, times=times)).times
+        assert on_clock is not None
         with suppress(RtofError):  # nothing was recorded
-            recording = once.corrected(_with_sensors(_between(source, times), job.recording))
+            part = _with_sensors(_between(source, times), job.recording)
+            recording = once.corrected(replace(job, recording=part)).recording
         yield lost(like, recording, on_clock, str(error))
 
 
 def _estimated_once(
     source: RecordingSlices, job: Job, mode: Mode, calibrate: bool, known: SelfCalibration | None
 ) -> _Once:
-    """Estimate the camera, if it is not calibrated, and the calibration, on excerpts of the recording.
+    """Estimate the clocks, a camera that is not calibrated, and the calibration, on excerpts.
 
     Args:
         job: of a part. mode, calibrate, known: as for `reconstruct`.
@@ -222,20 +226,27 @@ def _estimated_once(
         return _Once(None, None, Choices(), ())
     camera, warnings = None, tuple[str, ...]()
     uncertain = job.recording.video.camera.uncertainty is not None
-    calibrate = calibrate and mode in ("sf2", "rtof") and job.recording.imus is not None
-    seen = _thinned(source) if uncertain or calibrate else None
+    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
+    calibrate = calibrate and sensed
+    seen = _thinned(source) if uncertain or sensed else None
+    jobs, clocks = list[Job](), ClockOffset()
+    if sensed and seen is not None:
+        slices = (_between(source, times) for times in _lively_slices(seen))
+        jobs = [replace(job, recording=recording) for recording in slices]
+        clocks = find_offset(jobs)
+        warnings = clocks.warnings
     if uncertain and seen is not None:
-        recording = _between(source, excerpt(seen).times)
-        camera = calibrate_camera(recording, lifter=job.lifter, progress=job.progress)
+        own = clocks.corrected(replace(job, recording=_between(source, excerpt(seen).times)))
+        camera = calibrate_camera(own.recording, lifter=job.lifter, progress=job.progress)
     choices = Choices("yes" if calibrate else "no", known is not None)
     calibration = None if known is None else known.for_another_recording()
-    if calibrate and seen is not None:
-        slices = [_between(source, times) for times in _lively_slices(seen)]
+    if calibrate and jobs and not clocks.foreign:
+        jobs = [clocks.corrected(own) for own in jobs]
         if camera is not None:
-            slices = [with_camera(recording, camera.found) for recording in slices]
-        jobs = [replace(job, recording=recording) for recording in slices]
-        calibration, warnings = estimated(jobs, None, calibration)
-    return _Once(calibration, camera, choices, warnings)
+            jobs = [replace(own, recording=with_camera(own.recording, camera.found)) for own in jobs]
+        calibration, more = estimated(jobs, None, calibration)
+        warnings += more
+    return _Once(calibration, camera, choices, warnings, clocks)
 
 
 def _thinned(source: RecordingSlices) -> KeypointSequence:

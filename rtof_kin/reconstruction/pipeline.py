@@ -17,15 +17,17 @@ from rtof_kin.core.choices import MODES, Calibrate, Mode
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
+from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.room import DIRECTION, Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -58,7 +60,7 @@ def without_warnings() -> Iterator[None]:
 def reconstruct(
     recording: Recording,
     skeleton: SkeletonModel | None = None,
-    mode: Mode = "rtof",
+    mode: Mode | None = None,
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
@@ -76,7 +78,8 @@ def reconstruct(
         recording: keypoints of one camera or several and, for sf2 and rtof, IMUs with their calibration; mode
             imu needs the IMUs only.
         skeleton: the subject's. Default: that of the recording.
-        mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`).
+        mode: lift, sf2, rto, rtof or imu (`rtof_kin.core.choices.Mode`). Default: the one that uses all that
+            was recorded.
         lifter: keypoints to 3D, and a pose prior if it has one. Default: the shipped one, loaded only now.
         settings: of SF2, the fragment solver and mode imu.
         calibrate: calibrate the recording from itself first, in the modes that use sensors, against gross
@@ -93,6 +96,7 @@ def reconstruct(
         UnknownNameError: no such mode. InvalidInputError: the mode needs keypoints or IMUs that the
             recording does not have. ViewError: the person is behind the camera. Errors of the stages.
     """
+    mode = recording.usual_mode if mode is None else mode
     if mode not in MODES:
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
@@ -104,40 +108,46 @@ def reconstruct(
 def run(
     job: Job, mode: Mode, calibrate: bool = False, priors: CalibrationPriors | None = None,
     calibration: SelfCalibration | None = None, known: SelfCalibration | None = None,
-    camera: CameraEstimate | None = None,
+    camera: CameraEstimate | None = None, clocks: ClockOffset | None = None,
 ) -> Reconstruction:  # fmt: skip
     """Run a job; see `reconstruct` for the arguments and errors.
 
     Args:
         camera: an earlier result of `calibrate_camera` for this recording, whose camera is not calibrated.
+        clocks: an earlier result of `find_offset` for this recording, with which `calibration` was estimated.
     """
     with naming_wrong_samples(job.recording):
         if mode == "imu":
             return _from_sensors(job)
-        return _from_video(job, mode, calibrate, priors, calibration, known, camera)
+        return _from_video(job, mode, calibrate, priors, calibration, known, camera, clocks)
 
 
 def _from_video(
     job: Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
     calibration: SelfCalibration | None, known: SelfCalibration | None, camera: CameraEstimate | None,
+    clocks: ClockOffset | None,
 ) -> Reconstruction:  # fmt: skip
     """Every mode but imu; arguments as for `run`."""
     if job.recording.keypoints is None:
         raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
-    estimate = (
-        calibrate and calibration is None and mode in ("sf2", "rtof") and job.recording.imus is not None
-    )
+    sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
+    estimate = calibrate and calibration is None and sensed
     how: Calibrate = "given" if calibration is not None else "yes" if estimate else "no"
     name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
     choices = Choices(how, known is not None, name)
     known = None if known is None else known.for_another_recording()
     warnings = tuple[str, ...]()
     with explained(job.recording, job.subject, job.lifter):
+        if clocks is None:
+            again = sensed and (calibration is None or not calibration.of_kind("delay"))
+            clocks = find_offset([job]) if again else ClockOffset()
+            warnings += clocks.warnings
+        job = clocks.corrected(job)
         if job.recording.video.camera.uncertainty is not None:
             camera = camera or _found_camera(job, mode)
             job = replace(job, recording=with_camera(job.recording, camera.found))
-            warnings = camera.sentences
-        if estimate:
+            warnings += camera.sentences
+        if estimate and not clocks.foreign:
             calibration, more = estimated([job], priors, known)
             warnings += more
         elif calibration is None:
@@ -145,14 +155,21 @@ def _from_video(
         elif known is not None:
             calibration = known.followed_by(calibration)
         own = job.calibrated(calibration)
-        prepared, poses, solution = _optimised(own, mode, calibration)
+        prepared, poses, solution = _optimised(own, mode, calibration, clocks.left_out(own))
         others = list[PoseSequence]()
-        if camera is not None and solution is not None and solution.confidence is not None:
-            cameras = (with_camera(own.recording, other) for other in camera.deviations())
+        if solution is not None and solution.confidence is not None:
+            others += clocks.apart(poses) if sensed else ()
+            cameras = camera.deviations() if camera is not None else ()
             silent = replace(own, progress=lambda *_: None)
-            others = [silent.solved_again(one, mode, prepared.rejected, calibration)[1] for one in cameras]
-    result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others)
-    return replace(result, camera=camera)
+            for other in cameras:
+                one = with_camera(own.recording, other)
+                others.append(silent.solved_again(one, mode, prepared.rejected, calibration)[1])
+    result = _result(
+        job, own, mode, prepared, poses, solution, calibration, warnings, choices, others, clocks
+    )
+    if calibration is not None and clocks.applied is not None:
+        calibration = calibration.after(clocks.applied)
+    return replace(result, camera=camera, calibration=calibration, delay=clocks.delay)
 
 
 def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
@@ -171,10 +188,10 @@ def _found_camera(job: Job, mode: Mode) -> CameraEstimate:
 
 
 def _optimised(
-    job: Job, mode: Mode, calibration: SelfCalibration | None
+    job: Job, mode: Mode, calibration: SelfCalibration | None, rejected: tuple[StreamFault, ...]
 ) -> tuple[Prepared, PoseSequence, FragmentSolution | None]:
     """Prepare and solve; once more without the sensors that contradict the motion."""
-    prepared = job.prepare(mode, calibration=calibration)
+    prepared = job.prepare(mode, rejected, calibration)
     if mode not in ("rto", "rtof"):
         return prepared, prepared.stages[mode], None
     solution = job.solve(prepared, job.settings.confidence, mode)
@@ -189,48 +206,53 @@ def _optimised(
 def _result(
     declared: Job, job: Job, mode: Mode, prepared: Prepared, poses: PoseSequence,
     solution: FragmentSolution | None, calibration: SelfCalibration | None, warnings: tuple[str, ...],
-    choices: Choices, others: Iterable[PoseSequence] = (),
+    choices: Choices, others: Iterable[PoseSequence], clocks: ClockOffset,
 ) -> Reconstruction:  # fmt: skip
     """Check the motion against the recording and collect the result.
 
     Args:
         declared: the job before calibration. warnings: of the calibration.
-        others: poses with cameras one standard deviation off.
+        others: poses with clocks and cameras one standard deviation off. clocks: as `declared` has them.
     """
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
     warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
-    checks = _checked(declared, job, prepared, poses, suspect) if settings.checks else ()
+    checks, room = tuple[Check, ...](), unseen_room(declared.recording)
+    if settings.checks:
+        checks, room = _checked(declared, job, prepared, poses, suspect, clocks)
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
-    motion = with_covariances(skeleton.motion(poses), prepared, solution, others)
+    motion, room = with_covariances(skeleton.motion(poses), prepared, solution, others, room)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")
     return Reconstruction(
         recording, mode, motion, stages, prepared.keypoints, prepared.bone_imus, solution, scores.get(mode),
         scores, faults=prepared.faults, warnings=warnings, calibration=calibration, checks=checks,
-        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
+        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings), room=room,
     )  # fmt: skip
 
 
 def _checked(
-    declared: Job, job: Job, prepared: Prepared, poses: PoseSequence, suspect: bool
-) -> tuple[Check, ...]:
+    declared: Job, job: Job, prepared: Prepared, poses: PoseSequence, suspect: bool, clocks: ClockOffset
+) -> tuple[tuple[Check, ...], Room]:
     """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
-    camera = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
+    camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
+    if clocks.foreign:
+        return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
     view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording,
-        prepared,
-        poses,
-        prepared.skeleton,
-        job.lifter,
-        job.settings,
-        suspect,
+        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect,
         view_suspect,
-    )
-    return (*sensors, *camera)
+    )  # fmt: skip
+    if wrong := next((check for check in sensors if check.failed), None):
+        camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
+    return (*clocks.checks, *sensors, *camera), room
+
+
+def _unless(check: Check, why: str) -> Check:
+    """The check, but unknown where wrong sensors would explain it."""
+    return replace(check, value=float("nan"), advice=why) if check.name == DIRECTION else check
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:

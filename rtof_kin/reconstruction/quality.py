@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.metrics import hinges
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95, Confidence
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.prepare import Prepared
+from rtof_kin.reconstruction.room import Room
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.uncalibrated import with_camera_uncertainty
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -18,6 +23,9 @@ from rtof_kin.solve.solution import FragmentSolution, misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
+
+_SURE_DEG: Final = 4.0
+"""[deg] Largest standard deviation of a hinge's zero without a warning: mountings by a known pose."""
 
 
 def quality_warnings(
@@ -34,39 +42,99 @@ def quality_warnings(
             "no sensor has samples at the times of the video: the motion is estimated from the image "
             "alone; check the sensors' values and clock",
         )
-    return found if solution is None else found + misfit_warnings(solution, prepared.start.times, settings)
+    found += zero_warnings(prepared)
+    if solution is None:
+        return found
+    off = reprojection_errors(prepared.keypoints, prepared.skeleton, solution.poses)
+    return found + misfit_warnings(solution, off, settings)
+
+
+def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, poses: PoseSequence) -> Array:
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
+
+    Args:
+        keypoints: T frames. skeleton: the subject's. poses: at the same times.
+    """
+    keypoints, known = keypoints.landmarks, skeleton.landmarks
+    at = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
+    at = at[:, [list(known).index(name) for name in keypoints.names]]
+    error = np.linalg.norm(keypoints.camera.project(at) - keypoints.uv_px, axis=-1)
+    error[~poses.valid[:, skeleton.index(*(known[name][0] for name in keypoints.names))]] = np.nan
+    return np.asarray(error)
 
 
 def misfit_warnings(
-    solution: FragmentSolution, times: Array, settings: ReconstructionSettings
+    solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
     """Return warnings about intervals in which joints lie far from their keypoints.
 
     Args:
-        solution: of the fragment solver. times: (T,) s of its frames. settings: used.
+        solution: of the fragment solver. off_px: (T, L) of `reprojection_errors`. settings: used.
     """
     s = settings.fragment
     if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
         return ()
-    return misfits(solution.fragments, times, settings.frames, s.sigma_reprojection_range[1])
+    seen, by_frame = np.isfinite(off_px).any(axis=1), np.full(len(off_px), np.nan)
+    by_frame[seen] = np.nanmedian(off_px[seen], axis=1)
+    limit = s.sigma_reprojection_range[1]
+    return misfits(solution.fragments, solution.poses.times, settings.frames, limit, by_frame)
 
 
 def with_covariances(
     motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None,
-    others: Iterable[PoseSequence] = (),
-) -> MotionSequence:  # fmt: skip
-    """Return the motion with its pose covariances, inflated for autocorrelated errors.
+    others: Iterable[PoseSequence], room: Room,
+) -> tuple[MotionSequence, Room]:  # fmt: skip
+    """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:
         motion: of the solution. prepared: what was solved. solution: None in modes that do not optimise.
         others: poses with cameras one standard deviation off, of a camera that is not calibrated.
+        room: what is open of positions in world; it comes back with that in words.
     """
     if solution is None or solution.confidence is None:
-        return motion
+        return motion, room
     sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
     statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
-    return replace(motion, confidence=with_camera_uncertainty(inflated, motion.poses, others))
+    if solution.spread is not None:
+        inflated = inflated.plus(solution.spread)
+    if prepared.calibration is not None:
+        inflated = _with_places(inflated, prepared.calibration.place_variances(prepared.skeleton))
+    wide, room = room.added(inflated, motion.poses)
+    return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), room
+
+
+def _with_places(confidence: Confidence, variances: Mapping[str, float]) -> Confidence:
+    """Covariances of orientations with the constant error of mountings that were estimated with a detector.
+
+    Args:
+        variances: of the segments' orientations, by joint, rad^2.
+    """
+    added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in confidence.pairs])
+    turns = confidence.turn_covariance + added[:, None, None] * np.eye(3)
+    return replace(confidence, turn_covariance=turns)
+
+
+def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
+    """Return that the zero of flexion is uncertain where the mounting of its sensors was estimated with the
+    video and no known pose.
+
+    Args:
+        prepared: what was solved.
+    """
+    if prepared.calibration is None:
+        return ()
+    skeleton, variances = prepared.skeleton, prepared.calibration.place_variances(prepared.skeleton)
+    pairs = [(skeleton.names[skeleton.parents[j]], skeleton.names[j]) for j in hinges(skeleton)]
+    worst = max((sum(variances.get(name, 0.0) for name in pair) for pair in pairs), default=0.0)
+    sigma = float(np.degrees(np.sqrt(worst)))
+    if sigma < _SURE_DEG:
+        return ()
+    return (
+        f"the zero of knee and elbow flexion is not known to better than +-{BAND_95 * sigma:.0f} deg: how "
+        "the sensors sit on the limbs was estimated from this video, and no pose with a known angle "
+        "(standing, T-pose or N-pose) fixed it; changes of an angle within the recording are not affected",
+    )

@@ -8,7 +8,7 @@ from typing import Any
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.calibration.camera_estimate import CameraEstimate
-from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Calibrate, Mode
 from rtof_kin.core.plausibility import Check
@@ -17,6 +17,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.reconstruction.room import Room
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -89,11 +90,16 @@ class Reconstruction:
     """Limitations of the motion, in sentences."""
     calibration: SelfCalibration | None = None
     """The self-calibration that was applied."""
+    delay: Quantity | None = None
+    """Delay of the video relative to the sensors' clock, found before the calibration; None without sensors
+    or where the motion does not show it."""
     camera: CameraEstimate | None = None
     """What was assumed and found of a camera that is not calibrated; None for a calibrated one."""
     checks: tuple[Check, ...] = ()
     """Checks of what the recording declares; failed ones name a likely cause."""
     choices: Choices = field(default_factory=Choices)
+    room: Room | None = None
+    """What is left open of positions in world; None without keypoints."""
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:

@@ -16,7 +16,7 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, detect_contacts
+from rtof_kin.inertial.contacts import FEET
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.reconstruction.image_checks import Picture
 from rtof_kin.reconstruction.limb_images import Limbs
@@ -28,21 +28,18 @@ LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
 tilt)."""
 LARGEST_SCALE = 1.14
 """Tolerated factor of bone lengths by the accelerations of two sensors."""
-WALKED, LONGEST_WALK = 1.045, 1.18
-"""Usual ratio of a body's path over its standing feet, seen by the camera and by its legs (feet roll), and
-the tolerated factor."""
-LEAST_WALK = 0.7
-"""[m] Least walking to or from the camera that constrains its focal length."""
 FLATTEST, LEAST_DISTINCT = 0.55, 0.88
 """Perspective of the bones relative to that of the focal length, below which the focal length is too
 short; and the fraction of the misfit that must remain with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
 _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
+_PARTS = 4
+"""Parts of a recording that have to agree on it."""
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
 LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
-_SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
+_SCALE, _PERSPECTIVE = "length of bones by accelerations", "perspective"
 
 
 @dataclass(frozen=True)
@@ -132,47 +129,6 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float
     return (float(xy / xx), float(yy / xy)) if explained else None
 
 
-def check_walk(
-    poses: PoseSequence, bone_imus: BoneImuSequence | None, keypoints: KeypointSequence,
-    skeleton: SkeletonModel,
-) -> Check:  # fmt: skip
-    """Check the focal length by walking to or from the camera.
-
-    Bones and sensors of the legs determine the length of a step; the path of the body over standing feet
-    depends on the focal length.
-
-    Args:
-        poses: the final ones. bone_imus, keypoints: at their times. skeleton: the subject's.
-    """
-    if bone_imus is None or not {*LEGS} <= {*bone_imus.joints}:
-        return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
-    if keypoints.camera.uncertainty is not None:
-        return Check.unknown(_WALK, "the feet", "times", "the focal length is estimated by it")
-    contacts = detect_contacts(poses, bone_imus, skeleton)
-    ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
-    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-    body, legs = [], []
-    for i, foot in enumerate(contacts.joints):
-        root = poses.p_world_joint[:, 0]
-        for start, stop in signals.runs(contacts.standing[:, i]):
-            n = max((stop - start) // 6, 1)
-            path = np.stack([root, root - poses.p_world_joint[:, skeleton.names.index(foot)]]) @ ahead
-            moved = path[:, stop - n : stop].mean(axis=1) - path[:, start : start + n].mean(axis=1)
-            body.append(moved[0])
-            legs.append(moved[1])
-    x, y = np.array(legs), np.array(body)
-    if np.abs(x).sum() < LEAST_WALK or x @ y <= 0:
-        why = f"the person walks less than {LEAST_WALK:g} m to or from the camera"
-        return Check.unknown(_WALK, "the feet", "times", why)
-    ratio = float(x @ y / (x @ x)) / WALKED
-    word = "long" if ratio > 1 else "short"
-    return Check(
-        _WALK, "the feet", max(ratio, 1 / ratio), LONGEST_WALK, "times",
-        f"Along the view the body moves {ratio:.2f} times as far over standing feet as its legs do",
-        cause=f"the focal length is probably too {word}",
-    )  # fmt: skip
-
-
 def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     """Check the focal length by the perspective of bones away from the image centre.
 
@@ -188,10 +144,17 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     seen, seen2 = limbs.seen[seen2 > 0], seen2[seen2 > 0]
     scale = np.maximum((seen * drawn).sum(axis=(2, 3)), 0) / (drawn**2).sum(axis=(2, 3))
     off = np.linalg.norm(seen - scale[..., None, None] * drawn, axis=-1) / np.sqrt(seen2)[:, None]
-    misfits = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=(1, 2))
+    by_frame = np.mean(np.minimum(off, _LARGEST_MISFIT) ** 2, axis=2)
+    misfits = by_frame.mean(axis=1)
     best = int(np.argmin(misfits))
-    if not misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN]:
-        return Check.unknown(_PERSPECTIVE, what, "times", "the person stays near the picture's middle")
+    clear = misfits[best] < LEAST_DISTINCT * misfits[_AS_GIVEN] and by_frame.shape[1] >= _PARTS
+    parts = np.array_split(by_frame, _PARTS, axis=1) if clear else []
+    apart = [int(part.mean(axis=1).argmin()) for part in parts]
+    shorter = all(0 < one < _AS_GIVEN for one in apart)
+    longer = all(_AS_GIVEN < one < len(misfits) - 1 for one in apart)
+    if not clear or not (shorter or longer):
+        why = "its estimates differ, or the person stays near the picture's middle"
+        return Check.unknown(_PERSPECTIVE, what, "times", why)
     share = max(float(_PERSPECTIVES[best]), 0.05)
     return Check(
         _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",

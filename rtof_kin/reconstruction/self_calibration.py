@@ -48,7 +48,7 @@ def calibrate_recording(
             "add them, or reconstruct it as it is with mode 'rto'"
         )
     job = Job.of(recording, skeleton, lifter, settings, progress)
-    return _calibrated([job], priors, None)
+    return calibrated([job], priors, None)
 
 
 def estimated(
@@ -62,7 +62,7 @@ def estimated(
         jobs: on the recording, or on parts of it in the order of time. priors, known: as for `reconstruct`.
     """
     try:
-        found = _calibrated(jobs, priors, known)
+        found = calibrated(jobs, priors, known)
     except CalibrationError as error:
         if priors is not None:
             raise
@@ -70,7 +70,7 @@ def estimated(
     return found, consistency_warnings(jobs[0].recording, found)
 
 
-def _calibrated(
+def calibrated(
     jobs: Sequence[Job], priors: CalibrationPriors | None, known: SelfCalibration | None
 ) -> SelfCalibration:
     """Self-calibration, joined with what is known."""

@@ -21,7 +21,7 @@ SIZE, SIZE_FACTOR = 1.9, 2.4
 """Diagonal of the box around a person's points, m, and the largest ratio to it: 0.8 to 4.6 m."""
 FOCAL, FOCAL_FACTOR = 1.2, 5.0
 """Focal length in image widths, and the largest ratio to it: fields of view of 10-130 deg."""
-CENTRE, ASPECT = 15.0, 3.0
+CENTRE, ASPECT = 7.0, 3.0
 """Largest offset of the principal point from the centre, % of the width; largest difference of the focal
 lengths, %."""
 REPROJECTION_PX: Final = 20.0

@@ -14,7 +14,7 @@ from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.recording.files import data_path, naming
 
 _SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
-_UNCERTAINTY, _OF_MOTION = "uncertainty", "of_motion"
+_UNCERTAINTY, _ACCURACY, _OF_MOTION = "uncertainty", "accuracy", "of_motion"
 _FIELDS: Final = {
     "focal": ("focal", 1.0), "tilt": ("tilt_deg", float(np.radians(1.0))), "height": ("height_m", 1.0),
     "k1": ("k1", 1.0), "roll": ("roll_deg", float(np.radians(1.0))),
@@ -29,14 +29,14 @@ def read_camera(section: Section) -> Camera:
         section: table ``[camera]``; its ``motion`` is read by `camera_motion_files`.
     """
     section.has("motion")
-    uncertainty = _uncertainty(section)
+    uncertainty, accuracy = _uncertainty(section, _UNCERTAINTY), _uncertainty(section, _ACCURACY)
     if section.has("file"):
         path, name, up = data_path(section), section.optional_text("name"), section.optional_text("up")
         with naming(section.path):
             metres_per_unit = section.optional_number("metres_per_unit")
             camera = read_camera_file(path, name, up=up, metres_per_unit=metres_per_unit)
         section.close()
-        return replace(camera, uncertainty=uncertainty)
+        return replace(camera, uncertainty=uncertainty, accuracy=accuracy)
     width, height = section.integer("width_px"), section.integer("height_px")
     with naming(section.path):
         if section.has("position_m") or section.has("target_m"):
@@ -55,7 +55,7 @@ def read_camera(section: Section) -> Camera:
         assumed = section.optional_names("assumed") or ()
         stabilised = section.flag("stabilised")
         drift = section.number("heading_drift_deg_s", 0.0) * float(np.radians(1.0))
-        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift)
+        camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift, accuracy)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
             "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
@@ -66,14 +66,14 @@ def read_camera(section: Section) -> Camera:
     return camera
 
 
-def _uncertainty(section: Section) -> CameraUncertainty | None:
-    """Return the table ``[camera.uncertainty]``; None without one."""
-    if not section.has(_UNCERTAINTY):
+def _uncertainty(section: Section, name: str) -> CameraUncertainty | None:
+    """Return a table of standard deviations; None without one."""
+    if not section.has(name):
         return None
-    table = section.table(_UNCERTAINTY)
+    table = section.table(name)
     given = {name: (table.optional_number(field), unit) for name, (field, unit) in _FIELDS.items()}
     values = {name: value * unit for name, (value, unit) in given.items() if value is not None}
-    of_motion = table.flag(_OF_MOTION)
+    of_motion = name == _UNCERTAINTY and table.flag(_OF_MOTION)
     table.close()
     with naming(section.path):
         return CameraUncertainty(**values, of_motion=of_motion)
@@ -99,12 +99,14 @@ def camera_table(camera: Camera) -> dict[str, Any]:
         more["stabilised"] = True
     if camera.heading_drift:
         more["heading_drift_deg_s"] = _number_of(camera.heading_drift, float(np.radians(1.0)))
-    if camera.uncertainty is not None:
-        own = vars(camera.uncertainty)
+    for table, sigmas in ((_UNCERTAINTY, camera.uncertainty), (_ACCURACY, camera.accuracy)):
+        if sigmas is None:
+            continue
+        own = vars(sigmas)
         given = {name: pair for name, pair in _FIELDS.items() if own[name] is not None}
-        more[_UNCERTAINTY] = {field: _number_of(own[name], unit) for name, (field, unit) in given.items()}
-        if camera.uncertainty.of_motion:
-            more[_UNCERTAINTY][_OF_MOTION] = True
+        more[table] = {field: _number_of(own[name], unit) for name, (field, unit) in given.items()}
+        if sigmas.of_motion:
+            more[table][_OF_MOTION] = True
     return more | {
         "width_px": int(camera.width_px),
         "height_px": int(camera.height_px),

@@ -33,6 +33,7 @@ from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import detector_table, is_detector_point
 
 _OWN_LAYOUT: Final = "joints"
+_PERSON: Final = ("person_number", "person")
 RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
 _KEYPOINT_AXES: Final = {"uv_px": 3, "confidence": 2, "times": 1}
@@ -133,7 +134,7 @@ def keypoint_stream(
         section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
         source: how the file is read.
     """
-    if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT or section.has("person"):
+    if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT or any(map(section.has, _PERSON)):
         return source.keep(_read_detected(section, camera, skeleton))
     path = data_path(section)
     is_csv = path.suffix.lower() == ".csv"
@@ -216,15 +217,24 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
         layout=None if layout == RECOGNISE else layout,
         rate_hz=section.optional_number("rate_hz"),
         start=(start := section.number("start_s", 0.0)),
-        person=section.integer("person") if section.has("person") else None,
+        person=_person(section),
         frame=section.integer("frame") if section.has("frame") else None,
     )
-    chosen = section.has("person")
+    chosen = any(map(section.has, _PERSON))
     section.close()
     several = found.track.people > 1 and not chosen
     doubtful = several or bool(np.any(found.track.ambiguous | found.track.lost))
     _log.log(logging.WARNING if doubtful else logging.INFO, "%s: %s", section.path, found.summary)
     return _on_video(found.keypoints, start)
+
+
+def _person(section: Section) -> int | None:
+    """Return the index of the person from 0; None where the likely one is meant."""
+    if section.has("person_number"):
+        if section.has("person"):
+            raise section.error("person", "stands beside person_number; give only one of the two")
+        return section.integer("person_number") - 1
+    return section.integer("person") if section.has("person") else None
 
 
 def _on_video(keypoints: KeypointSequence, start: float) -> KeypointSequence:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 import numpy as np
@@ -27,6 +27,8 @@ from rtof_kin.recording.streams import Streams
 from rtof_kin.recording.views import view_streams
 
 INDEX: Final = "recording.toml"
+UNFINISHED: Final = PurePath("live", "setup")
+"""Folder that a live session makes first."""
 SCHEMA_VERSION: Final = 1
 SKELETONS: Final = ("total_capture", "human36m")
 """Tables of skeletons that a recording may name."""
@@ -45,6 +47,11 @@ def index_of(folder: Path) -> Section:
     """
     path = folder / INDEX
     if folder.is_dir() and not path.exists():
+        if (folder / UNFINISHED / INDEX).is_file():
+            finish = f"rtof-kin live --finish {folder}"
+            raise FileFormatError(
+                folder, f"a live session that was not finished; {finish} makes a recording of it"
+            )
         raise FileFormatError(
             path, "there is no such file; rtof-kin init makes a recording of a video and sensors' files"
         )
@@ -129,7 +136,7 @@ def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
     named = tuple(quats.keys())
     unknown = [name for name in named if name not in joints[1:]]
     if unknown:
-        raise UnknownNameError(f"joint in {section.path}, {section.where('quat_wxyz')}", unknown, joints[1:])
+        raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where("quat_wxyz"))
     section.close()
     return NeutralPosture(named, np.array([quats.array(name, (4,)) for name in named]).reshape(-1, 4))
 
@@ -138,15 +145,13 @@ def _read_skeleton(section: Section) -> dict[str, Any]:
     """Read the fields of `Recording` that describe the skeleton."""
     table = section.text("table", "total_capture")
     if table not in SKELETONS:
-        where = f"skeleton in {section.path}, {section.where('table')}"
-        raise UnknownNameError(where, [table], SKELETONS)
+        raise UnknownNameError("skeleton", [table], SKELETONS, section.path, section.where("table"))
     joints = shipped(table).names
     fields: dict[str, Any] = {"skeleton_table": table}
     for name in ("bone_lengths_m", "joint_offsets_m"):
         unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
         if unknown:
-            where = f"joint in {section.path}, {section.where(name)}"
-            raise UnknownNameError(where, unknown, joints[1:])
+            raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where(name))
     lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
     if len(lengths):
         fields["bone_lengths"] = {name: lengths.number(name) for name in lengths.keys()}  # noqa: SIM118

@@ -11,6 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.recording.digest import recording_digest
 from rtof_kin.recording.files import naming
@@ -34,6 +35,10 @@ class RecordingSlices(Protocol):
     @property
     def times(self) -> Array:
         """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+
+    @property
+    def usual_mode(self) -> Mode:
+        """Mode that uses all that was recorded."""
 
     @property
     def start_s(self) -> float:
@@ -113,6 +118,11 @@ class RecordingReader(TimeAxis):
     def frame_times(self) -> Array | None:
         """(T,) s of the frames of the first camera; None without one."""
         return None if self._streams.keypoints is None else self._streams.keypoints.times
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether there are IMUs."""
+        return self._streams.imus is not None
 
     @property
     def times(self) -> Array:

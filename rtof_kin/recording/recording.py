@@ -193,6 +193,11 @@ class Recording(TimeAxis):
         return None if self.keypoints is None else self.keypoints.times
 
     @property
+    def has_sensors(self) -> bool:
+        """Whether there are IMUs."""
+        return self.imus is not None
+
+    @property
     def times(self) -> Array:
         """(T,) s of the frames of the first camera, without one of the sensors' samples."""
         first = self.keypoints or self.imus

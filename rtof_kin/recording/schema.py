@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
-from rtof_kin.core.errors import RtofError, UnknownNameError
+from rtof_kin.core.errors import RtofError, UnknownNameError, did_you_mean
 from rtof_kin.core.files.section import Section
 from rtof_kin.vision.layouts import detector_table
 
@@ -118,9 +118,11 @@ def _explained(index: Section, error: _Violation) -> RtofError:
         return table.error(field, f"{value} {told or 'is not allowed: ' + error.message[:200]}")
     known = error.validator_value
     if "title" in error.schema:
-        where = f"{error.schema['title']} in {table.path}, {table.where(field)}"
-        return UnknownNameError(where, [str(error.instance)], known)
-    return table.error(field, f"{value} is not one of {', '.join(known)}")
+        return UnknownNameError(
+            error.schema["title"], [str(error.instance)], known, table.path, table.where(field)
+        )
+    hint = did_you_mean([str(error.instance)], map(str, known))
+    return table.error(field, f"{value} is not one of {', '.join(known)}{'.' if hint else ''}{hint}")
 
 
 def _place(index: Section, steps: list[Any], keyword: str) -> tuple[Section, Node, str]:

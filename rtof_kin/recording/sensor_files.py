@@ -122,7 +122,7 @@ def read_log(section: Section, skeleton: SkeletonModel, named: Sequence[str] = (
     selected = section.optional_names("names") or log.names
     unknown = [name for name in selected if name not in log.names]
     if unknown:
-        raise UnknownNameError(f"sensor in {section.path}, {section.where('names')}", unknown, log.names)
+        raise UnknownNameError("sensor", unknown, log.names, section.path, section.where("names"))
     log = log.select(selected)
     for note in log.notes:
         _log.info("%s: %s", path, note)
@@ -154,8 +154,8 @@ def _placed(section: Section, log: SensorLog, skeleton: SkeletonModel, named: Se
         return log
     for place in places.values():
         if place not in named:
-            known_segment(place, skeleton, f"segment in {where}")
-    found = matched(places, log.names)
+            known_segment(place, skeleton, where)
+    found = matched(places, log.names, where if section.has("sensor_map") else None)
     left = [name for name in log.names if name not in found]
     if left:
         _log.info("%s: the map of sensors leaves out %s", section.path, ", ".join(left))

@@ -10,6 +10,7 @@ from typing import Any, Final, Generic, TypeVar
 import numpy as np
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -110,6 +111,18 @@ class TimeAxis(ABC):
     @abstractmethod
     def times(self) -> Array:
         """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+
+    @property
+    @abstractmethod
+    def has_sensors(self) -> bool:
+        """Whether there are IMUs."""
+
+    @property
+    def usual_mode(self) -> Mode:
+        """Mode that uses all that was recorded: rtof, rto without IMUs, imu without a camera."""
+        if self.frame_times is None:
+            return "imu"
+        return "rtof" if self.has_sensors else "rto"
 
     @property
     def start_s(self) -> float:

@@ -18,10 +18,19 @@ from rtof_kin.body.metrics import hinges
 from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
+from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit_results import FAILED_FRAGMENTS, FAULT, UNOBSERVED_FRAGMENTS, AuditResult
+from rtof_kin.report.audit_results import (
+    FAILED_FRAGMENTS,
+    FAULT,
+    ROOM,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+)
 from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -31,12 +40,18 @@ _LANDMARK: Final = (0.065, 0.13)
 _ALL_LANDMARKS: Final = (0.035, 0.07)
 """Median reprojection errors, as shares of the body's height in the image, that warn and fail."""
 _DETECTORS: Final = (
-    "of the body's height in the image; the first is what recordings of validation subjects with a real "
-    "detector's usual errors reach (benchmarks/results/audit.md), the second twice that"
+    "of the body's height in the image; the first is what recordings of held-out subjects with a real "
+    "detector's usual errors reach (benchmarks/results/planted.md), the second twice that"
 )
 _USER: Final = "a convention of this report"
 _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
 """Limits of the share of unseen frames, of points that are out of sight in most views from side or back."""
+_MANY: Final = 8
+"""Sensors beyond which more are no remedy."""
+_WIDE_M: Final = 0.5
+_SHORT_S: Final = 0.15
+"""[s] of a fault that was mended and hardly matters."""
+_POSITION: Final = "position in the room"
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
 
@@ -55,7 +70,7 @@ def audit(found: Reconstruction | ReconstructionStatistics) -> tuple[AuditResult
         *(found for section in before for found in section(statistics)),
         *calibration_results(statistics.first.calibration),
         *camera_results(statistics.first.camera),
-        *(found for section in (_solver, _confidence, _truth) for found in section(statistics)),
+        *(found for section in (_solver, _confidence, _room, _truth) for found in section(statistics)),
     )
 
 
@@ -64,12 +79,13 @@ def _inputs(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         why = "the declared camera, body and sensors were not compared with the recorded data"
         yield AuditResult.not_checked("inputs", "recording", why)
     for check in statistics.checks:
+        section = ROOM if check.name.startswith(ROOM_CHECKS) else "inputs"
         if math.isnan(check.value):
-            yield AuditResult.not_checked("inputs", check.subject, check.advice, check.name)
+            yield AuditResult.not_checked(section, check.subject, check.advice, check.name)
             continue
         note = ": ".join(part for part in (check.cause if check.failed else "", check.advice) if part)
         yield AuditResult(
-            "inputs", check.name, check.subject, check.value, check.unit, check.limit, check.limit,
+            section, check.name, check.subject, check.value, check.unit, check.limit, check.limit,
             "limit of the check", note,
         )  # fmt: skip
 
@@ -84,6 +100,7 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     ]  # fmt: skip
     if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
+        shares = shares[1:]  # only joints between sensors are valid there
     else:
         note = "occluded, out of the image, or not detected"
         names = first.keypoints.landmarks.names
@@ -102,11 +119,15 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.5 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", FAULT, fault.what, fault.stop - fault.start, "s", -1.0, most.get(fault.kind, math.inf),
-            source="any fault warns", note=fault.kind.value, at=fault.start,
+            "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,
+            max(most.get(fault.kind, math.inf), _SHORT_S), _USER, fault.kind.value, fault.start,
         )  # fmt: skip
+    of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
-        yield AuditResult.warning("streams", "motion", warning)
+        if warning in of_camera:  # its effect is in the stated uncertainty
+            yield AuditResult.remark(ROOM, "camera that is not calibrated", warning)
+        else:
+            yield AuditResult.warning("streams", "motion", warning)
     if math.isfinite(drift := statistics.root_sigma):
         text = f"its position drifts, with a standard deviation of {drift:.2f} m per axis at the end"
         yield AuditResult.remark("streams", "root", text)
@@ -228,7 +249,8 @@ def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
     priors = dict(zip(UNKNOWNS, prior_sigma(found.assumed), strict=True))
     for name, assumed, now, left, verdict in found.table():
         yield AuditResult(
-            "calibration", f"{name}, correction in standard deviations of the prior", "camera",
+            "calibration" if name in ("pitch", "roll") else ROOM,
+            f"{name}, correction in standard deviations of the prior", "camera",
             float(sizes[name] / priors[name]), "", 3.0, 6.0, "3 and 6 standard deviations",
             f"{assumed} assumed, {now} found ({left} of the standard deviation remain)",
             weak=verdict != FOUND,
@@ -266,9 +288,12 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         why = f"mode {statistics.first.mode} has no standard deviations in this space"
         yield AuditResult.not_checked("confidence", "motion", why)
         return
+    sensors = 0 if (imus := statistics.first.bone_imus) is None else len(imus.joints)
+    note = "the recorded data give no better accuracy"
+    if sensors < _MANY:
+        note = "the recorded data give no better accuracy; add sensors"
     figures = (
         ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
-        ("joints in world", "position sigma", 1000.0, "mm", 200.0, 500.0),
         ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),
     )
     for subject, name, factor, unit, warn, fail in figures:
@@ -279,9 +304,24 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         worst = int(np.nan_to_num(per_axis.largest).argmax())
         yield AuditResult(
             "confidence", _EXPECTED, subject, math.sqrt(3) * factor * per_axis.rms_of_all, unit, warn, fail,
-            _USER, "the camera alone, or the recorded data, give no better accuracy; add sensors",
-            float(per_axis.largest_at[worst]),
+            _USER, note, float(per_axis.largest_at[worst]),
         )  # fmt: skip
+
+
+def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
+    """How far off positions in world may be, and what of that nothing in the recording verifies."""
+    first = statistics.first
+    if first.keypoints is None:
+        yield AuditResult.not_checked(ROOM, _POSITION, "it drifts without a camera")
+    elif "position sigma" not in statistics or not statistics["position sigma"].known.any():
+        yield AuditResult.not_checked(ROOM, _POSITION, f"mode {first.mode} has no standard deviations")
+    else:
+        half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
+        open_ = "" if first.room is None else first.room.unverified
+        limit = math.inf if open_ else _WIDE_M
+        yield AuditResult(
+            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_)
+        )
 
 
 def _truth(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:

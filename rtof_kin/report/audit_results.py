@@ -19,12 +19,17 @@ SECTIONS: Final = {
     "calibration": "Calibration from the recording",
     "solver": "Solver",
     "confidence": "Uncertainty of the motion",
+    "room": "Position in the room",
     "truth": "Error against the reference",
     "angles": "Joint angles",
     "gait": "Gait",
     "torques": "Joint torques",
 }
-"""Sections of an audit, and their titles."""
+"""Sections of an audit, and their titles. All but the room are about the angles and the pose relative to the
+root, which one can use without the position in the room."""
+ROOM: Final = "room"
+ROOM_BAND: Final = "half width of the 95 % band"
+"""Name of the figure that states how far off the position in the room may be."""
 FAILED_FRAGMENTS: Final = "share of fragments that failed"
 UNOBSERVED_FRAGMENTS: Final = "share of fragments in which nothing was seen"
 FAULT: Final = "fault, duration"

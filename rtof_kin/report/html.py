@@ -17,6 +17,11 @@ from typing import Any, Final
 from rtof_kin.report.audit_results import Grade
 
 _ASSETS: Final = Path(__file__).parent / "assets"
+GRADE_WORDS: Final = {
+    Grade.PASS: "good", Grade.WARN: "use with care", Grade.FAIL: "do not use", Grade.WEAK: "not verified",
+    Grade.NOT_CHECKED: "not checked", Grade.INFORMATION: "for information",
+}  # fmt: skip
+"""What a grade means to the reader of a page."""
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
 
 
@@ -95,6 +100,7 @@ def table(
     caption: str = "",
     row_headers: bool = False,
     shown: Iterable[str] = (),
+    further: Iterable[bool] = (),
 ) -> str:
     """Return a table, which a narrow screen shows as one card for each row.
 
@@ -102,13 +108,15 @@ def table(
         header: text. rows: cells that are HTML. kind: CSS class. caption: text; none without.
         row_headers: whether the first cell of a row is its header.
         shown: `AngleName.shown` of each row; all are always shown without.
+        further: whether a narrow screen shows each row only if asked to.
     """
     names = [escape(name) for name in header]
     head = "".join(f'<th scope="col">{name}</th>' for name in names)
-    within = [*shown]
+    within, less = [*shown], [*further]
     body = []
     for number, row in enumerate(map(list, rows)):
         only = f' data-in="{within[number]}"' if within else ""
+        only += ' class="further"' if less and less[number] else ""
         cells = [f'<td data-label="{name}">{cell}</td>' for name, cell in zip(names, row, strict=True)]
         if row_headers:
             cells[0] = f'<th scope="row">{row[0]}</th>'
@@ -138,6 +146,11 @@ def bullets(texts: Iterable[str]) -> str:
     return f"<ul>{items}</ul>" if items else ""
 
 
-def badge(grade: Grade) -> str:
-    """Return a coloured label."""
-    return f'<span class="grade {grade.value.replace(" ", "-")}">{grade.value}</span>'
+def badge(grade: Grade, word: str = "") -> str:
+    """Return a label, told apart by colour, sign and word.
+
+    Args:
+        grade: that gives colour and sign. word: in place of that of `GRADE_WORDS`.
+    """
+    kind = grade.value.replace(" ", "-")
+    return f'<span class="grade {kind}">{escape(word or GRADE_WORDS[grade])}</span>'

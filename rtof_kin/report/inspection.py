@@ -7,6 +7,7 @@ Sensor logs are checked by `rtof_kin.inertial.physics`, bodies and cameras by
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
@@ -27,7 +28,7 @@ from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -101,6 +102,9 @@ def _inspector(path: Path) -> Callable[[Path], Inspection] | None:
     if path.name == INDEX or (path / INDEX).is_file():
         return _recording
     if path.is_dir():
+        with suppress(FileFormatError):
+            motion_path(path)
+            return _motion
         return _keypoints if any(path.glob("*_keypoints.json")) else None
     if path.suffix.lower() == ".npz":
         return _motion if {"schema_version", "q"} <= set(npz_names(path)) else _keypoints
@@ -170,7 +174,7 @@ def _recording(path: Path) -> Inspection:
 
 
 def _motion(path: Path) -> Inspection:
-    file = read_motion_npz(path)
+    file = read_motion_npz(motion_path(path))
     poses = file.poses
     bones = bodies.skeleton_bones(poses.names, file.motion().skeleton.parents)
     contents = (

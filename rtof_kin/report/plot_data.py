@@ -18,7 +18,7 @@ from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.signals import runs
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.report.angle_names import angle_name, side_and_name
+from rtof_kin.report.angle_names import MAIN, angle_name, side_and_name
 
 Data = dict[str, Any]
 SHOWN_HZ: Final = 30.0  # highest frame rate of plots; all figures are computed from all frames
@@ -129,7 +129,8 @@ def _group(groups: dict[str, Data], row: AngleRow) -> Data:
     name = angle_name(row)
     group = {
         "name": name.clinical, "positive": name.positive, "shown": name.shown,
-        "opensim": name.opensim_title, "opposite": name.opposite, "series": [],
+        "opensim": name.opensim_title, "opposite": name.opposite, "further": name.clinical not in MAIN,
+        "series": [],
     }  # fmt: skip
     return groups.setdefault(side_and_name(row.name)[1], group)
 
@@ -174,6 +175,8 @@ def player_data(motion: MotionSequence | MotionSource, shown: slice, floor: Any)
         lowest = float(np.percentile(p[known][..., 2].min(axis=1), 5)) - 0.08
         middle[2] = floor if isinstance(floor, int | float) else lowest
     largest = float(np.nanmax(np.abs(p - middle), initial=0.0))
+    seen = observed_bones(masks)[shown]
+    there = np.where(known & masks.valid[shown].any(axis=1), seen.mean(axis=1), -1.0)
     scale = min(1000.0, (-MISSING - 1) / largest) if largest else 1000.0  # mm, coarser for longer paths
     return {
         "times": _times(source.times[shown]),
@@ -182,7 +185,8 @@ def player_data(motion: MotionSequence | MotionSource, shown: slice, floor: Any)
         "parents": [int(parent) for parent in skeleton.parents],
         "p": packed(p - middle, scale),
         "valid": packed(masks.valid[shown].mean(axis=1), 100),
-        "unseen": [runs(~seen) for seen in observed_bones(masks)[shown].T],
+        "unseen": [runs(~own) for own in seen.T],
+        "first": int(np.argmax(there >= 0.9 * there.max(initial=0.0))),
         "height": float(skeleton.height),
     }
 

@@ -7,6 +7,7 @@ import numpy as np
 from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.reconstruction import quality
 from rtof_kin.reconstruction.result import Reconstruction
 
 
@@ -19,15 +20,8 @@ def reprojection_errors(result: Reconstruction) -> Array:
     Raises:
         InvalidInputError: there are no keypoints.
     """
-    motion, keypoints = result.motion, (result.keypoints or result.recording.video).landmarks
-    p, R = motion.poses.p_world_joint, motion.poses.R_world_bone
-    known = motion.skeleton.landmarks
-    at = motion.skeleton.landmark_positions(p, R)
-    at = at[:, [list(known).index(name) for name in keypoints.names]]
-    error = np.linalg.norm(keypoints.camera.project(at) - keypoints.uv_px, axis=-1)
-    owners = motion.skeleton.index(*(known[name][0] for name in keypoints.names))
-    error[~motion.poses.valid[:, owners]] = np.nan
-    return np.asarray(error)
+    keypoints = result.keypoints or result.recording.video
+    return quality.reprojection_errors(keypoints, result.motion.skeleton, result.motion.poses)
 
 
 def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:

@@ -1,8 +1,8 @@
-"""Findings of a summary: differences that exceed their 95 % bands, by their size in standard deviations.
+"""Findings of a summary: differences that exceed their errors, by their size in standard deviations.
 
-Compared are the ranges of the two sides, the ends of ranges with anatomical limits, and the measures of gait
-of the two sides. Angles that were unobserved, unreliable or near a singular posture for a part of the
-recording have no findings. A finding names a difference, never its cause.
+Compared are the two sides, by the same computation as ``compare --sides``, the ends of ranges with anatomical
+limits, and the measures of gait of the two sides. Angles that were unobserved, unreliable or near a singular
+posture for a part of the recording have no findings. A finding names a difference, never its cause.
 """
 
 from __future__ import annotations
@@ -16,14 +16,17 @@ import numpy as np
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES, AngleTable
+from rtof_kin.clinical.comparison import Comparison, with_strides
+from rtof_kin.clinical.comparison_axis import compare_sides
+from rtof_kin.clinical.comparison_change import LEVEL
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import SECOND_SHOULDER, label
 from rtof_kin.report.clinical_findings import SECOND_PELVIS
 
 LEAST_DIFFERENCE: Final = np.radians(5.0)  # [rad] smaller differences are no findings, however certain
-LEAST_RELIABLE: Final = 0.9  # share of the frames in which an angle must be known, reliable and regular
 FEWEST_STRIDES: Final = 3  # of each side, for their standard deviation
 EVENT_SIGMA: Final = 0.015
 """Standard deviation of a side's mean stance, share of the stride, that more strides do not reduce."""
@@ -41,15 +44,18 @@ class Finding:
     """Difference divided by its standard deviation."""
 
 
-def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding, ...]:
+def findings(
+    analysis: MotionAnalysis, skeleton: SkeletonTable, sides: Comparison | None
+) -> tuple[Finding, ...]:
     """Return the findings of an analysis, the largest first, at most one for each joint and measure.
 
     Args:
         analysis: of the motion. skeleton: of the motion, with its anatomical limits.
+        sides: `compared_sides` of the analysis.
     """
-    rows = {row.name: row for row in comparable_ranges(analysis)}
+    rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
     found = [
-        *_side_differences(rows, analysis.table), *_beyond_limits(rows, analysis.table, skeleton),
+        *_side_differences(sides), *_beyond_limits(rows, analysis.table, skeleton),
         *_asymmetries(analysis.gait),
     ]  # fmt: skip
     out: dict[str, Finding] = {}
@@ -58,29 +64,25 @@ def findings(analysis: MotionAnalysis, skeleton: SkeletonTable) -> tuple[Finding
     return tuple(out.values())
 
 
-def comparable_ranges(analysis: MotionAnalysis) -> list[RangeOfMotion]:
-    """Return the ranges that findings compare: `is_comparable`, and without whole turns.
+def compared_sides(analysis: MotionAnalysis) -> Comparison | None:
+    """Return left against right as `compare --sides` has it; None if nothing can be compared.
 
     Args:
         analysis: of the motion.
     """
-    return [
-        row
-        for row, angle in zip(analysis.ranges, analysis.table.rows, strict=True)
-        if is_comparable(row) and angle.range[0] <= row.low and row.high <= angle.range[1]
-    ]
+    try:
+        return compare_sides(with_strides("", analysis.angles, analysis.gait))[0]
+    except InvalidInputError:
+        return None
 
 
 def is_comparable(row: RangeOfMotion) -> bool:
-    """Return whether a range has a band and was observed, reliable and regular almost throughout.
+    """Return whether a range has a band, may be compared, and is not of a second sequence.
 
     Args:
         row: the range.
     """
-    shares = (row.known_share, row.trusted_share, 1 - row.singular_share)
-    regular = bool(np.all(np.array(shares) >= LEAST_RELIABLE))
-    known = bool(np.isfinite(row.range_sigma))
-    return regular and known and not (row.about_vertical or is_second_sequence(row.name))
+    return row.is_comparable and bool(np.isfinite(row.range_sigma)) and not is_second_sequence(row.name)
 
 
 def is_second_sequence(name: str) -> bool:
@@ -92,16 +94,6 @@ def is_second_sequence(name: str) -> bool:
     return name.startswith(SECOND_PELVIS) or SECOND_SHOULDER in name
 
 
-def compared_pairs(analysis: MotionAnalysis) -> int:
-    """Return how many angles could be compared between the sides.
-
-    Args:
-        analysis: of the motion.
-    """
-    names = {row.name for row in comparable_ranges(analysis)}
-    return sum(name.replace("right", "left", 1) in names for name in names if name.startswith("right_"))
-
-
 def with_band(value: float, sigma: float) -> str:
     """Return an angle with the half width of its 95 % band, in degrees.
 
@@ -111,24 +103,19 @@ def with_band(value: float, sigma: float) -> str:
     return f"{np.degrees(value):.0f} ± {np.degrees(BAND_95 * sigma):.0f}°"
 
 
-def _side_differences(rows: dict[str, RangeOfMotion], table: AngleTable) -> Iterator[Finding]:
-    """Ranges of the two sides that differ by more than their band."""
-    for joint in table.joints:
-        for angle in joint.angles if joint.side == "right" else ():
-            right, left = (rows.get(angle.name.replace("right", side, 1)) for side in SIDES)
-            if right is None or left is None:
-                continue
-            difference = right.range - left.range
-            sigma = float(np.hypot(right.range_sigma, left.range_sigma))
-            if abs(difference) > max(LEAST_DIFFERENCE, BAND_95 * sigma):
-                less = "left" if difference > 0 else "right"
-                name = label(angle.name.removeprefix("right_"))
-                text = (
-                    f"{name}: range {with_band(right.range, right.range_sigma)} right, "
-                    f"{with_band(left.range, left.range_sigma)} left, that is "
-                    f"{with_band(abs(difference), sigma)} less on the {less}"
-                )
-                yield Finding(name.split()[0], text, abs(difference) / sigma)
+def _side_differences(sides: Comparison | None) -> Iterator[Finding]:
+    """Angles that differ between the sides, after Holm's correction for all that were compared."""
+    for one in sides.changed if sides is not None else ():
+        change = one.largest
+        if abs(change.difference) > LEAST_DIFFERENCE:
+            name, less = label(one.name), "left" if change.difference > 0 else "right"
+            over = " over the gait cycle" if sides is not None and sides.by == "cycle" else ""
+            right, left = (f"{np.degrees(value):.0f}°" for value in (change.b, change.a))
+            by = with_band(abs(change.difference), change.half_width(LEVEL) / BAND_95)
+            text = (
+                f"{name}: {change.measure}{over} {right} right, {left} left, that is {by} less on the {less}"
+            )
+            yield Finding(name.split()[0], text, abs(change.difference) / change.sigma)
 
 
 def _beyond_limits(

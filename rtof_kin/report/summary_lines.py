@@ -1,4 +1,5 @@
-"""Summary of a report in five lines: who, what, how good, what to be careful about, findings.
+"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about,
+findings.
 
 The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
 and interpret nothing.
@@ -14,6 +15,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import AngleTable
+from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
 from rtof_kin.clinical.gait_recognition import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
@@ -21,12 +24,12 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
-from rtof_kin.report.angle_names import label
+from rtof_kin.report.angle_names import label, plain_words
 from rtof_kin.report.audit_results import Grade
 from rtof_kin.report.clinical_findings import NO_BANDS, WIDEST
 from rtof_kin.report.headline import Headline
 from rtof_kin.report.summary_file import Summary
-from rtof_kin.report.summary_findings import compared_pairs, findings, is_second_sequence
+from rtof_kin.report.summary_findings import compared_sides, findings, is_second_sequence
 
 MOST_FINDINGS: Final = 3
 DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
@@ -38,10 +41,6 @@ IMAGE_ALONE: Final = ("lift", "rto")
 FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
 """Name of a figure of the audit, deg."""
 _SIDE: Final = re.compile("^(left|right) ")
-_CODES: Final = re.compile(r" \(\w+_[xyz]\)|; more (fails|warns) in .*")
-"""Names of revolutes and the list of further sections, which a summary omits."""
-_NAME: Final = re.compile(r"\b(Left|Right)[A-Z]\w*|^(Head|Neck)$")
-_CAPITAL: Final = re.compile("(?<=[a-z])(?=[A-Z])")
 _PLURALS: Final = {"foot": "feet"}
 
 
@@ -50,7 +49,7 @@ class SummaryLine:
     """One line of the summary."""
 
     label: str
-    """'Who', 'What', 'How good', 'Careful' or 'Findings'."""
+    """'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'."""
     text: str
     """One to three sentences."""
     grade: Grade | None
@@ -60,7 +59,7 @@ class SummaryLine:
 def summary_lines(
     analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
-    """Return the five lines of a report's summary.
+    """Return the lines of a report's summary; one on the position in the room where its audit has one.
 
     Args:
         analysis: of the motion. summary: of its folder.
@@ -70,9 +69,27 @@ def summary_lines(
         SummaryLine("Who", _who(analysis, summary, session), None),
         SummaryLine("What", _what(analysis, summary), None),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
+        *(
+            [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
+            if overall.room
+            else []
+        ),
         _careful(analysis, overall),
         SummaryLine("Findings", _findings(analysis), None),
     )
+
+
+def _angle_words(overall: Headline, table: AngleTable) -> str:
+    """Return the headline without the position in the room, in plain words."""
+    text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
+    return plain_words("; ".join(part for part in text.split("; ") if part), table)
+
+
+def _room_words(overall: Headline, table: AngleTable) -> str:
+    """Return what is said about the position in the room, as a sentence in plain words."""
+    verdict, _, why = plain_words(overall.room_text, table).partition(": ")
+    text = why or verdict
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
@@ -101,9 +118,10 @@ def _movement(analysis: MotionAnalysis) -> str:
     part = f" in {100 * travel.walking_share:.0f} % of the time"
     if gait.is_gait:
         partly = part if travel.walking_share < MOSTLY else ""
+        counted = f"{strides} stride" + ("s" if strides > 1 else "")
         if gait.verdict.on_the_spot:
-            return f"Walking on the spot or on a treadmill{partly}: {strides} strides"
-        return f"Walking{partly}: {strides} strides, {travel.text}"
+            return f"Walking on the spot or on a treadmill{partly}: {counted}"
+        return f"Walking{partly}: {counted}, {travel.text}"
     bends = _knee_bends(analysis)
     walking = "no walking"
     if strides >= FEWEST_STRIDES:
@@ -129,7 +147,7 @@ def _knee_bends(analysis: MotionAnalysis) -> list[str]:
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
     carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
-    names = ", ".join(_both_sides([_in_words(name, analysis) for name in carriers]))
+    names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
     count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
     cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
     image = "one camera" if cameras <= 1 else f"{cameras} cameras"
@@ -140,13 +158,6 @@ def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
     if summary.mode in IMAGE_ALONE:
         return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
     return f"{image} and {count} ({names})" if carriers else f"{image} alone"
-
-
-def _in_words(text: str, analysis: MotionAnalysis) -> str:
-    """Text with the names of joints and landmarks in words, e.g. 'left forearm' for LeftForeArm."""
-    for term, joint in analysis.table.segments.items():
-        text = re.sub(rf"\b{joint}\b", term.replace("_", " "), text)
-    return _NAME.sub(lambda name: _CAPITAL.sub(" ", name.group()).lower(), text)
 
 
 def _both_sides(names: list[str]) -> list[str]:
@@ -205,7 +216,7 @@ def _joint(angle: str) -> str:
 def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
     warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
-    parts = [_in_words(_CODES.sub("", overall.text).replace(" deg", "°"), analysis)] if warned else []
+    parts = [_angle_words(overall, analysis.table)] if warned else []
     known = {row.name: row.known_share > 0 for row in analysis.ranges}
     unseen = [
         joint.name.replace("_", " ")
@@ -222,18 +233,23 @@ def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
     if doubtful := list(dict.fromkeys(wide)):
         parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
     text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
-    return SummaryLine("Careful", f"{text}.", overall.grade if warned else None)
+    return SummaryLine("Careful", f"{text}.", None)
 
 
 def _findings(analysis: MotionAnalysis) -> str:
     if analysis.angles.sigma is None:
         return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
-    found = findings(analysis, analysis.paths.skeleton.table)
-    pairs = compared_pairs(analysis)
-    compared = f"{pairs} ranges were compared between left and right, and all with anatomical limits"
-    if not found:
-        return f"No difference exceeds its 95 % band: {compared}."
+    sides = compared_sides(analysis)
+    found = findings(analysis, analysis.paths.skeleton.table, sides)
+    tested = [] if sides is None else [one for one in sides.angles if one.verdict is not Verdict.NOT_TESTED]
+    pairs = len(tested)
+    over = "over the gait cycle" if sides is not None and sides.by == "cycle" else "by their range"
+    compared = f"{pairs} angle{'s' if pairs > 1 else ''} of the left and right were compared {over}"
     lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
-    if len(found) < MOST_FINDINGS:
-        lines.append(f"No other difference exceeds its 95 % band ({compared}).")
+    if not pairs:
+        none = "no angle is observed and reliable almost throughout on both sides"
+        lines.append(f"Left and right were not compared: {none}.")
+    elif len(found) < MOST_FINDINGS:
+        other = "other " if found else ""
+        lines.append(f"No {other}difference is shown: {compared}, and ranges with anatomical limits.")
     return " ".join(lines)

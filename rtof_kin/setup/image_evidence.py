@@ -65,7 +65,7 @@ def image_scores(
     if known.sum() < _LEAST_SECONDS * RATE_HZ:
         raise InvalidInputError(
             f"video and sensors have {known.sum() / RATE_HZ:.1f} s of a visible person in common; put the "
-            "sensors on the video's clock (rtof_kin.setup.clocks), or give no poses"
+            "sensors on the video's clock (rtof_kin.calibration.clocks), or give no poses"
         )
     w_bone = np.stack([_turning(motions.times, R_bone[:, k]) for k in range(len(index))], axis=1)
     w = signals.low_pass_known(motions.times, motions.w.reshape(len(motions), -1), _CUTOFF_HZ).reshape(

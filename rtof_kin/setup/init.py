@@ -180,14 +180,14 @@ def make_recording(
         still = replace(still, camera=camera.camera)
     sensors = _sensors(sources, settings, still, camera, video.metadata, progress)
     about = {
-        **_session(video), "subject": _subject(settings), **_scene(camera), "camera": camera.fields,
+        **_session(video), "subject": subject_table(settings), **_scene(camera), "camera": camera.fields,
         "keypoints": _keypoints(sources, settings, detected, people, number),
     }  # fmt: skip
     top = {"schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name)}
     tables: Tables = top | about | ({} if sensors is None else {"imus": sensors.fields})
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
     doubts += sensors.doubts if sensors else ()
-    found = _findings(tables, doubts)
+    found = findings_of(tables, doubts)
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         for kept in (KEYPOINTS, PICTURE):
             if kept == KEYPOINTS or (folder / kept).exists():
@@ -196,14 +196,18 @@ def make_recording(
             write_camera_motion(fresh / MOTION, turned)
         if sensors is not None:
             write_imus(fresh / IMUS, sensors.imus)
-        for file, text in _texts(found, tables, sources, settings).items():
+        for file, text in texts_of(found, tables, sources, settings).items():
             write_text(fresh / file, text)
         Recording.load(fresh)
     return found
 
 
-def _texts(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
-    """Return the texts of the folder by file; without the name of a video that is not kept."""
+def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
+    """Return the texts of a recording's folder by file; without the name of a video that is not kept.
+
+    Args:
+        found: to be read again. tables: of recording.toml. sources, settings: as for `make_recording`.
+    """
     title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
@@ -239,8 +243,7 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
     """Return the size and rate of the image, from the video or as the user says."""
     if sources.video is None and sources.keypoints is None:
         raise InvalidInputError(
-            f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one, or see "
-            "docs/without_camera.md for sensors alone"
+            f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one"
         )
     if sources.video is not None:
         meta = read_video_metadata(sources.video)
@@ -315,7 +318,12 @@ def _session(video: _Video) -> dict[str, Tables]:
     return {"session": {"date": Field(start.date().isoformat(), Origin.FILE, "the video, in UTC")}}
 
 
-def _subject(settings: SetupSettings) -> Tables:
+def subject_table(settings: SetupSettings) -> Tables:
+    """Return the table ``[subject]``.
+
+    Args:
+        settings: of the user.
+    """
     if settings.height is None:
         usual = round(SkeletonModel.default().height, 2)
         note = "a usual one; every length follows it: give --height, or write it here"
@@ -347,7 +355,7 @@ def _keypoints(
     return {
         "file": Field(KEYPOINTS, Origin.FILE, f"{source}; all people"),
         "layout": Field(kind.name, Origin.FOUND, kind.title),
-        "person": Field(number - 1, origin, who, who + other if len(people) > 1 else ""),
+        "person_number": Field(number, origin, who, who + other if len(people) > 1 else ""),
         "frame": Field(people.first_frame(number), note="in which the person has that number, from 0"),
     }
 
@@ -367,7 +375,12 @@ def _doubts(settings: SetupSettings, keypoints: KeypointSequence, people: People
     return out
 
 
-def _findings(tables: Tables, doubts: list[str]) -> Findings:
+def findings_of(tables: Tables, doubts: list[str]) -> Findings:
+    """Return the sentences of a recording's tables.
+
+    Args:
+        tables: of recording.toml. doubts: further sentences.
+    """
     sentences: dict[str, list[str]] = {origin.value: [] for origin in Origin}
     for origin, sentence in summaries(tables):
         sentences[origin.value].append(sentence)

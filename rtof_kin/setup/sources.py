@@ -210,6 +210,11 @@ class Sources:
         )  # fmt: skip
 
     @property
+    def seen(self) -> bool:
+        """Whether there is a video or keypoints."""
+        return self.video is not None or self.keypoints is not None
+
+    @property
     def paths(self) -> tuple[Path, ...]:
         """All files and folders."""
         single = (self.video, self.keypoints, self.camera, self.sensor_map, self.phone)

@@ -90,6 +90,8 @@ class Block:
     fragments: tuple[FragmentReport, ...]
     """Reports since the previous block."""
     confidence: Confidence | None = None
+    spread: Confidence | None = None
+    """Covariances of what nobody sees (`joint_space.unseen`); None where everything is seen."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,9 @@ class FragmentSolution:
     confidence: Confidence | None = None
     """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for
     autocorrelated errors (see `uncertainty.covariance_inflation`)."""
+    spread: Confidence | None = None
+    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated
+    ones; None where everything is seen."""
 
     @property
     def status(self) -> SolverStatus:
@@ -142,27 +147,28 @@ class FragmentSolution:
 
 
 def misfits(
-    fragments: Sequence[FragmentReport], times: Array, frames: int, limit_px: float
+    fragments: Sequence[FragmentReport], times: Array, frames: int, limit_px: float, off_px: Array
 ) -> tuple[str, ...]:
     """Return warnings about intervals with large reprojection errors.
 
     Args:
         fragments: with estimated reprojection sigmas. times: (T,) s of the recording.
-        frames: N of a fragment. limit_px: upper bound of the estimates, px.
+        frames: N of a fragment. limit_px: upper bound of the estimates, px. off_px: (T,) median distance of
+            the joints from their keypoints; NaN where unknown.
     """
     solved = [f for f in fragments if f.status is not SolverStatus.UNOBSERVED]
     if not solved:
         return ()
     usual = float(np.median([f.sigma_reprojection for f in solved]))
     least = min(max(_MISFIT * usual, _LEAST_MISFIT_PX), limit_px)
-    bad, size = np.zeros(len(times), dtype=bool), np.zeros(len(times))
+    bad = np.zeros(len(times), dtype=bool)
     for f in solved:
         if f.sees_enough and f.sigma_reprojection >= least:
-            own = slice(max(f.first_frame, 0), f.first_frame + frames)
-            bad[own], size[own] = True, np.maximum(size[own], f.sigma_reprojection)
+            bad[max(f.first_frame, 0) : f.first_frame + frames] = True
     return tuple(
-        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {size[a:b].max():.0f} px per axis from "
-        f"where they were seen ({usual:.1f} is this recording's median); the pose may be wrong there, "
-        "compare it with the video"
+        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {np.nanmedian(off_px[a:b]):.0f} px from where "
+        f"they were seen, in the median ({np.nanmedian(off_px):.0f} in the whole recording); the pose may be "
+        "wrong there, compare it with the video"
         for a, b in signals.runs(bad)
+        if np.isfinite(off_px[a:b]).any()
     )

@@ -47,8 +47,8 @@ class DetectedKeypoints:
         track, T = self.track, len(self.track.person)
         parts = [f"layout {self.recognition.layout.name}, {self.recognition.reason}"]
         if track.people > 1:
-            numbers = ", ".join(str(p) for p in np.unique(track.person[~track.lost]))
-            parts.append(f"{track.people} people; followed number {numbers} in the frames, {track.reason}")
+            numbers = ", ".join(str(p + 1) for p in np.unique(track.person[~track.lost]))
+            parts.append(f"{track.people} people; followed person {numbers}, {track.reason}")
         for what, frames in (("ambiguous", track.ambiguous), ("lost", track.lost)):
             if frames.any():
                 parts.append(f"{what} in {frames.sum()} of {T} frames ({_runs(frames)})")

@@ -159,10 +159,12 @@ def track_person(
         where = int(np.argmax(present.any(axis=1))) if frame is None else frame
         own = [trail for trail in trails if (where, person) in zip(trail.frames, trail.people, strict=True)]
         if not own:
-            known = np.flatnonzero(present[where]).tolist() if 0 <= where < len(present) else []
+            known = (np.flatnonzero(present[where]) + 1).tolist() if 0 <= where < len(present) else []
             problem = f"there is no such person; of {len(present)} frames, that one has {known or 'none'}"
-            raise InvalidInputError(f"person {person} in frame {where}: {problem} (both count from 0)")
-        chosen, reason = own[0], f"asked for: person {person} in frame {where}"
+            raise InvalidInputError(
+                f"person {person + 1} in frame {where}: {problem} (people count from 1, frames from 0)"
+            )
+        chosen, reason = own[0], f"asked for: person {person + 1} in frame {where}"
     parts = _continued(chosen, trails, measures, times)
     return _track(parts, len(trails) - len(parts) + 1, times, reason)
 

@@ -44,7 +44,7 @@ def test_planted_text_is_found(text: str, what: str) -> None:
     "text",
     [
         "4.56 m/s2 (above 4 m/s2) at 2.0 s; 0.1 rad/s^0.5, and/or kg/m^3; 1/64 px",
-        "see docs/calibration.md and benchmarks/results/audit.md",
+        "see docs/calibration.md and benchmarks/results/planted.md",
         "left knee of a Roedeer, in January",
         "ok/but.csv",
         "relative to the root, version 1.2.20",

@@ -336,6 +336,21 @@ def test_other_numbers_are_measured_and_other_versions_named(
     assert "differs: motion.npz q" in done.out
 
 
+@pytest.mark.parametrize(("file", "old", "new", "said"), [
+    ("skeleton.urdf", b"<mass value", b"<mass  value", "skeleton.urdf"),
+    ("summary.json", b'"grade": "', b'"grade": "x', "summary.json"),
+])  # fmt: skip
+def test_a_forged_text_beside_the_same_motion_is_named(
+    cli: Any, bundle: Path, tmp_path: Path, file: str, old: bytes, new: bytes, said: str
+) -> None:
+    contents = members(bundle)
+    forged = contents[f"results/1/{file}"].replace(old, new)
+    assert forged != contents[f"results/1/{file}"]
+    done = cli("reproduce", sealed(tmp_path / "forged.rtof", contents | {f"results/1/{file}": forged}))
+    assert done.code == 1
+    assert done.out.startswith(f"NOT reproduced: the motion is the same, but not {said}")
+
+
 def test_several_people_and_results_get_ids_and_the_worst_verdict_comes_first(
     cli: Any, named: Path, result: Path, tmp_path: Path
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from detector_support import points_px, walking, watching
-from live_support import FakeEstimator, demo
+from live_support import FakeEstimator, demo, imu_samples
 from rich.console import Console
 
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
@@ -21,6 +22,8 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.cli.live_display import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.session.clock_map import Arrived
+from rtof_kin.live.session.recorder import Recorder
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Person
 
@@ -140,22 +143,43 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
 
 
 @pytest.mark.usefixtures("estimator")
-def test_ctrl_c_ends_the_session_and_finishes_the_recording(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_and_signals_end_the_session_and_finish_the_recording(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sent: signal.Signals
 ) -> None:
     advance, steps = FakeEstimator.advance, iter(range(1000))
 
     def interrupted(self: FakeEstimator, *arguments: Any, **how: Any) -> list[OnlineEstimate]:
         if next(steps) == 50:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), sent)
         return advance(self, *arguments, **how)
 
+    before = signal.getsignal(sent)
     monkeypatch.setattr(FakeEstimator, "advance", interrupted)
     take = tmp_path / "take"
     done = cli("live", DEMO, "--imus", DEMO, "-o", take)
     assert done.code == 0
     assert "rtof-kin reconstruct" in done.out
     assert Recording.load(take).imus is not None
+    assert signal.getsignal(sent) is before
+
+
+def test_a_killed_session_is_finished_and_reconstruct_says_how(cli: Cli, tmp_path: Path) -> None:
+    take = tmp_path / "take"
+    recorder = Recorder(take, demo(), in_background=False)
+    for sample in imu_samples(1.0):
+        recorder.add(Arrived("demo", sample, sample.time, sample.time))
+    recorder.close()  # as far as a killed one comes
+    refused = cli("reconstruct", take, "-o", tmp_path / "out")
+    assert refused.code == 2
+    assert f"rtof-kin live --finish {take} makes a recording of it" in refused.err
+    done = cli("live", "--finish", take)
+    assert done.code == 0, done.err
+    assert f"next rtof-kin reconstruct {take} -o OUT" in done.out
+    assert len(Recording.load(take).imus or ()) >= 59
+    again = cli("live", "--finish", take)
+    assert (again.code, "is a recording already" in again.err) == (2, True)
+    assert cli("live", DEMO, "--finish", take).code == cli("live").code == 2
 
 
 @pytest.mark.usefixtures("estimator")
@@ -167,7 +191,7 @@ def test_ctrl_c_ends_the_session_and_finishes_the_recording(
         (("--imus", "absent.csv"), "absent.csv"),
         (("--imus", DEMO, "--lag", "3"), "lag_s"),
         (("--imus", DEMO, "--out", "pigeon"), "pigeon"),
-        (("--imus", "udp:9000", "--speed", "2"), "speed 2"),
+        (("--camera", "0", "--speed", "2"), "speed 2"),
     ],
 )
 def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named: str) -> None:
@@ -179,7 +203,7 @@ def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named
 
 def test_help_lists_sources_with_examples(cli: Cli) -> None:
     text = cli("live", "--help").out
-    for word in ("lsl:NAME", "udp:9000", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
+    for word in ("lsl:NAME", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
         assert word in text
 
 
@@ -191,8 +215,10 @@ def test_the_page_is_shown_in_the_browser_where_asked_for(cli: Cli, monkeypatch:
     done = cli("live", DEMO, "--imus", DEMO, "--seconds", 1, "--speed", "inf", "--view")
     assert done.code == 0
     (url,) = opened
-    assert url in done.err
-    assert url.startswith("http://127.0.0.1:")
+    printed = re.search(r"(http://127\.0\.0\.1:\d+/)([\w-]{20,})/", done.err)
+    assert printed is not None
+    assert url.startswith(printed[1])
+    assert printed[2] not in url  # other users see with what the browser was started
 
 
 def test_a_terminal_shows_streams_angles_and_the_last_messages() -> None:

@@ -13,9 +13,11 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.solver_options import add_solver_options, settings_of
+from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.choices import GUARDS
 from rtof_kin.core.threads import limit_threads, threads
 from rtof_kin.reconstruction.result import _energy_name
+from rtof_kin.report.angle_names import plain_words
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 
@@ -47,7 +49,10 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     assert "repeated" not in caplog.text
     assert cli("report", tmp_path / "out").code == 0
     page = unescape((tmp_path / "out" / "report.html").read_text())
-    assert verdict["headline"] in page
+    cause = plain_words(
+        verdict["headline"].partition("; more")[0], angle_table(SkeletonModel.default().table)
+    )
+    assert f"{cause[:1].upper()}{cause[1:]}." in page
     assert "joint space, realtime, energy: default; 16 frames" in page
 
 

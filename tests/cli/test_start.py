@@ -98,6 +98,19 @@ def test_a_corrected_recording_is_used_and_never_replaced(
     assert "recording.toml (changed); move it elsewhere or name another folder" in other.err
 
 
+def test_results_of_one_person_are_not_replaced_by_those_of_another(
+    cli: Any, walk: Path, tmp_path: Path, done: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    before = written(out)
+    other = cli(*options(walk, out), "--person", 2)
+    assert other.code == 2
+    assert "is of another person of the video; name another folder by -o, or add --overwrite" in other.err
+    assert written(out) == before
+    assert cli(*options(walk, out), "--person", 1).code == 0
+
+
 def test_a_folder_of_other_files_or_of_the_user_is_refused(
     cli: Any, walk: Path, tmp_path: Path, done: Path
 ) -> None:
@@ -138,11 +151,12 @@ def test_two_people_are_chosen_without_detecting_again(
         cli("init", given, "--size", SIZE, "--height", 1.7, "--person", 2, "-o", tmp_path / "rec").code == 0
     )
     assert written(tmp_path / "rec")["keypoints.npz"] >= before
-    assert tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())["keypoints"]["person"] == 1
+    assert tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())["keypoints"]["person_number"] == 2
 
 
 @pytest.mark.parametrize("arguments, sentence", [
     (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
+    (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
     (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
     (("init", "WALK"), "give the video beside them, its calibration by --camera, or --size 1920x1080"),
     (("init", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),

@@ -46,7 +46,7 @@ def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
         while not lines or "address" not in lines[-1]:
             lines.append(process.stdout.readline())
             assert lines[-1], process.communicate()
-        url = re.search(r"http://127\.0\.0\.1:\d+/", lines[-1])
+        url = re.search(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", lines[-1])
         assert url is not None
         with urllib.request.urlopen(url[0], timeout=10) as page:
             assert b"<html" in page.read()[:2000]
@@ -98,9 +98,9 @@ def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) ->
     for arguments, words in (
         ((), "name the output folder"),
         ((out, "--live", "8765"), "name the output folder"),
-        (("--live",), "give the address that rtof-kin live printed"),
+        (("--live",), "give the address that rtof-kin live ... --out ws printed"),
         (("--live", "ws://10.1.2.3:80"), "not an address of this machine"),
-        (("--live", "9", "--html", "a.html"), "leave out --html"),
+        (("--live", "http://localhost:9/key/", "--html", "a.html"), "leave out --html"),
         ((out, "--html", tmp_path / "a.html", "--video", "a.mp4"), "the file has no video"),
         ((tmp_path,), "no such file; name the output folder"),
         ((out, "--second", tmp_path), "no such file; name the output folder"),

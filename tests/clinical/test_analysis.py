@@ -140,6 +140,10 @@ def test_bands_of_ranges_and_headings_are_written(tmp_path: Path) -> None:
     knee = rows["right_knee_flexion"]
     assert float(knee["range_sigma_deg"]) == pytest.approx(3 * np.sqrt(2), rel=0.02)
     assert (knee["about_vertical"], rows["pelvis_rotation"]["about_vertical"]) == ("0.0", "1.0")
+    assert (knee["comparable"], rows["pelvis_rotation"]["comparable"]) == ("1.0", "0.0")
+    assert (knee["uncertain_high_s"], knee["uncertain_high_deg"]) == ("0.0", "")
+    least, most = (float(knee[f"range_interval_{end}_deg"]) for end in ("low", "high"))
+    assert least < float(knee["range_deg"]) < most
 
 
 def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:
@@ -242,9 +246,9 @@ def test_command_writes_the_folder_and_prints_tables(
 
 
 def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two strides are too few; their numbers are in the files all the same."""
+    """Two strides on a treadmill are too few; their numbers are in the files all the same."""
     path = tmp_path / "motion.npz"
-    write_motion_npz(path, walking(2.4), mode="rtof")
+    write_motion_npz(path, walking(2.4, treadmill=True), mode="rtof")
     assert main(["analyse", str(path), "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "gait: Only 2 complete strides of walking" in text

@@ -302,6 +302,13 @@ def test_knee_flexion_without_axial_rotation_of_the_thigh_is_between_the_bones(m
     np.testing.assert_allclose(np.abs(angles["right_knee_flexion"]), expected, atol=1e-6)
 
 
+def test_a_knee_that_glitched_through_a_whole_turn_keeps_its_sign_afterwards() -> None:
+    angle = np.radians([*np.full(100, 30), *np.linspace(30, -330, 20), *np.full(40, -330)])
+    leg = limb("right", ("shank", "foot"), so3.about_axis("y", angle))
+    angles = clinical_angles(seen_by(posture(BODY, 160, **leg), (), Provenance.CAMERA), BODY)
+    np.testing.assert_allclose(np.degrees(angles["right_knee_flexion"][120:]), 30, atol=1e-6)
+
+
 def test_sensors_make_axial_rotations_observable() -> None:
     sensors = ("RightUpLeg", "RightLeg", "RightFoot")
     poses = seen_by(planted.moving(BODY, 40).poses, sensors, Provenance.CAMERA_AND_IMU)

@@ -15,7 +15,7 @@ from report_support import certain_to
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.comparison import AngleComparison, Comparison, compare, compared, sides_of
-from rtof_kin.clinical.comparison_axis import agreement, choose_axis, choose_sides
+from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
 from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
@@ -166,7 +166,28 @@ def test_range_of_a_part_of_the_frames_is_not_tested() -> None:
     b = replace(b, angles=replace(b.angles, values=values))
     mean, motion = of(compare(a, b, "time"), HIP).changes
     assert (mean.verdict, motion.verdict) == (Verdict.CHANGED, Verdict.NOT_TESTED)
-    assert "less than 80 %" in compare(a, b, "range").left_out[HIP]
+    assert "less than 90 %" in compare(a, b, "range").left_out[HIP]
+
+
+def test_sides_are_not_compared_through_the_uncertain_deepest_frames() -> None:
+    right = one(
+        "a", TIMES, {KNEE: WAVE, "left_knee_flexion": WAVE / 2, HIP: WAVE, "left_hip_flexion": WAVE / 2}, 2.0
+    )
+    column, deepest = right.angles.names.index(KNEE), np.flatnonzero(WAVE > 49.5)
+    trusted, sigma = np.ones(right.angles.values.shape, dtype=bool), np.array(right.angles.sigma)
+    trusted[deepest, column], sigma[deepest, column] = False, np.radians(20)
+    doubtful = replace(right, angles=replace(right.angles, trusted=trusted, sigma=sigma))
+    assert "knee_flexion" in {angle.name for angle in compare_sides(right)[0].angles}
+    found, why = compare_sides(doubtful)
+    assert found.by == "range"
+    assert "not walking" in why
+    assert [angle.name for angle in found.angles] == ["hip_flexion"]
+    assert "right: its range is >= 39, the highest" in found.left_out["knee_flexion"]
+
+
+def test_squats_and_lunges_together_are_not_pooled_to_compare_the_sides() -> None:
+    assert compare_sides(compared("squat", squats(110, 3, 2.5)))[0].by == "range"
+    assert compare_sides(compared("walk", walking(8.0)))[0].by == "cycle"
 
 
 def test_share_outside_the_band_of_the_difference() -> None:
@@ -277,9 +298,7 @@ def test_squats_of_another_depth_and_tempo_are_compared_by_repetition() -> None:
 
 
 def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differences() -> None:
-    left, right = sides_of(compared("squat", squats(110, 3, 2.5)))
-    assert choose_sides(left, right).by == "repetition"
-    found = compare(left, right, "repetition")
+    found, _ = compare_sides(compared("squat", squats(110, 3, 2.5)), "repetition")
     assert {angle.name for angle in found.angles} >= {"knee_flexion", "hip_flexion", "elbow_flexion"}
     assert np.degrees(max(abs(c.difference) for angle in found.angles for c in angle.changes)) < 1e-6
     assert of(found, "knee_flexion").changes[0].dof == np.inf  # equal in each squat: no spread of differences

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import planted
 import pytest
-from clinical_support import LEG, limb, posture, walk
+from clinical_support import LEG, limb, posture, walk, walking
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
@@ -229,3 +230,37 @@ def test_a_cycle_with_a_gap_in_an_angle_is_excluded_for_that_angle() -> None:
     curves = cycle_curves(replace(angles, values=values), gait)
     whole = len(curve(curves, "right_knee_flexion", "right").curves)
     assert len(curve(curves, "right_hip_flexion", "right").curves) == whole - 1
+
+
+def in_a_circle(radius: float, speed: float = 1.1) -> MotionSequence:
+    """Symmetric walking to the left along a circle of some radius, m."""
+    motion = walking(10.0, speed=speed, treadmill=True)
+    poses, angle = motion.poses, speed / radius * motion.times
+    turn = so3.about_axis("z", angle)
+    root = poses.p_world_joint[:, :1] * [0, 0, 1]
+    path = radius * np.stack([np.sin(angle), 1 - np.cos(angle), 0 * angle], axis=-1)
+    p = np.einsum("tij,tkj->tki", turn, poses.p_world_joint - root) + root + path[:, None]
+    return BODY.motion(poses.with_poses(slice(None), p, turn[:, None] @ poses.R_world_bone))
+
+
+def test_walking_in_a_circle_is_no_asymmetry_of_the_strides() -> None:
+    gait = analyse_motion(in_a_circle(2.5)).gait
+    assert gait.is_gait
+    assert abs(gait.symmetry["stride_length"]) < 0.01
+    for side in ("right", "left"):
+        assert gait.summary[side]["stride_length"][0] == pytest.approx(1.32, abs=0.02)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.5])
+def test_pelvis_rotation_over_the_cycle_is_from_the_direction_of_walking(heading: float) -> None:
+    for motion in (walking(6.0, heading=heading), in_a_circle(2.5)):
+        found = [c for c in analyse_motion(motion).curves if c.name == "pelvis_rotation"]
+        assert {curve.side for curve in found} == {"right", "left"}
+        assert np.degrees(max(np.abs(curve.curves).max() for curve in found)) < 5
+
+
+def test_measures_of_gait_are_of_its_strides_of_walking_alone() -> None:
+    gait = analyse_motion(walking(8.0)).gait
+    odd = replace(gait.verdict, walking=gait.verdict.walking[1:])
+    assert len(replace(gait, verdict=odd).counted) == len(gait.strides) - 1
+    assert replace(gait, verdict=replace(odd, why_not="It is a dance.")).counted == gait.strides

@@ -60,11 +60,37 @@ def test_treadmill_walking_is_gait_on_the_spot() -> None:
     assert verdict.on_the_spot
 
 
+def standing_first(motion: MotionSequence, seconds: float) -> MotionSequence:
+    """A motion whose first frame is held before it."""
+    poses, held = motion.poses, round(60 * seconds)
+    p, R = (
+        np.concatenate([np.repeat(x[:1], held, axis=0), x]) for x in (poses.p_world_joint, poses.R_world_bone)
+    )
+    longer = replace(
+        poses, times=np.arange(len(p)) / 60, p_world_joint=p, R_world_bone=R,
+        provenance=None, valid=None, orientation_observed=None, direction_observed=None, sigma_rad=None,
+    )  # fmt: skip
+    return BODY.motion(all_observed(longer))
+
+
+@pytest.mark.parametrize(("seconds", "strides"), [(1.8, 1), (2.4, 2)])
+def test_a_short_walk_is_gait_from_one_stride_on_and_says_on_what(seconds: float, strides: int) -> None:
+    gait = analysed(walking(seconds))
+    assert gait.is_gait
+    assert len(gait.verdict.walking) == strides
+    assert gait.rests_on.startswith(f"{strides} stride")
+    assert gait.notes[0] == f"all measures rest on {gait.rests_on}: they may not represent usual walking"
+    assert gait.verdict.too_few.startswith(f"Only {strides} complete stride")  # for gait scores and visits
+    (side,) = list(gait.summary)[:1]
+    assert gait.summary[side]["stride_length"][0] == pytest.approx(1.32, abs=0.05)
+
+
 @pytest.mark.parametrize(
     ("motion", "why"),
     [
         (lambda: walking(12, jitter=0.15), "The strides are not steady: their times vary by"),
-        (lambda: walking(2.4), "Only 2 complete strides of walking: at least 3"),
+        (lambda: walking(2.4, treadmill=True), "Only 2 complete strides of walking: at least 3"),
+        (lambda: standing_first(walking(2.4), 3.0), "Only 2 complete strides of walking: at least 3"),
         (lambda: walking(speed=-1.0), "none of 7 stride-like movements has the shape of walking"),
         (squatting, "No complete stride was found"),
         (lambda: planted.standing(BODY, 120), "No complete stride was found"),

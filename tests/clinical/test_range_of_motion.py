@@ -121,3 +121,49 @@ def test_planted_errors_stay_within_the_bands_of_a_range() -> None:
 def test_headings_are_marked_as_no_range_of_motion() -> None:
     headings = {row.name for row in ranges_of_motion(swinging_knee()) if row.about_vertical}
     assert headings == {"pelvis_rotation", "pelvis_opensim_rotation"}
+
+
+def with_uncertain_deepest(degrees: float = 40.0) -> ClinicalAngles:
+    """The knee's swing with a standard deviation of 2 deg, where it is above 60 deg of so many."""
+    angles = with_sigma(2.0)
+    column = angles.names.index("right_knee_flexion")
+    deep = np.degrees(angles.values[:, column]) > 60
+    sigma, trusted = np.array(angles.sigma), np.ones(angles.values.shape, dtype=bool)
+    sigma[deep, column], trusted[deep, column] = np.radians(degrees), False
+    return replace(angles, sigma=sigma, trusted=trusted)
+
+
+def test_frames_with_wide_bands_are_no_silent_end_of_a_range() -> None:
+    knee = of(with_uncertain_deepest(), "right_knee_flexion")
+    assert np.degrees(knee.range) == pytest.approx(49, abs=1)
+    assert knee.uncertain_low is None
+    assert knee.uncertain_high is not None
+    assert np.degrees(knee.uncertain_high.value) == pytest.approx(70, abs=0.2)
+    assert np.degrees(knee.uncertain_high.bound) == pytest.approx(70 + 1.96 * 40, abs=0.2)
+    assert knee.text == f">= 49, the highest {knee.uncertain_high.seconds:.1f} s is uncertain (up to 70)"
+    least, most = np.degrees(knee.range_interval)
+    assert least < 49 < 60 < most
+    assert np.degrees(knee.high_interval[1]) == pytest.approx(148.4, abs=0.2)
+    assert knee.is_uncertain
+    assert not knee.is_comparable
+
+
+def test_a_certain_range_keeps_its_band_and_may_be_compared() -> None:
+    knee = of(with_sigma(2.0), "right_knee_flexion")
+    assert (knee.uncertain_low, knee.uncertain_high, knee.why_not_comparable) == (None, None, "")
+    assert knee.is_comparable
+    assert knee.text == "60 ± 6"
+    assert np.degrees(knee.range_interval) == pytest.approx([60 - 5.54, 60 + 5.54], abs=0.1)
+    assert of(swinging_knee(), "right_knee_flexion").text == "60"
+    assert np.isnan(of(swinging_knee(), "right_knee_flexion").range_interval).all()
+
+
+def test_unreliable_frames_inside_a_range_leave_it_certain() -> None:
+    angles = with_sigma(2.0)
+    column = angles.names.index("right_knee_flexion")
+    trusted, sigma = np.ones(angles.values.shape, dtype=bool), np.array(angles.sigma)
+    middle = np.abs(np.degrees(angles.values[:, column]) - 40) < 4
+    trusted[middle, column], sigma[middle, column] = False, np.radians(15.0)
+    knee = of(replace(angles, trusted=trusted, sigma=sigma), "right_knee_flexion")
+    assert not knee.is_uncertain
+    assert knee.trusted_share < 1

@@ -8,10 +8,12 @@ import numpy as np
 import planted
 import pytest
 from clinical_support import squatting, stepping, walk, walking
+from report_support import certain_to
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.travel import DRIFT, Travel
+from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import Provenance
 
 BODY = SkeletonModel.default()
@@ -118,15 +120,47 @@ def test_sensors_alone_drift_and_gaps_are_noted() -> None:
     assert way.path_length == pytest.approx(1.1 * 4.5, abs=0.1)
 
 
-def test_a_short_way_after_a_gap_does_not_count() -> None:
+def test_no_path_is_shorter_than_the_way_from_its_start_to_its_end() -> None:
     motion = walking(6.0, speed=1.1)
+    provenance, half = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8), 180
+    provenance[half : half + 60] = Provenance.PRIOR  # a gap of a second
     p = np.array(motion.poses.p_world_joint)
-    provenance, half = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8), len(p) // 2
-    provenance[half : half + 20] = Provenance.PRIOR
-    p[half:, :, :2] -= p[half:, :1, :2]
-    p[half:, :, 0] += np.linspace(0, 0.12, len(p) - half)[:, None]  # less than LEAST_WAY
+    p[-1] += [0.2, 0, 0]  # a last frame that jumps
     way = of(replace(motion, poses=replace(motion.poses, p_world_joint=p, provenance=provenance)))
-    assert way.path_length == pytest.approx(1.1 * motion.times[half - 1], abs=0.03)
+    assert way.path_length >= way.displacement
+    assert way.path_length == pytest.approx(6.6, abs=0.25)
+    assert "crossed straight" in way.notes[0]
+
+
+def drifting(motion: MotionSequence, degrees: float) -> MotionSequence:
+    """A motion whose body is turned about the pelvis by an angle that grows to so many degrees."""
+    poses = motion.poses
+    turn = so3.about_axis("z", np.radians(degrees) * np.linspace(0, 1, len(poses)))
+    root = poses.p_world_joint[:, :1]
+    p = root + np.einsum("tij,tkj->tki", turn, poses.p_world_joint - root)
+    return BODY.motion(poses.with_poses(slice(None), p, turn[:, None] @ poses.R_world_bone))
+
+
+@pytest.mark.parametrize("degrees", [None, 5.0])
+def test_a_straight_walk_whose_heading_drifts_is_not_said_to_turn(degrees: float | None) -> None:
+    motion = drifting(walking(6.0), 41)
+    if degrees is not None:
+        motion = replace(motion, confidence=certain_to(degrees, motion))
+    way = of(motion)
+    assert (way.turned_left, way.turned_right, way.unsure_turns) == (0, 0, True)
+    assert "turn" not in way.text
+
+
+def test_a_turn_has_the_deviation_of_the_heading_and_is_said_beyond_its_band_only() -> None:
+    share = np.clip((TIMES - 2) / 4, 0, 1)
+    quarter = stepping(
+        TIMES, {"right": STANDING, "left": STANDING}, heading=np.pi / 2 * share**2 * (3 - 2 * share)
+    )
+    certain, doubtful = (of(replace(quarter, confidence=certain_to(s, quarter))) for s in (10.0, 40.0))
+    assert np.degrees(certain.turned_left_sigma) == pytest.approx(10 * np.sqrt(2), rel=0.01)
+    assert certain.text.endswith("turning 90 ± 28° left")
+    assert (doubtful.turned_left, doubtful.unsure_turns) == (0, True)
+    assert of(quarter).text.endswith("turning about 90° left")
 
 
 def test_real_walking_has_its_way() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -52,12 +53,13 @@ def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     return str(request.param)
 
 
-def test_folder_appears_complete_and_readable_by_others(tmp_path: Path) -> None:
+def test_folder_appears_complete_and_of_this_user_alone(tmp_path: Path) -> None:
     with new_folder(tmp_path / "a" / "b", MARKER) as folder:
         (folder / MARKER).write_text("x")
         assert not (tmp_path / "a" / "b").exists()
     assert (tmp_path / "a" / "b" / MARKER).read_text() == "x"
-    assert (tmp_path / "a" / "b").stat().st_mode & 0o777 == 0o755
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.rglob("*")}
+    assert modes == {"a": 0o700, "b": 0o700, MARKER: 0o600, MANIFEST: 0o600}
     assert [p.name for p in (tmp_path / "a").iterdir()] == ["b"]
     (tmp_path / "empty").mkdir()
     write(tmp_path / "empty")
@@ -270,14 +272,28 @@ def test_next_run_removes_leftovers_of_killed_runs_only(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, "living", "next"])
 
 
-def test_file_appears_complete_and_readable(tmp_path: Path) -> None:
-    (tmp_path / "usual").touch()
+def test_leftovers_of_other_systems_are_removed_when_nobody_wrote_for_a_day(tmp_path: Path) -> None:
+    for name in ("clinic.pc-0123456789ab", "deadbeef-0123456789ab"):
+        (tmp_path / f".rtof_kin-{name}").mkdir()
+        (tmp_path / f".rtof_kin-{name}" / "half").write_text("half")
+    write(tmp_path / "first")
+    assert len(list(tmp_path.iterdir())) == 3
+    day = time.time() - 25 * 3600
+    for path in (".rtof_kin-clinic.pc-0123456789ab", ".rtof_kin-clinic.pc-0123456789ab/half"):
+        os.utime(tmp_path / path, (day, day))
+    os.utime(tmp_path / ".rtof_kin-deadbeef-0123456789ab", (day, day))  # a file in it is new
+    write(tmp_path / "second")
+    left = {"first", "second", ".rtof_kin-deadbeef-0123456789ab"}
+    assert {path.name for path in tmp_path.iterdir()} == left
+
+
+def test_file_appears_complete_and_of_this_user_alone(tmp_path: Path) -> None:
     with new_file(tmp_path / "page") as file:
         file.write_text("new")
         assert not (tmp_path / "page").exists()
     assert (tmp_path / "page").read_text() == "new"
-    assert (tmp_path / "page").stat().st_mode == (tmp_path / "usual").stat().st_mode
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["page", "usual"]
+    assert (tmp_path / "page").stat().st_mode & 0o777 == 0o600
+    assert [path.name for path in tmp_path.iterdir()] == ["page"]
 
 
 @pytest.mark.parametrize("error", [ValueError("oops"), KeyboardInterrupt(), OSError(28, "No space left")])

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
+from rtof_kin.inertial.segment_names import known_segment
 
 PLACES = {"00B42279": "pelvis", "00B4227D": "right shank"}
 OPENSENSE = """<?xml version="1.0" encoding="UTF-8" ?>
@@ -87,3 +89,17 @@ def test_a_map_of_the_whole_set_or_a_spare_sensor_is_no_error() -> None:
 def test_a_line_that_fits_none_or_several_sensors_is_an_error(places: dict[str, str], problem: str) -> None:
     with pytest.raises(InvalidInputError, match=problem):
         matched(places, ["A0077", "B0077"])
+
+
+def test_a_mistyped_map_names_file_line_and_what_may_be_meant(tmp_path: Path) -> None:
+    path = tmp_path / "map.csv"
+    path.write_text("serial,segment\n# B0078 was lost\nA0077,pelvis\nB0078,right shnk\n")
+    with pytest.raises(InvalidInputError, match=r"map\.csv, line 4, the map has B0078.*mean 'B0077'\?"):
+        matched(read_sensor_map(path), ["A0077", "B0077"], path)
+    skeleton = SkeletonModel.default()
+    with pytest.raises(
+        UnknownNameError, match=r"segment in .*map\.csv, line 4 'right shnk'\. Did you mean 'right shank'"
+    ):
+        known_segment("right shnk", skeleton, path)
+    with pytest.raises(UnknownNameError, match=r"^unknown segment 'LEFTLEGG'\. Did you mean 'LeftLeg'\?"):
+        known_segment("LEFTLEGG", skeleton)

@@ -1,10 +1,8 @@
-"""Whole sessions over UDP and LSL of this machine: a recording is sent with faults to the real estimator."""
+"""A whole session over LSL of this machine: a recording is sent with faults to the real estimator."""
 
 from __future__ import annotations
 
-import json
 import math
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,7 +20,6 @@ from rtof_kin.live.samples import FrameSample, OnlineEstimate, Sample, Source
 from rtof_kin.live.session.clock_map import VIDEO
 from rtof_kin.live.session.recorder import Recorder
 from rtof_kin.live.session.session import LiveSession
-from rtof_kin.live.sources.osc_source import OscSource
 from rtof_kin.live.sources.replay import Faults, RecordingReplay
 from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.recording.recording import Recording
@@ -130,26 +127,6 @@ def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> 
     assert recorded.imus is not None
     assert DEAD in recorded.imus.names
     assert len(recorded.video) > 0.6 * 60 * SECONDS  # of 0.9, less what stood still
-
-
-def test_a_session_over_udp(tmp_path: Path) -> None:
-    source = OscSource(0, landmarks=demo().video.names)
-    source.start()
-    out, count = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), iter(range(10**6))
-
-    def send(sample: Sample) -> None:
-        if isinstance(sample, FrameSample):
-            uv = np.where(np.isfinite(sample.uv_px), sample.uv_px, 0.0)
-            text = {"frame": next(count), "time": sample.time, "uv": uv.tolist(),
-                    "confidence": sample.confidence.tolist()}  # fmt: skip
-        else:
-            quat = so3.to_quat_wxyz(sample.R_inertial_sensor)
-            text = {"sensor": sample.sensor, "time": sample.time, "quat": quat.tolist(),
-                    "acc": sample.f_sensor.tolist()}  # fmt: skip
-        out.sendto(json.dumps(text).encode(), ("127.0.0.1", source.port))
-
-    with out:
-        run([source], send, tmp_path / "take")
 
 
 def test_a_session_over_lsl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

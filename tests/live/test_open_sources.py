@@ -96,7 +96,7 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
         (["absent.mp4"], [], "absent.mp4.*webcam"),
         ([], ["absent.csv"], "absent.csv.*lsl:NAME"),
         (["lsl:"], [], "lsl:"),
-        ([], ["udp:nine"], "udp:nine"),
+        ([], ["udp:9000"], "udp:9000: UDP is no longer read.*lsl:NAME"),
         ([str(Path(__file__).parent)], [], "recording.toml"),
     ],
 )
@@ -157,17 +157,8 @@ def test_other_outputs_are_refused_with_those_that_there_are(words: list[str]) -
         open_sinks(words, demo())
 
 
-@pytest.fixture
-def network() -> None:
-    """Skip where what LSL and UDP need is not installed."""
+def test_streams_of_lsl_share_its_clock() -> None:
     pytest.importorskip("pylsl")
-    pytest.importorskip("pythonosc")
-
-
-@pytest.mark.usefixtures("network")
-def test_one_port_may_give_both_points_and_sensors() -> None:
-    (source,) = opened(["udp:9000"], ["udp:9000"]).sources
-    assert source.name == "udp:9000"
     camera, sensors = opened(["lsl:eyes"], ["lsl:dots"]).sources
     assert (camera.name, sensors.name) == ("lsl:eyes", "lsl:dots")
     assert camera.clock is sensors.clock is Clock.COMMON

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from full_disk import full_disk
 from live_support import (
     FakeEstimator,
     FakeSource,
@@ -60,17 +58,6 @@ def recorded(folder: Path, samples: list[Sample], **options: float) -> Recorder:
     for sample in sorted(samples, key=lambda sample: sample.time):
         recorder.add(Arrived("demo", sample, sample.time, sample.time))
     return recorder
-
-
-@contextmanager
-def full_disk(room: int = 2000) -> Iterator[None]:
-    """Limit the size of files, which has the effect of a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_recording_has_what_came(tmp_path: Path) -> None:
@@ -171,6 +158,8 @@ def test_killed_session_is_finished_later(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", KILLED, folder], stdout=subprocess.PIPE, env=env) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
+        with pytest.raises(OutputExistsError, match="a session is recorded there"):
+            finish(folder)
         process.send_signal(signal.SIGKILL)
     finish(folder)
     found = Recording.load(folder)
@@ -210,7 +199,10 @@ def test_files_of_the_user_survive_the_finish(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("in_background", [False, True])
-def test_full_disk_ends_the_recording_not_the_session(tmp_path: Path, in_background: bool) -> None:
+def test_a_file_that_cannot_be_written_is_tried_again_and_nothing_is_lost(
+    tmp_path: Path, in_background: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtof_kin.live.session.recorder._AGAIN", 0.02)
     source = FakeSource("imus", [(s.time, s) for s in imu_samples(2.0)])
     recorder = Recorder(tmp_path / "walk", demo(), chunk_s=0.5, in_background=in_background)
     session = LiveSession(demo(), [source], FakeEstimator(), recorder=recorder, in_background=False)
@@ -221,11 +213,34 @@ def test_full_disk_ends_the_recording_not_the_session(tmp_path: Path, in_backgro
             time.sleep(0.01)
             told += drive(session, [source], 1.6, 1.5)
     told += drive(session, [source], 2.0, 1.6)
-    assert count(told, "walk", "without being recorded") == 1
+    assert count(told, "000001.npz cannot be written", "tried again") == 1
     summary = session.finish(2.0)
-    assert summary.frames > 100
+    assert sum("written again; lost: nothing" in text for text in summary.sentences) == 1
+    assert summary.folder == tmp_path / "walk"
+    assert len(Recording.load(tmp_path / "walk").imus or ()) >= 119
+
+
+def test_what_a_full_disk_cost_is_told_and_the_rest_can_be_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rtof_kin.live.session.recorder._PENDING", 2)
+    source = FakeSource("imus", [(s.time, s) for s in imu_samples(3.0)])
+    recorder = Recorder(tmp_path / "walk", demo(), chunk_s=0.25, in_background=False)
+    session = LiveSession(demo(), [source], FakeEstimator(), recorder=recorder, in_background=False)
+    told = drive(session, [source], 1.0)
+    with full_disk():
+        told += drive(session, [source], 2.0, 1.0)
+        assert count(told, "goes on without being recorded") == 1
+        drive(session, [source], 3.0, 2.0)
+        summary = session.finish(3.0)
     assert summary.folder is None
-    assert "walk" in summary.sentences[-1]
+    said = " ".join(summary.sentences[-2:])
+    assert "no recording was made" in said
+    assert "s are not recorded" in said
+    with pytest.raises(FileFormatError, match=r"was not finished; rtof-kin live --finish .*walk makes"):
+        Recording.load(tmp_path / "walk")
+    finish(tmp_path / "walk")
+    assert 40 < len(Recording.load(tmp_path / "walk").imus or ()) < 80
 
 
 def test_nothing_recorded_and_no_session_are_errors(tmp_path: Path) -> None:

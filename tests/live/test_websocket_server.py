@@ -67,9 +67,10 @@ class Answer(NamedTuple):
     text: str
 
 
-def answer(server: WebSocketServer, path: str = "/", **headers: str) -> Answer:
-    """Answer to a request as a browser would make it."""
+def answer(server: WebSocketServer, path: str | None = None, **headers: str) -> Answer:
+    """Answer to a request as a browser would make it, by default for the page."""
     address = urlsplit(server.url)
+    path = address.path if path is None else path
     connection = http.client.HTTPConnection(str(address.hostname), address.port, timeout=5)
     with closing(connection):
         connection.request("GET", path, headers=headers)
@@ -192,9 +193,28 @@ def test_page_runs_its_own_script_only_and_needs_no_other_server(server: WebSock
 
 
 def test_other_requests_are_refused(server: WebSocketServer) -> None:
-    assert answer(server, "/live.js").status == 404
-    assert answer(server, "/?again").status == 200
+    path = urlsplit(server.url).path
+    assert answer(server, f"{path}live.js").status == 404
+    assert answer(server, f"{path}?again").status == 200
     assert answer(server, Host="evil.example").status == 421
+
+
+def test_who_does_not_know_the_token_gets_nothing(server: WebSocketServer) -> None:
+    path = urlsplit(server.url).path
+    assert len(path) > 20
+    assert path != urlsplit(WebSocketServer(BODY).url).path
+    for wrong in ("/", "//", path[:-2], path.upper(), f"/x{path}", "/%C3%A9/", f"/?{path}"):
+        for headers in ({}, UPGRADE):
+            refused = answer(server, wrong, **headers)
+            assert (refused.status, "skeleton" in refused.text) == (403, False), wrong
+
+
+def test_a_browser_is_started_with_an_address_that_leads_to_the_page_once(server: WebSocketServer) -> None:
+    path = urlsplit(server.url_once).path
+    assert answer(server, path, **UPGRADE).status == 403
+    first = answer(server, path)
+    assert (first.status, first.headers["Location"]) == (302, urlsplit(server.url).path)
+    assert answer(server, path).status == 403
 
 
 def test_broken_requests_are_survived(server: WebSocketServer) -> None:

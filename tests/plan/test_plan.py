@@ -17,6 +17,7 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import plan as planning
 from rtof_kin.plan.calibration_time import ENOUGH, PLANTED, CalibrationTime, calibration_time, planted
+from rtof_kin.plan.figures import plan_figure
 from rtof_kin.plan.files import COLUMNS, INSTRUCTIONS, MARKER, TABLE, write_plan
 from rtof_kin.plan.identifiability import ROOT, Information
 from rtof_kin.plan.plan import Plan, plan
@@ -97,6 +98,32 @@ def test_a_camera_that_is_too_near_is_a_caution_and_no_option(stubbed: Setup) ->
     swapped = Protocol("squat", camera=further, possible_cameras=(near, further), wanted=NAMES)
     found = plan(swapped, replace(stubbed, camera=further.camera(stubbed.poses)))
     assert [option.problem for option in found.cameras][1].startswith("only")
+
+
+def test_a_camera_that_is_not_told_is_the_best_of_those_compared(stubbed: Setup) -> None:
+    protocol = Protocol("squat", wanted=NAMES, any_camera=True)
+    worst = replace(protocol, camera=CameraPlace(angle_deg=-90.0))
+    steps: list[tuple[str, int, int]] = []
+    found = plan(
+        worst, replace(stubbed, camera=worst.camera.camera(stubbed.poses)),
+        progress=lambda *step: steps.append(step),
+    )  # fmt: skip
+    assert found.protocol.camera.words == found.cameras[0].name
+    assert found.setup.camera.center_world[1] > 0  # the better side of the stubs
+    assert [option.gain for option in found.cameras] == sorted((o.gain for o in found.cameras), reverse=True)
+    assert any(line.startswith(f"Camera place: {found.cameras[0].name}, the best") for line in advice(found))
+    assert steps[:3] == [("cameras", 0, 16), ("predict", 0, 3), ("sensors", 0, 2 * len(found.sensors))]
+    told = plan(replace(worst, any_camera=False), replace(stubbed, camera=worst.camera.camera(stubbed.poses)))
+    assert told.protocol.camera == worst.camera
+
+
+def test_values_in_the_figure_stand_beside_the_marks_of_errors(made: Plan) -> None:
+    far = replace(made.prediction, error=3 * made.prediction.sigma)
+    axes = plan_figure(replace(made, prediction=far)).axes[0]
+    marks = {round(float(y)): float(x) for x, y in axes.lines[0].get_xydata() if np.isfinite(x)}
+    texts = {round(note.xy[1]): note.xy[0] for note in axes.texts}
+    assert all(texts[y] >= x for y, x in marks.items())
+    assert len(marks) == 3
 
 
 def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:

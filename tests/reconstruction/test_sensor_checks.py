@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks import input_checks
-from benchmarks.sensor_checks import FAULTS
+from benchmarks.planted.gross import OF_CAMERA
+from benchmarks.planted.gross import OF_SENSORS as FAULTS
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, SolverError
@@ -53,7 +53,7 @@ def messages(caplog: pytest.LogCaptureFixture) -> list[str]:
 ROTATED = ("mirrored picture", "upside down", "turned by -90 degrees")
 """Faults of the image, which sensors must not be blamed for."""
 PLANTED = {name: fault for name, fault in FAULTS.items() if name not in BY_BENCHMARK} | {
-    name: input_checks.FAULTS[name] for name in ROTATED
+    name: OF_CAMERA[name] for name in ROTATED
 }
 
 

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-
 from benchmarks.input_checks import seen
+
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.reconstruction.image_checks import exchanged_sides

@@ -254,6 +254,14 @@ def test_what_is_wrong_is_told_with_file_field_and_remedy(change: dict[str, Any]
         check_index(Section(Path("recording.toml"), index))
 
 
+def test_a_misspelt_field_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / INDEX
+    path.write_text('# focal_px\nname = "a"\nschema_version = 1\n[subject]\nmass_kg = 70\nheigth_m = 1.7\n')
+    message = r"recording\.toml, line 6, \[subject\] 'heigth_m'\. Did you mean 'height_m'\?"
+    with pytest.raises(RtofError, match=message):
+        check_index(Section.of_file(path))
+
+
 def test_check_needs_no_other_file_and_opening_raises_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,7 +73,9 @@ def test_sensors_get_the_names_of_their_places(tmp_path: Path) -> None:
     assert only.names == ("left shank",)
     with pytest.raises(FileFormatError, match=r"sensor_map: stands beside \[imus.map\]"):
         imus(tmp_path, f'sensor_map = "map.csv"{PELVIS}')
-    with pytest.raises(UnknownNameError, match=r"unknown segment in .*toml 'left foo'"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown segment in .*toml, line \d+ 'left foo'\. Did you mean 'left foot'"
+    ):
         imus(tmp_path, PELVIS.replace("left shank", "left foo"))
     with pytest.raises(FileFormatError, match="the map has 99, which the trial has not"):
         imus(tmp_path, '\n[imus.map]\n99 = "pelvis"\n')

@@ -7,7 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from rtof_kin.report.audit_results import FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS, AuditResult, Grade
+from rtof_kin.report.audit_results import (
+    FAILED_FRAGMENTS,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+    Grade,
+)
 from rtof_kin.report.headline import headline
 
 GOOD = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
@@ -81,3 +87,28 @@ def test_the_summary_has_grade_headline_and_sections() -> None:
     assert plain["grade"] == "warn"
     assert plain["headline"].startswith("LeftLeg")
     assert plain["sections"] == {"image": "pass", "sensors": "warn"}
+
+
+BAND = AuditResult("room", ROOM_BAND, "position", 1.1, "m", note="the focal length is not checked", weak=True)
+LENS = AuditResult(
+    "room", "height of the ankle", "the person", 0.4, "m", 0.2, 0.2, note="the lens is higher: measure it"
+)
+
+
+def test_angles_pass_apart_from_a_position_in_the_room_that_nobody_verified() -> None:
+    found = headline([GOOD, BAND])
+    assert found.line.startswith(
+        "pass for the angles; position in the room not verified: ± 1.1 m, the focal length is not checked; "
+    )
+    assert (found.grade, found.room) == (Grade.PASS, Grade.WEAK)
+    assert found.plain()["room"] == {"grade": "weakly observed", "text": found.room_text}
+
+
+def test_a_contradicted_position_in_the_room_does_not_fail_the_angles_but_leads() -> None:
+    found = headline([GOOD, LENS, BAND])
+    assert found.line.startswith("pass for the angles; position in the room fails: the lens is higher")
+    assert (found.grade, found.room) == (Grade.PASS, Grade.FAIL)
+    assert headline([LOOSE, LENS]).line.startswith("warn: position in the room fails: the lens is higher")
+    declared = headline([FOCAL, LENS]).line
+    assert declared.startswith("fail: the focal length is too short")
+    assert "position in the room fails: the lens is higher" in declared

@@ -108,6 +108,21 @@ def test_nothing_is_cut_or_broken_at_any_width(
     assert opened.requests == [url]
 
 
+def test_a_phone_shows_the_main_angles_within_a_few_screens(opened: BrowserPage) -> None:
+    height = "document.documentElement.scrollHeight"
+    count = (
+        "[...document.querySelectorAll('#angle-charts figure')].filter(one => one.checkVisibility()).length"
+    )
+    every = opened.value(count)
+    opened.resize(WIDTHS[0], 900)
+    short, few = opened.value(height), opened.value(count)
+    assert short < 8500  # long names, eight failures and a gait: the demo has 5,900
+    assert few < every / 2
+    opened.value("document.querySelector('label[for=all-angles]').click()")
+    assert opened.value(count) == every
+    assert opened.value(height) > short + 2000
+
+
 def test_faults_of_a_layout_are_found(opened: BrowserPage) -> None:
     for style, fault in (
         ("width: 1px; overflow-wrap: anywhere", "lines: "),
@@ -138,6 +153,20 @@ def test_paper_has_at_most_six_pages_without_what_is_folded(opened: BrowserPage,
     (table,) = [text for text in texts if "Right and left" in text]
     rows = table[table.index("Right and left") :]
     assert all(f"{name} +" in rows for name in names)
+
+
+def test_pages_of_paper_are_full(opened: BrowserPage, tmp_path: Path) -> None:
+    opened.pdf(tmp_path / "page.pdf")
+    for page in PdfReader(tmp_path / "page.pdf").pages[:-1]:
+        lowest: list[float] = []
+        page.extract_text(
+            visitor_text=lambda text, cm, tm, *_, to=lowest: (
+                to.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
+            )
+        )
+        height = float(page.mediabox[3])
+        body = [y / height for y in lowest if y / height > 0.06]  # above the foot
+        assert min(body) < 0.3, f"{100 * min(body):.0f} % of the page are empty"
 
 
 def test_folded_parts_are_printed_if_asked_for(opened: BrowserPage, url: str, tmp_path: Path) -> None:

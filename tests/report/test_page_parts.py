@@ -17,9 +17,12 @@ from report_support import Page, certain_to, unpacked
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.range_of_motion import UncertainEnd
+from rtof_kin.data.poses import Provenance
 from rtof_kin.report import plot_data
 from rtof_kin.report.angle_names import angle_name, side_and_name
-from rtof_kin.report.html import asset, css_string, table
+from rtof_kin.report.audit_results import Grade
+from rtof_kin.report.html import asset, badge, css_string, table
 from rtof_kin.report.page.clinical import gait_section, way_line
 from rtof_kin.report.page.ranges import ranges_section
 from rtof_kin.report.plot_data import (
@@ -156,13 +159,70 @@ def test_ranges_have_bands_and_headings_have_none() -> None:
     assert "&plusmn;" not in unknown
 
 
+def test_few_reliable_frames_have_no_range_and_no_difference_of_the_sides() -> None:
+    analysis = analyse_motion(replace(walk(), confidence=certain_to(2.0, walk())))
+
+    def knee(right: float, left: float) -> list[str]:
+        shares = {"right_knee_flexion": right, "left_knee_flexion": left}
+        ranges = [replace(own, trusted_share=shares.get(own.name, 1.0)) for own in analysis.ranges]
+        html = ranges_section(ranges, analysis.angles.rows)
+        row = next(row for row in html.split("<tr") if "knee flexion" in row)
+        return re.findall(r"<td[^>]*>(.*?)</td>", row)
+
+    assert re.fullmatch(r"[+-]?\d+", knee(1.0, 1.0)[4])
+    assert knee(1.0, 0.6)[4] == ""
+    assert "<b>" in knee(1.0, 0.6)[2]
+    right, ends, *_, peak, _ = knee(0.11, 0.04)
+    assert (right, ends, peak) == ("<small>reliable only 11 %</small>", "", "")
+
+
+def test_good_poor_and_wrong_have_other_words_signs_and_shapes() -> None:
+    grades = (Grade.PASS, Grade.WARN, Grade.FAIL)
+    words = [Page(badge(grade)).text[""].strip() for grade in grades]
+    assert words == ["good", "use with care", "do not use"]
+    style = asset("page.css")
+    signs = re.findall(r'\.grade\.(pass|warn|fail)::before \{ content: "(.+?)"', style)
+    assert len({sign for _, sign in signs}) == 3
+    assert ".grade.fail { background: var(--fail)" in style
+
+
+def test_the_figure_opens_on_a_frame_in_which_the_person_is_seen() -> None:
+    motion = walk()
+    valid, observed = motion.poses.valid.copy(), motion.poses.orientation_observed.copy()
+    valid[:30] = observed[:30] = False
+    provenance = np.full(valid.shape, Provenance.CAMERA, dtype=np.uint8)
+    provenance[:30] = Provenance.PRIOR
+    poses = replace(motion.poses, valid=valid, orientation_observed=observed, provenance=provenance)
+    assert player_data(replace(motion, poses=poses), slice(None), 0.0)["first"] == 30
+    assert player_data(replace(motion, poses=poses), slice(None, None, 2), 0.0)["first"] == 15
+    assert player_data(motion, slice(None), 0.0)["first"] == 0
+    assert "data.times[data.first]" in asset("player.js")
+
+
+def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -> None:
+    motion = walk()
+    analysis = analyse_motion(replace(motion, confidence=certain_to(2.0, motion)))
+    end = UncertainEnd(1.0, np.radians(141.0), np.radians(200.0))
+    rows = [
+        replace(row, uncertain_high=end) if row.name == "right_hip_flexion" else row
+        for row in analysis.ranges
+    ]
+    html = ranges_section(rows, analysis.angles.rows)
+    (hip,) = re.findall(r"<tr[^>]*>(?:(?!</tr>).)*>hip flexion .*?</tr>", html, re.DOTALL)
+    assert "<small>the highest 1.0 s is uncertain (up to 141)</small>" in hip
+    assert "&gt;= " in hip
+    assert re.search(r'data-label="right - left"></td>', hip)
+
+
 def test_the_way_says_how_far_and_which_way_it_turned() -> None:
     way = analyse_motion(walk()).travel
     text = Page(way_line(way)).text[""]
     assert f"{way.path_length:.1f} m along its path" in text
-    assert "not turned" in text
-    text = Page(way_line(replace(way, turned_left=np.pi, observed_share=0.5))).text[""]
-    assert "turned 180 deg to the left" in text
+    assert "without turns" in text
+    turned = replace(way, turned_left=np.pi, turned_left_sigma=np.radians(5.0), observed_share=0.5)
+    text = Page(way_line(turned)).text[""]
+    assert "turning 180 ± 10° left" in text
+    assert "turns within their error" in way_line(replace(way, unsure_turns=True))
     assert "position observed in 50 %" in text
     assert "not observed" in way_line(replace(way, path_length=np.nan))
 

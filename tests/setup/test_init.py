@@ -105,9 +105,9 @@ def test_an_unknown_height_is_assumed_and_in_doubt(tmp_path: Path) -> None:
     assert any("height is not known" in sentence for sentence in found.doubtful)
 
 
-def test_sensors_without_an_image_are_sent_elsewhere(tmp_path: Path) -> None:
+def test_a_recording_of_a_camera_needs_an_image(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("time,a_fx,a_fy,a_fz,a_qw,a_qx,a_qy,a_qz\n0,0,0,9.8,1,0,0,0\n")
-    with pytest.raises(InvalidInputError, match="no video and no keypoints among them; give one, or see"):
+    with pytest.raises(InvalidInputError, match="no video and no keypoints among them; give one"):
         set_up(tmp_path / "out", SETTINGS, tmp_path / "s.csv")
 
 

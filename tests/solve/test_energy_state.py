@@ -120,3 +120,15 @@ def test_blend_follows_the_shorter_arc() -> None:
         p_half, R_half = BENT.poses(half)
         np.testing.assert_allclose(p, p_half, atol=1e-12)
         np.testing.assert_allclose(R, R_half, atol=1e-12)
+
+
+def test_a_twisted_shank_or_forearm_keeps_the_flexion_of_its_bone() -> None:
+    x = random_states(BENT, 30)
+    p, R = BENT.poses(x)
+    for j in hinges(BODY):
+        child = kinematics.children_of(BODY.parents, j)[0]
+        R[:, j] = R[:, j] @ so3.exp(np.pi * so3.unit(BODY.joint_offsets[child]))
+    bent = np.flatnonzero(BENT.hinge_axis >= 0)
+    found = BENT.rotations(BENT.from_poses(p[:, 0], R))[:, bent]
+    apart = quat.multiply(quat.conjugate(BENT.rotations(x)[:, bent]), found)
+    np.testing.assert_allclose(quat.log(apart), 0, atol=1e-7)

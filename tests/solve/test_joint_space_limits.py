@@ -96,3 +96,13 @@ def test_limits_that_contradict_each_other_are_refused_by_name(low: float, high:
 def test_limits_of_a_hinge_that_does_not_move_are_not_asked_for() -> None:
     moving = [name for name in BODY.names if name != "LeftForeArm"]
     assert set(Limits(StateSpace(BODY, moving, True)).names) == HINGES - {"LeftForeArm_z"}
+
+
+def test_angles_beyond_a_limit_are_moved_onto_it_and_others_stay() -> None:
+    q = configurations(40, share=1.3)
+    x = limits().within(states_of(q))
+    low, high = limits().lower, limits().upper
+    np.testing.assert_allclose(limits().values(x), np.clip(q[:, columns()], low, high), atol=1e-9)
+    inside = configurations(40)
+    same = StateSpace(BODY, BODY.names, True).poses(limits().within(states_of(inside)))[1]
+    np.testing.assert_allclose(same, BODY.forward_kinematics(inside)[1], atol=1e-9)

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
@@ -218,3 +219,16 @@ def test_contacts_of_one_foot_share_the_energy_of_both() -> None:
     assert (one.rows["w_contact"] > 0).all(axis=0).tolist() == stood
     own, other = (found.rows["p_contact"][:, stood] for found in (one, both))
     np.testing.assert_array_equal(own, other)
+
+
+def test_no_hinge_of_the_start_passes_through_a_whole_turn() -> None:
+    knee, foot = BODY.index("LeftLeg", "LeftFoot")
+    R = np.array(POSES.R_world_bone)
+    twist = np.linspace(0, 2 * np.pi, T)  # the shank turns about itself, as a lifter's may at a straight knee
+    twisted = so3.exp(twist[:, None] * so3.unit(BODY.joint_offsets[foot]))
+    R[:, knee] = R[:, knee] @ so3.about_axis("x", 0.2) @ twisted  # and abducted
+    data = observed(replace(POSES, R_world_bone=R))
+    assert data.limits is not None
+    angles = data.limits.values(data.start)
+    assert np.abs(data.limits.excess(angles)).max() < np.radians(2)
+    assert np.abs(np.diff(angles, axis=0)).max() < np.radians(20)

@@ -58,12 +58,14 @@ def fitted(*sizes: float) -> tuple[str, ...]:
         replace(report(k=9.0), first_frame=first, sigma_reprojection=size)
         for first, size in zip(firsts, sizes, strict=False)
     ]
-    return misfits(reports, np.arange(40) / 10, 10, 25.0)
+    return misfits(reports, np.arange(40) / 10, 10, 25.0, np.where(np.arange(40) < 25, 31.0, 2.0))
 
 
 def test_fragments_with_larger_errors_cause_a_warning() -> None:
     (warning,) = fitted(0.5, 0.5, 0.6, 3.9, 12.5, 0.5, 0.5, 0.5, 0.5)
-    assert warning.startswith("1.0 to 2.4 s: joints lie 12 px per axis from where they were seen (0.5 is")
+    assert warning.startswith(
+        "1.0 to 2.4 s: joints lie 31 px from where they were seen, in the median (31 in the whole"
+    )
     assert len(fitted(0.5, 4.0, 0.5, 0.5, 0.5, 0.5, 0.5, 9.0, 0.5)) == 2
 
 
@@ -76,4 +78,4 @@ def test_equal_errors_cause_a_warning_only_at_the_limit() -> None:
 
 def test_hardly_observed_fragments_cause_no_warning() -> None:
     reports = [replace(report(k=0.1), first_frame=5 * i - 5, sigma_reprojection=25.0) for i in range(9)]
-    assert misfits(reports, np.arange(40) / 10, 10, 25.0) == ()
+    assert misfits(reports, np.arange(40) / 10, 10, 25.0, np.where(np.arange(40) < 25, 31.0, 2.0)) == ()

@@ -41,12 +41,11 @@ def motion_with(
     motion = replace(
         motion, poses=replace(motion.poses, p_world_joint=motion.poses.p_world_joint + moved)
     )  # fmt: skip
-    provenance, valid = motion.poses.provenance.copy(), motion.poses.valid.copy()
+    provenance = motion.poses.provenance.copy()
     for name, value in (how or {}).items():
         (j,) = skeleton.index(name)
         provenance[:, j] = value
-        valid[:, j] = value != Provenance.BRIDGED
-    motion = replace(motion, poses=replace(motion.poses, provenance=provenance, valid=valid))
+    motion = replace(motion, poses=replace(motion.poses, provenance=provenance))
     return motion if sigma is None else replace(motion, confidence=confidence(motion, sigma))
 
 

@@ -49,17 +49,6 @@ def test_edge_surrounds_a_line_and_both_have_their_colours() -> None:
     assert not canvas.image[50, 110].any()
 
 
-def test_dashes_have_gaps_and_end_with_the_line() -> None:
-    canvas = black()
-    canvas.line((10, 50), (110, 50), Stroke(WHITE, 2, dash=12))
-    row = coverage(canvas)[50]
-    starts = np.flatnonzero((row[1:] > 0.5) & (row[:-1] <= 0.5))
-    assert len(starts) in (3, 4, 5)
-    assert 0.3 < 1 - row[10:110].mean() < 0.6
-    assert not row[:7].any()
-    assert not row[114:].any()
-
-
 def test_ellipse_has_its_border_at_the_axes_of_its_matrix() -> None:
     turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
     canvas = black()
@@ -80,7 +69,7 @@ def test_what_lies_outside_is_cut_and_the_rest_is_as_in_a_larger_image(
     ax: float, ay: float, bx: float, by: float
 ) -> None:
     small, large = black(60, 40), black(760, 740)
-    stroke = Stroke(WHITE, 2.5, RED, 1.0, dash=9)
+    stroke = Stroke(WHITE, 2.5, RED, 1.0)
     small.line((ax, ay), (bx, by), stroke)
     large.line((ax + 350, ay + 350), (bx + 350, by + 350), stroke)
     part = large.image[350:390, 350:410].astype(int)

@@ -337,17 +337,27 @@ def test_captions_fit_into_small_and_large_pictures(
 ) -> None:
     """The skeleton's middle stays free of captions, and text is neither tiny nor cut."""
     faults = [StreamFault(FaultKind.DISAGREES, "right thigh", 0.0, 1.0)]
-    verdict = {"grade": "warn", "headline": "a long sentence about what may be wrong with this motion " * 3}
     motion = motion_with(skeleton, 1, HOW, sigma=0.02)
-    folder = write_output(
-        tmp_path / "out", motion, [upright_camera(width, height)], faults=faults, verdict=verdict
-    )  # fmt: skip
+    folder = write_output(tmp_path / "out", motion, [upright_camera(width, height)], faults=faults)
     write_overlay(folder, tmp_path / "o.mp4", settings=OverlaySettings(bands=True, points=True))
     images, _ = read_film(tmp_path / "o.mp4")
     plain = (images[0] > 235).all(axis=2).mean(axis=1)  # share of white background in each row
     assert (plain > 0.2).mean() > 0.5
     assert (plain[:8] < 0.2).all()
     assert (plain[-8:] < 0.2).all()
+
+
+def test_the_verdict_is_told_but_not_drawn_on_the_picture(
+    skeleton: SkeletonModel, camera: Camera, tmp_path: Path
+) -> None:
+    pictures = []
+    for name, grade in (("good", "pass"), ("wrong", "fail")):
+        verdict = {"grade": grade, "headline": "the camera is wrong"}
+        folder = write_output(tmp_path / name, motion_with(skeleton, 1), [camera], verdict=verdict)
+        found = write_overlay(folder, tmp_path / f"{name}.mp4", settings=NO_LABELS)
+        assert found.verdict.line == f"{grade}: the camera is wrong"
+        pictures.append(read_film(tmp_path / f"{name}.mp4")[0][0])
+    np.testing.assert_array_equal(*pictures)
 
 
 def test_faults_are_shown_while_they_last(skeleton: SkeletonModel, camera: Camera, tmp_path: Path) -> None:

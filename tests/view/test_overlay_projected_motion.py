@@ -66,7 +66,7 @@ def test_there_is_no_pose_outside_the_motion_in_its_gaps_and_where_it_is_unknown
     assert projected.moment(float(times[11]) + 0.4 * step) is None
 
 
-def test_provenance_is_the_weaker_and_unreliable_positions_count_as_bridged(
+def test_provenance_is_the_weaker_and_unreliable_positions_count_as_unobserved(
     skeleton: SkeletonModel, camera: Camera
 ) -> None:
     how = {"RightLeg": Provenance.BRIDGED, "LeftFoot": Provenance.PRIOR, "LeftHand": Provenance.IMU}
@@ -83,10 +83,26 @@ def test_provenance_is_the_weaker_and_unreliable_positions_count_as_bridged(
     assert shown["LeftHand"] is Provenance.IMU
     assert shown["Hips"] is Provenance.CAMERA
     invalid = replace(motion.poses, valid=np.zeros_like(motion.poses.valid))
-    assert shown_provenance(replace(motion, poses=invalid)).max() == Provenance.BRIDGED
+    assert shown_provenance(replace(motion, poses=invalid)).max() == Provenance.PRIOR
     unknown = replace(motion.poses, provenance=np.zeros_like(provenance))
     shown_then = shown_provenance(replace(motion, poses=unknown))
-    assert set(np.unique(shown_then)) == {Provenance.BRIDGED, Provenance.CAMERA}
+    assert set(np.unique(shown_then)) == {Provenance.CAMERA}
+
+
+def test_what_nobody_observed_is_not_drawn(skeleton: SkeletonModel, camera: Camera) -> None:
+    motion = motion_with(skeleton, 4, {"LeftFoot": Provenance.PRIOR})
+    provenance, valid = motion.poses.provenance.copy(), motion.poses.valid.copy()
+    provenance[1], valid[2] = Provenance.PRIOR, False
+    provenance[3] = Provenance.BRIDGED  # out of sight: where it was last seen there is no person
+    motion = replace(motion, poses=replace(motion.poses, provenance=provenance, valid=valid))
+    projected = ProjectedMotion(motion, view_of(motion, camera))
+    drawn = [np.isfinite(projected.pose(Moment(i, i, 0.0)).uv_px).all(axis=1) for i in range(4)]
+    seen = dict(zip(projected.names, drawn[0], strict=True))
+    assert not seen["LeftFoot"]
+    assert seen["LeftLeg"]
+    assert seen["Hips"]
+    assert not any(frame.any() for frame in drawn[1:])
+    assert Provenance.PRIOR not in projected.provenances
 
 
 def test_ends_of_limbs_are_drawn_as_observed_only_if_their_orientation_is(

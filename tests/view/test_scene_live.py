@@ -40,11 +40,10 @@ def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
 @pytest.mark.parametrize(
     ("text", "url"),
     [
-        ("ws://127.0.0.1:8765", "ws://127.0.0.1:8765/"),
-        ("http://127.0.0.1:80/", "ws://127.0.0.1:80/"),
-        ("localhost:9", "ws://localhost:9/"),
-        ("8765", "ws://127.0.0.1:8765/"),
-        ("ws://[::1]:9/", "ws://[::1]:9/"),
+        ("ws://127.0.0.1:8765/k-y", "ws://127.0.0.1:8765/k-y/"),
+        ("http://127.0.0.1:80/k-y/", "ws://127.0.0.1:80/k-y/"),
+        ("localhost:9/k-y", "ws://localhost:9/k-y/"),
+        ("ws://[::1]:9/k-y/", "ws://[::1]:9/k-y/"),
     ],
 )
 def test_addresses_of_this_machine(text: str, url: str) -> None:
@@ -52,8 +51,8 @@ def test_addresses_of_this_machine(text: str, url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["ws://10.0.0.1:80", "ws://example.org:80", "ws://127.0.0.1", "https://127.0.0.1:1", "", "ws://:x",
-             "ws://127.0.0.1.evil.org:80", "ws://2130706433:80"],
+    "text", ["ws://10.0.0.1:80/k", "ws://example.org:80/k", "ws://127.0.0.1/k", "https://127.0.0.1:1/k", "",
+             "ws://:x/k", "ws://127.0.0.1.evil.org:80/k", "ws://2130706433:80/k", "ws://127.0.0.1:87", "87"],
 )  # fmt: skip
 def test_addresses_of_other_machines_are_refused(text: str) -> None:
     with pytest.raises(InvalidInputError, match="not an address of this machine"):

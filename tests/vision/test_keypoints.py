@@ -67,7 +67,7 @@ def test_real_detections_of_two_people_give_one_persons_joints() -> None:
     assert second.track.person[0] == other
     both = ~(found.track.lost | second.track.lost)
     assert np.all(found.track.person[both] != second.track.person[both])
-    assert f"person {other} in frame 0" in second.summary
+    assert f"person {other + 1} in frame 0" in second.summary
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -101,7 +101,7 @@ def test_loading_a_recording_logs_the_tracked_person(
     assert loaded.keypoints.names[0] == "Hips"
     (record,) = [r for r in caplog.records if "followed" in r.message]
     assert record.levelno == logging.INFO  # as the person was told
-    assert "person 1 in frame 3" in record.message
+    assert "person 2 in frame 3" in record.message
     loaded.save(tmp_path / "copy")
     again = Recording.load(tmp_path / "copy")
     np.testing.assert_array_equal(again.keypoints.uv_px, loaded.keypoints.uv_px)

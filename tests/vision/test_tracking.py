@@ -58,7 +58,7 @@ def test_people_are_tracked_in_any_order() -> None:
     crossing, index = filmed([walker(300, 1600), walker(1600, 300, height=640.0)])
     track = track_person(crossing, TIMES, person=int(index[0]), frame=0)
     np.testing.assert_array_equal(track.person, index)
-    assert f"person {index[0]} in frame 0" in track.reason
+    assert f"person {index[0] + 1} in frame 0" in track.reason
 
 
 def test_overlapping_people_are_ambiguous() -> None:
@@ -113,7 +113,7 @@ def test_identities_of_a_tracker_override_positions() -> None:
 @pytest.mark.parametrize("person, frame", [(2, 0), (-1, 0), (0, T), (0, -1), (5, None)])
 def test_unknown_persons_are_refused(person: int, frame: int | None) -> None:
     found, _ = filmed([walker(300, 400), walker(1300, 1400)])
-    with pytest.raises(InvalidInputError, match=f"person {person} in frame .*there is no such person"):
+    with pytest.raises(InvalidInputError, match=f"person {person + 1} in frame .*there is no such person"):
         track_person(found, TIMES, person=person, frame=frame)
 
 

@@ -11,6 +11,7 @@ import re
 import stat
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,6 +48,31 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
         raise FileFormatError(
             path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened"
         )
+
+
+def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the members of an archive of arrays by the name of the array.
+
+    Args:
+        path: of the archive, for the error message. archive: open.
+
+    Raises:
+        FileFormatError: an array twice, of which readers differ in the one they take; or too many.
+    """
+    members = archive.infolist()
+    _check_number(path, len(members))
+    found = {member.filename.removesuffix(".npy"): member for member in members}
+    if len(found) < len(members):
+        names = Counter(member.filename.removesuffix(".npy") for member in members)
+        raise FileFormatError(
+            path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened"
+        )
+    return found
+
+
+def _check_number(path: Path, number: int) -> None:
+    if number > _MOST_MEMBERS:
+        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
 
 
 def write_archive(
@@ -115,8 +141,7 @@ def digest_of(archive: zipfile.ZipFile, name: str, target: Path | None = None) -
 
 def _check_members(path: Path, members: Sequence[zipfile.ZipInfo]) -> None:
     seen = set[str]()
-    if len(members) > _MOST_MEMBERS:
-        raise FileFormatError(path, f"{len(members)} members; no archive of this package has so many")
+    _check_number(path, len(members))
     for member in members:
         name, mode = member.orig_filename, member.external_attr >> 16
         problem = ""

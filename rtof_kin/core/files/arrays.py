@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.archive import check_sizes
+from rtof_kin.core.files.archive import array_members, check_sizes
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
 
@@ -64,7 +64,7 @@ def read_npz_as_saved(
     """
     arrays: dict[str, NDArray[Any]] = {}
     with _open_npz(path) as archive:
-        entries = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        entries = array_members(path, archive)
         members = {name: info for name, info in entries.items() if names is None or name in names}
         check_sizes(path, list(entries.values()), math.inf)
         check_sizes(path, list(members.values()), limit)
@@ -84,7 +84,7 @@ def npz_names(path: Path) -> tuple[str, ...]:
         FileFormatError: no such file, or not an archive.
     """
     with _open_npz(path) as archive:
-        return tuple(name.removesuffix(".npy") for name in archive.namelist())
+        return tuple(array_members(path, archive))
 
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
@@ -98,9 +98,9 @@ def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """
     shapes = {}
     with _open_npz(path) as archive:
-        for member in archive.namelist():
+        for name, member in array_members(path, archive).items():
             with archive.open(member) as stream:
-                shapes[member.removesuffix(".npy")] = read_npy_header(stream)[0]
+                shapes[name] = read_npy_header(stream)[0]
     return shapes
 
 

@@ -1,4 +1,8 @@
-"""Atomic output: files and folders appear complete or not at all and never replace files of the user."""
+"""Atomic output: files and folders appear complete or not at all and never replace files of the user.
+
+They are of this user alone (0600, 0700), as they are data of patients; a file that is replaced keeps its
+permissions.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError
-from rtof_kin.core.files.manifest import Contents, read_contents, sync, write_manifest
+from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError, too_long
+from rtof_kin.core.files.manifest import (
+    Contents,
+    make_folders,
+    make_private,
+    read_contents,
+    sync,
+    write_manifest,
+)
 from rtof_kin.core.files.temporary import clear, temporary_folder
 
 _NAMED = 3
@@ -63,7 +74,7 @@ def new_folder(
     path = Path(os.path.abspath(path))
     check_replaceable(path, marker, overwrite)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(path.parent)
         with temporary_folder(path.parent) as temporary:
             yield temporary
             write_manifest(temporary, marker, inputs)
@@ -91,6 +102,7 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         OutputExistsError: it may not be replaced. WritingError: its parent cannot be written.
     """
     path = Path(path)
+    _check_length(path)
     if path.is_symlink() or os.path.ismount(path):
         raise OutputExistsError(f"{path}: is a link or a mounted disk; name a folder of its own")
     _check_place(path, "choose another folder")
@@ -118,6 +130,14 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
         )
     if not overwrite:
         raise OutputExistsError.of(path)
+
+
+def _check_length(path: Path) -> None:
+    try:
+        path.lstat()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise WritingError(too_long(path)) from error
 
 
 def _check_place(path: Path, remedy: str) -> None:
@@ -229,10 +249,11 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
     check_new_file(path, overwrite)
     target = Path(os.path.realpath(path))
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folders(target.parent)
         with temporary_folder(target.parent) as folder:
             file = folder / Path(path).name
             yield file
+            make_private(file)
             sync(file)
             try:
                 _put_file(file, target, overwrite)
@@ -255,6 +276,7 @@ def check_new_file(path: str | Path, overwrite: bool) -> None:
         OutputExistsError: it exists. WritingError: its folder cannot be written.
     """
     path = Path(path)
+    _check_length(path)
     if path.exists() and not path.is_file():
         what = "a folder" if path.is_dir() else "a device or a pipe"
         raise OutputExistsError(f"{path}: is {what}; name a file")

@@ -33,7 +33,7 @@ class Contents:
 def write_manifest(
     folder: Path, kind: str, inputs: Mapping[str, str] | None = None, paths: Iterable[Path] | None = None
 ) -> None:
-    """Sync all files of a new folder to the disk and list them in its manifest.
+    """Sync all files of a new folder, of this user alone, to the disk and list them in its manifest.
 
     Args:
         folder: contains only files of this package. kind: its marker file.
@@ -42,12 +42,14 @@ def write_manifest(
     """
     files = {}
     for path in sorted(folder.rglob("*") if paths is None else paths):
+        make_private(path)
         sync(path)
         if path.is_file():
             files[path.relative_to(folder).as_posix()] = file_digest(path)
     content = {"kind": kind, "sha256": files} | ({"inputs": dict(inputs)} if inputs else {})
     partial = folder / f"{MANIFEST}.part"
     partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    make_private(partial)
     sync(partial)
     partial.replace(folder / MANIFEST)
     sync(folder)
@@ -139,6 +141,30 @@ def remove_written(folder: Path) -> None:
     if os.listdir(folder) == [MANIFEST]:
         (folder / MANIFEST).unlink()
         folder.rmdir()
+
+
+def make_private(path: Path) -> None:
+    """Let no other user read a file or folder, where the system knows of permissions.
+
+    Args:
+        path: just written by this process.
+    """
+    with suppress(OSError):
+        path.chmod(0o700 if path.is_dir() else 0o600)
+
+
+def make_folders(path: Path) -> None:
+    """Make a folder and its parents, of this user alone; those that exist stay as they are.
+
+    Args:
+        path: of the folder.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    if not path.is_dir():
+        make_folders(path.parent)
+        path.mkdir(mode=0o700, exist_ok=True)
 
 
 def sync(path: Path) -> None:

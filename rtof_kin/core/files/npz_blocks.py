@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.archive import array_members
 from rtof_kin.core.files.arrays import read_npy_header
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable
 
@@ -270,7 +271,7 @@ class NpzBlocks:
         """Return the members of the archive that are wanted and there."""
         try:
             with zipfile.ZipFile(self._file.stream) as archive:
-                there = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+                there = array_members(self.path, archive)
                 found = {name: self._member(archive, name, there[name]) for name in names if name in there}
         except FileFormatError:
             raise

@@ -171,5 +171,5 @@ class Section:
         """
         unknown = [field for field in self.data if field not in self._asked]
         if unknown:
-            where = f"field in {self.path}" + (f", [{self.name}]" if self.name else "")
-            raise UnknownNameError(where, unknown, sorted(self._asked))
+            table = f"[{self.name}]" if self.name else ""
+            raise UnknownNameError("field", unknown, sorted(self._asked), self.path, table)

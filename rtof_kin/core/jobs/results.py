@@ -22,6 +22,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.files.arrays import read_npz
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.engine import Engine, InThisProcess
 from rtof_kin.core.jobs.processes import Processes
@@ -97,13 +98,13 @@ def open_runs(
         try:
             for result in path.glob(results) if outdated[path] else ():
                 result.unlink()
-            path.mkdir(parents=True, exist_ok=True)
+            make_folders(path)
         except OSError as error:
             raise RtofError(f"{path}: cannot be written ({error}); name another folder") from error
         text = json.dumps(settings, indent=1, sort_keys=True) + "\n"
         write_text(path / SETTINGS, text, overwrite=True)
     runs = folder / "runs"
-    runs.mkdir(exist_ok=True)
+    make_folders(runs)
     for key, files in motions.items():
         measured = (_facts(runs, key) or {}).get("methods", ())
         if any(file and method in measured and not file.is_file() for method, file in files.items()):

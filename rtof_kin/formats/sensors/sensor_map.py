@@ -21,7 +21,7 @@ from xml.etree.ElementTree import ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, did_you_mean, line_of
 from rtof_kin.core.files.text import read_text
 
 LARGEST_BYTES: Final = 2**20
@@ -93,11 +93,14 @@ def _of_xml(path: Path, text: str) -> list[_Row]:
     return found
 
 
-def matched(places: Mapping[str, str], sensors: Sequence[str]) -> dict[str, str]:
+def matched(
+    places: Mapping[str, str], sensors: Sequence[str], path: str | Path | None = None
+) -> dict[str, str]:
     """Return the place of each sensor of a trial that a map names.
 
     Args:
         places: by serial number, by its last characters, or by name. sensors: names in the trial.
+        path: of the map, for messages.
 
     Raises:
         InvalidInputError: no sensor is named, one is named twice, or there are both sensors and lines of the
@@ -118,10 +121,17 @@ def matched(places: Mapping[str, str], sensors: Sequence[str]) -> dict[str, str]
     left = [name for name in sensors if name not in found]
     if not found or (unused and left):
         raise InvalidInputError(
-            f"the map has {', '.join(unused)}, which the trial has not, and the trial has {', '.join(left)}, "
-            "which the map has not; correct one of them, or take the lines of absent sensors out"
+            f"{_named(path, unused)} has {', '.join(unused)}, which the trial has not, and the trial has "
+            f"{', '.join(left)}, which the map has not; correct one of them, or take the lines of absent "
+            f"sensors out.{did_you_mean(unused, left)}"
         )
     return found
+
+
+def _named(path: str | Path | None, keys: Sequence[str]) -> str:
+    """Return the map in words, with the line of the first of some of its sensors."""
+    line = line_of(path, keys[0]) if path is not None and keys else None
+    return ", ".join(filter(None, (str(path or ""), f"line {line}" if line else "", "the map")))
 
 
 def same_sensor(key: str, sensor: str) -> bool:

@@ -380,8 +380,9 @@ class OnlineEstimator:
 
     def _state(self, poses: PoseSequence) -> Array:
         """State (3 + 4A,) of the only frame of poses."""
-        space = self._window.data.space
-        return np.asarray(space.from_poses(poses.p_world_joint[:, 0], poses.R_world_bone)[0])
+        data = self._window.data
+        x = data.space.from_poses(poses.p_world_joint[:, 0], poses.R_world_bone)
+        return np.asarray((x if data.limits is None else data.limits.within(x))[0])
 
     # --- results ---------------------------------------------------------------------------------
 

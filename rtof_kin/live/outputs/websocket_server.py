@@ -10,17 +10,14 @@ Each WebSocket message is one JSON text, told apart by its keys:
 ============ ========================================================================================
 
 A client that connects gets the last state and the last messages. One that reads too slowly misses estimates,
-never delays them. Browsers name the page that asks: only this server's own page may read, under an address of
-numbers or ``localhost``, so that no other page in the same browser can.
+never delays them. Only who knows the token in the address may read, see `rtof_kin.core.local_door`.
 """
 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
 import logging
-import re
 import socket
 import threading
 from collections import deque
@@ -31,6 +28,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.core.local_door import LOOPBACK, Door, response
 from rtof_kin.core.packages import optional
 from rtof_kin.live.outputs.joint_state import JointStates
 from rtof_kin.live.outputs.page import live_page, page_headers
@@ -40,7 +38,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
-LOOPBACK: Final = "127.0.0.1"
 _MESSAGES: Final = 100
 """Messages kept for a client that connects or is slow."""
 _SEND_BUFFER_BYTES: Final = 1 << 16
@@ -52,7 +49,6 @@ _PATIENCE_S: Final = 1.0
 _LOG: Final = logging.getLogger("rtof_kin.live.outputs.websocket_server")
 _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False  # else a broken request, as of a browser's spare connection, is printed
-_HOST: Final = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(:[0-9]{1,5})?")
 
 
 class _Outbox:
@@ -114,18 +110,23 @@ class WebSocketServer:
         self._lock = threading.Lock()
         self._waiting: OnlineEstimate | None = None
         self._dropped = 0
-        self._host = host
+        self._door = Door(host)
         self._socket = _listening(host, port)
         address, self._port = self._socket.getsockname()[:2]
         self._address = f"[{address}]" if ":" in address else address
         self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
-        self._thread = threading.Thread(target=self._run, name=self.url, daemon=True)
+        self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
         self._thread.start()
 
     @property
     def url(self) -> str:
-        """Address of the page; for WebSocket clients it begins with ``ws:``."""
-        return f"http://{self._address}:{self._port}/"
+        """Address of the page, with a secret token; for WebSocket clients it begins with ``ws:``."""
+        return f"http://{self._address}:{self._port}{self._door.path}"
+
+    @property
+    def url_once(self) -> str:
+        """Address that leads to the page once, to start a browser with."""
+        return f"http://{self._address}:{self._port}{self._door.ticket}"
 
     @property
     def clients(self) -> int:
@@ -237,30 +238,13 @@ class WebSocketServer:
 
     def _answer(self, _: ServerConnection, request: Request) -> Response | None:
         """Return the page or a refusal; None lets a WebSocket client in."""
-        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
-        if len(hosts) != 1 or not self._trusts(hosts[0]):
-            return _response(HTTPStatus.MISDIRECTED_REQUEST, "use the address as numbers, or localhost")
+        if (refused := self._door.answer(request)) is not None:
+            return refused
         if request.headers.get_all("Upgrade"):
-            if origins and [origin.lower() for origin in origins] != [f"http://{hosts[0]}".lower()]:
-                return _response(HTTPStatus.FORBIDDEN, "another page may not read here")
             return None
-        if request.path.partition("?")[0] != "/":
-            return _response(HTTPStatus.NOT_FOUND, "there is only /")
-        return _response(HTTPStatus.OK, live_page(), page_headers(hosts[0]))
-
-    def _trusts(self, host: str) -> bool:
-        """Return whether a name cannot be that of a foreign page which points to this machine."""
-        found = _HOST.fullmatch(host)
-        if found is None:
-            return False
-        name = found[1].strip("[]").lower()
-        if name in ("localhost", self._host.lower()):
-            return True
-        try:
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True
+        if request.path != "/":
+            return response(HTTPStatus.NOT_FOUND, "there is only the page")
+        return response(HTTPStatus.OK, live_page(), page_headers(request.headers["Host"]))
 
 
 def _listening(host: str, port: int) -> socket.socket:
@@ -276,15 +260,6 @@ def _listening(host: str, port: int) -> socket.socket:
         ) from error
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
     return opened
-
-
-def _response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
-    http, structures = (optional(f"websockets.{name}", "live") for name in ("http11", "datastructures"))
-    body = text.encode()
-    own = {"Content-Type": "text/plain; charset=utf-8"} if headers is None else headers
-    whole = structures.Headers({**own, "Content-Length": str(len(body)), "Connection": "close"})
-    response: Response = http.Response(status.value, status.phrase, whole, body)
-    return response
 
 
 def _text(data: Mapping[str, Any]) -> str:

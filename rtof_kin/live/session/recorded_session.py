@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -28,16 +29,15 @@ from rtof_kin.core.errors import (
 )
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.manifest import MANIFEST, write_manifest
+from rtof_kin.core.files.temporary import locked
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.session.stream_checks import unknown_landmarks, unknown_sensors
-from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.index import INDEX, UNFINISHED
 from rtof_kin.recording.recording import Recording
 
-LIVE: Final = "live"
-"""Folder of everything as it came."""
-SETUP: Final = "setup"
-"""Folder in it: camera, body and calibration."""
+LIVE, SETUP = UNFINISHED.parts
+"""Folder of everything as it came, and the one in it with camera, body and calibration."""
 CHUNK: Final = "{:06d}.npz"
 """Names of the files in it."""
 _MADE: Final = "recording"
@@ -101,7 +101,8 @@ def finish(folder: str | Path) -> tuple[str, ...]:
         Notes about losses, which the recording has too.
 
     Raises:
-        FileFormatError: it is no folder of a session. OutputExistsError: it is a recording already.
+        FileFormatError: it is no folder of a session. OutputExistsError: it is a recording already, or a
+            session is at work on it.
         InvalidInputError: nothing usable was recorded. WritingError: it cannot be written.
     """
     folder = Path(folder)
@@ -109,10 +110,12 @@ def finish(folder: str | Path) -> tuple[str, ...]:
         raise OutputExistsError(f"{folder}: is a recording already; delete {INDEX} to make it again")
     if not (folder / LIVE / SETUP / INDEX).is_file():
         raise FileFormatError(folder, f"no folder of a live session: there is no {LIVE}/{SETUP}/{INDEX}")
-    setup = Recording.load(folder / LIVE / SETUP)
-    chunks, notes = _read(folder / LIVE)
-    recording = _recording(setup, chunks, notes, folder.name)
-    _put(recording, folder)
+    with locked(folder / LIVE) as held:
+        if held is False:
+            raise OutputExistsError(f"{folder}: a session is recorded there; end it first (Ctrl-C)")
+        setup = Recording.load(folder / LIVE / SETUP)
+        chunks, notes = _read(folder / LIVE)
+        _put(_recording(setup, chunks, notes, folder.name), folder)
     return tuple(notes)
 
 
@@ -257,13 +260,19 @@ def _put(recording: Recording, folder: Path) -> None:
     """Write the recording's files beside ``live/``; the one that makes it a recording comes last."""
     made = folder / LIVE / _MADE
     shutil.rmtree(made, ignore_errors=True)
-    recording.save(made)
     try:
+        recording.save(made)
         names = [path.name for path in made.iterdir() if path.name not in (INDEX, MANIFEST)]
         for name in (*names, INDEX):
             os.replace(made / name, folder / name)
         shutil.rmtree(made)
         own = [folder / name for name in (*names, INDEX)]
         write_manifest(folder, INDEX, paths=sorted([*own, *(folder / LIVE).rglob("*")]))
-    except OSError as error:
-        raise WritingError(f"{folder}: cannot be written ({error})") from error
+    except BaseException as error:  # what came stays, and it can be tried again
+        with suppress(OSError):
+            (folder / INDEX).unlink(missing_ok=True)
+        shutil.rmtree(made, ignore_errors=True)
+        if isinstance(error, OSError | WritingError):
+            problem = error.__cause__ or error
+            raise WritingError(f"{folder}: cannot be written ({problem}); make room and try again") from error
+        raise

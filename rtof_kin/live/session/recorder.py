@@ -7,11 +7,12 @@ killed loses two seconds; `rtof_kin.live.session.recorded_session.finish` makes 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from queue import Full, Queue
-from threading import Thread
+from threading import Event, Thread
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import check_replaceable
+from rtof_kin.core.files.temporary import locked
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.samples import FrameSample, OnlineEstimate
@@ -28,7 +30,8 @@ from rtof_kin.live.session.recorded_session import CHUNK, LIVE, SETUP, finish
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 
-_PENDING: Final = 10  # files that wait for a slow disk
+_PENDING: Final = 30  # files that wait for a slow or full disk
+_AGAIN: Final = 1.0  # [s] until a file that could not be written is tried again
 _CLOSING: Final = 30.0  # [s] for which the last files are waited for
 
 
@@ -90,7 +93,8 @@ _Job = tuple[_Chunk, tuple[str, ...], float]
 class Recorder:
     """Writes a session into a folder of its own.
 
-    A file that cannot be written ends the recording with one sentence, not the session.
+    A file that cannot be written is tried again, while others wait for it; one sentence says so, and another
+    what was lost.
     """
 
     def __init__(
@@ -118,10 +122,14 @@ class Recorder:
         self._landmarks: tuple[str, ...] = ()
         self._chunk: _Chunk | None = None
         self._notices: list[str] = []
-        self._failed = self._closed = False
+        self._closed = False
+        self._problem, self._lost = "", 0
         check_replaceable(self.folder, INDEX)
         _bare(setup, self.folder.name).save(self.folder / LIVE / SETUP)
-        self._queue: Queue[_Job | None] = Queue(_PENDING)
+        self._held = ExitStack()
+        self._held.enter_context(locked(self.folder / LIVE))
+        self._jobs: deque[_Job] = deque()
+        self._wake = Event()
         self._thread: Thread | None = None
         if in_background:
             self._thread = Thread(target=self._write_all, name="recorder", daemon=True)
@@ -171,15 +179,17 @@ class Recorder:
         """Write what is left; may be called twice."""
         if self._closed:
             return
-        self._closed = True
         if self._chunk is not None:
             self._put(self._chunk)
+        self._closed = True
+        self._wake.set()
         if self._thread is not None:
-            try:
-                self._queue.put(None, timeout=_CLOSING)
-                self._thread.join(_CLOSING)
-            except Full:
-                self._fail("the disk is too slow for the last seconds")
+            self._thread.join(_CLOSING)
+        self._held.close()
+        if self._jobs:
+            problem = self._problem or "the disk is too slow"
+            seconds = (len(self._jobs) + self._lost) * self._chunk_s
+            self._notices.append(f"{self.folder}: the last {seconds:g} s are not recorded ({problem})")
 
     def finish(self) -> tuple[str, ...]:
         """Make a recording of the folder and return notes about it.
@@ -201,36 +211,54 @@ class Recorder:
 
     def _put(self, chunk: _Chunk) -> None:
         self._chunk = None
-        if self._failed:
-            return
-        job = chunk, self._landmarks, self.video_delay_s
+        if len(self._jobs) < _PENDING:
+            self._jobs.append((chunk, self._landmarks, self.video_delay_s))
+        else:
+            if not self._lost:
+                problem = self._problem or "the disk is too slow"
+                self._notices.append(f"{self.folder}: the session goes on without being recorded ({problem})")
+            self._lost += 1
         if self._thread is None:
-            self._write(job)
-            return
-        try:
-            self._queue.put_nowait(job)
-        except Full:
-            self._notices.append(
-                f"{self.folder}: the disk is too slow; {self._chunk_s:g} s of the session are not recorded"
-            )
+            self._write_due()
+        else:
+            self._wake.set()
 
     def _write_all(self) -> None:
-        while (job := self._queue.get()) is not None:
-            if not self._failed:
-                self._write(job)
+        closed = False
+        while not closed:
+            self._wake.wait(_AGAIN)
+            self._wake.clear()
+            closed = self._closed
+            self._write_due()
 
-    def _write(self, job: _Job) -> None:
-        chunk, landmarks, delay = job
-        self._count += 1
+    def _write_due(self) -> None:
+        """Write what waits, up to the first file that cannot be written."""
+        while self._jobs and self._write(*self._jobs[0]):
+            self._jobs.popleft()
+
+    def _write(self, chunk: _Chunk, landmarks: tuple[str, ...], video_delay_s: float) -> bool:
+        """Return False if the disk takes no file now."""
+        path = self.folder / LIVE / CHUNK.format(self._count + 1)
         try:
-            path = self.folder / LIVE / CHUNK.format(self._count)
-            write_npz(path, chunk.arrays(landmarks, delay))
-        except (RtofError, OSError, ValueError, MemoryError) as error:
-            self._fail(str(error.__cause__ if isinstance(error, WritingError) and error.__cause__ else error))
-
-    def _fail(self, problem: str) -> None:
-        self._failed = True
-        self._notices.append(f"{self.folder}: the session goes on without being recorded ({problem})")
+            write_npz(path, chunk.arrays(landmarks, video_delay_s), overwrite=True)
+        except (WritingError, OSError, MemoryError) as error:
+            told = self._problem
+            self._problem = str(error.__cause__ or error) or type(error).__name__
+            if not told:
+                self._notices.append(
+                    f"{self.folder}: {path.name} cannot be written ({self._problem}); make room, it is tried "
+                    "again every second"
+                )
+            return False
+        except (RtofError, ValueError) as error:
+            self._notices.append(f"{self.folder}: {self._chunk_s:g} s are not recorded ({error})")
+            return True
+        self._count += 1
+        if self._problem:
+            lost = f"{self._lost * self._chunk_s:g} s in between" if self._lost else "nothing"
+            self._notices.append(f"{self.folder}: files are written again; lost: {lost}")
+            self._problem, self._lost = "", 0
+        return True
 
 
 def _bare(setup: Recording, name: str) -> Recording:

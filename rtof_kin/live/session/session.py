@@ -288,9 +288,11 @@ class LiveSession:
                 self._recorder.add_estimate(estimate, arrival)
             for sentence in self._sinks.send(estimate):
                 self._tell(sentence, arrival)
-        if self._recorder is not None:
-            for sentence in self._recorder.notices():
-                self._tell(sentence, arrival)
+        self._tell_notices(arrival)
+
+    def _tell_notices(self, arrival: float) -> None:
+        for sentence in self._recorder.notices() if self._recorder is not None else ():
+            self._tell(sentence, arrival)
 
     def _fault(self, stream: str, fault: str, arrival: float) -> None:
         self._once(stream, fault, f"{stream}: {fault}; such samples are left out", arrival)
@@ -359,18 +361,16 @@ class LiveSession:
         if self._summary is not None:
             return self._summary
         with suppress(RtofError):
-            rest = self._estimator.finish()
-            self._send(rest, arrival)
+            self._send(rest := self._estimator.finish(), arrival)
             if rest and self._times.frames:
                 self._times.add(self._times.percentile(50), len(rest))
-        seconds = self.monitor.elapsed(arrival)
         for feed in self._feeds:
             feed.close()
         if self._checker is not None:
             self._checker.shutdown(wait=False, cancel_futures=True)
         folder = self._finish_recording(arrival)
         self._sinks.close()
-        self._summary = self._summed(seconds, folder)
+        self._summary = self._summed(self.monitor.elapsed(arrival), folder)
         return self._summary
 
     def _finish_recording(self, arrival: float) -> Path | None:
@@ -378,10 +378,12 @@ class LiveSession:
             return None
         try:
             self._recorder.finish()
+            return self._recorder.folder
         except RtofError as error:
             self._tell(f"no recording was made: {error}", arrival)
             return None
-        return self._recorder.folder
+        finally:
+            self._tell_notices(arrival)
 
     def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
         streams = {

@@ -1,1 +1,1 @@
-"""Sources of samples: cameras, LSL, UDP, replays."""
+"""Sources of samples: cameras, LSL, replays."""

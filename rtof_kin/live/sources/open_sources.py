@@ -1,4 +1,4 @@
-"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``, ``udp:9000``."""
+"""Sources and sinks by the words of a command line: ``0``, ``walk.mp4``, ``lsl:NAME``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.core.errors import SourceError
 from rtof_kin.live.samples import Clock, Sink, Source
 from rtof_kin.live.sources.renamed_sensors import RenamedSensors
 from rtof_kin.live.sources.replay import RecordingReplay
@@ -19,15 +19,13 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 
-CAMERAS: Final = (
-    "number of a webcam, VIDEO, a detector's file, lsl:NAME, udp:PORT, or the folder of a recording"
-)
+CAMERAS: Final = "number of a webcam, VIDEO, a detector's file, lsl:NAME, or the folder of a recording"
 """Words of a camera, for messages."""
-SENSORS: Final = "lsl:NAME, udp:PORT, a file or folder of sensors, or the folder of a recording"
+SENSORS: Final = "lsl:NAME, a file or folder of sensors, or the folder of a recording"
 """Words of sensors, for messages."""
 OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
 """Words of outputs, for messages."""
-_LSL, _UDP, _WS = "lsl", "udp", "ws"
+_LSL, _WS = "lsl", "ws"
 _OUTLET: Final = "rtof_kin"
 _PORT: Final = 8765
 """Of the WebSocket, unless another is given."""
@@ -106,6 +104,8 @@ def open_sources(
     words = [word.strip() for word in (*cameras, *sensors)]
     if not words:
         raise SourceError(f"no stream: give --camera ({CAMERAS}), --imus ({SENSORS}), or both")
+    if old := [word for word in words if word.lower().startswith("udp:")]:
+        raise SourceError(f"{old[0]}: UDP is no longer read; send it to an LSL stream and give lsl:NAME")
     if len(cameras) > 1:
         raise SourceError(f"cameras {', '.join(cameras)}: give one of them")
     for same in (cameras, sensors):
@@ -114,11 +114,10 @@ def open_sources(
     live = any(_is_live(word) for word in words)
     if live and speed != 1.0:
         raise SourceError(f"speed {speed:g}: is for replays; leave it out where a stream is live")
-    lsl = any(_kind(word) == _LSL for word in words)
+    lsl = any(map(_is_lsl, words))
     opening = _Opening(setup, ReplayClock(speed), live, _lsl_clock() if lsl else time.monotonic, detector)
     found = [(word, _camera(word, opening)) for word in cameras]
-    both = [word for word in cameras if _kind(word) == _UDP]  # one port gives points and sensors
-    found += [(word, _sensors(word, opening)) for word in sensors if word not in both]
+    found += [(word, _sensors(word, opening)) for word in sensors]
     sources = tuple(source for _, source in found)
     if names is not None:
         sources = tuple(
@@ -144,14 +143,12 @@ def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
     return [_sink(word, setup) for word in words]
 
 
-def _kind(word: str) -> str:
-    """Return what a word names before its colon, if it is a stream of the network."""
-    kind = word.strip().partition(":")[0].lower()
-    return kind if ":" in word and kind in (_LSL, _UDP) else ""
+def _is_lsl(word: str) -> bool:
+    return word.strip().lower().startswith(f"{_LSL}:")
 
 
 def _is_live(word: str) -> bool:
-    return bool(_kind(word)) or word.strip().isdecimal() or is_webcam(word.strip())
+    return _is_lsl(word) or word.strip().isdecimal() or is_webcam(word.strip())
 
 
 def _camera(word: str, opening: _Opening) -> Source:
@@ -162,12 +159,10 @@ def _camera(word: str, opening: _Opening) -> Source:
         )
     word = word.strip()
     camera = setup.keypoints.camera
-    if _kind(word) == _LSL:
+    if _is_lsl(word):
         from rtof_kin.live.sources.lsl_source import LslFrameSource
 
         return LslFrameSource(_stream(word))
-    if _kind(word) == _UDP:
-        return _udp(word)
     path = Path(word)
     webcam = _is_live(word)
     if not webcam and path.is_dir():
@@ -202,12 +197,10 @@ def _camera(word: str, opening: _Opening) -> Source:
 
 def _sensors(word: str, opening: _Opening) -> Source:
     word = word.strip()
-    if _kind(word) == _LSL:
+    if _is_lsl(word):
         from rtof_kin.live.sources.lsl_source import LslImuSource
 
         return LslImuSource(_stream(word))
-    if _kind(word) == _UDP:
-        return _udp(word)
     path = Path(word)
     if not path.exists():
         raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
@@ -223,15 +216,6 @@ def _stream(word: str) -> str:
     if not name:
         raise SourceError(f"{word}: names no stream; give lsl:NAME")
     return name
-
-
-def _udp(word: str) -> Source:
-    from rtof_kin.live.sources.osc_source import OscSource
-
-    try:
-        return OscSource.of(word)
-    except InvalidInputError as error:
-        raise SourceError(f"{error}") from error
 
 
 def _lsl_clock() -> Callable[[], float]:

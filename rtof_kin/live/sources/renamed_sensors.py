@@ -48,7 +48,7 @@ class RenamedSensors:
             if place in sensors:
                 names[key] = place
                 continue
-            joint = known_segment(place, setup.skeleton, f"segment in {path}")
+            joint = known_segment(place, setup.skeleton, path)
             if joint not in worn:
                 where = f"segment in {path} (no sensor of the setup is on it)"
                 raise UnknownNameError(where, [place], sensors)

@@ -183,6 +183,7 @@ function draw_chart(parent, chart, axis, chosen) {
   const {width, height, top, bottom} = SIZE;
   const figure = element("figure", "", parent);
   if (chart.shown) figure.dataset.in = chart.shown;
+  if (chart.further) figure.className = "further";
   head(chart, figure);
   const words = in_words(chart, axis);
   const picture = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": words}, figure);

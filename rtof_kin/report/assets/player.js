@@ -11,7 +11,7 @@ function start_player(data, moved) {
   const paint_scene = start_scene(canvas, data.height, () => paint());
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)");  // stills, two a second
   let painted = 0;
-  let now = data.times[0], playing = false, before = 0, chosen = false;
+  let now = data.times[data.first], playing = false, before = 0, chosen = false;
   slider.max = T - 1;
 
   const at = (frame, joint) => [0, 1, 2].map(k => p[3 * (frame * J + joint) + k]);

@@ -13,10 +13,11 @@ from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
 from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.recording.session import Session
+from rtof_kin.report.angle_names import plain_words
 from rtof_kin.report.audit_results import SECTIONS, Grade, section_verdict
 from rtof_kin.report.clinical_findings import NO_BANDS, clinical_findings
 from rtof_kin.report.headline import Headline, headline
-from rtof_kin.report.html import badge, fill_template, folded
+from rtof_kin.report.html import badge, fill_template
 from rtof_kin.report.isb import CITATION, isb_items
 from rtof_kin.report.page import quality
 from rtof_kin.report.page.clinical import gait_section, torques_section, way_line
@@ -98,17 +99,16 @@ def _page(
         "sampling": _sampling(curves, motion.rate_hz / (shown.step or 1)),
         "gait": gait_section(analysis.gait),
         "torques": torques_section(analysis.torques, motion.skeleton.table),
-        "notes": quality.notes_section(str(inputs.get("notes") or "")),
-        "recording": folded(
-            "what was recorded, and how the motion was computed",
-            quality.recording_section(motion, summary, session, made),
-        ),
+        "notes": quality.notes_section(plain_words(str(inputs.get("notes") or ""), analysis.table)),
+        "recording": quality.recording_section(motion, summary, session, made),
         "calibration": quality.camera_table(inputs.get("camera_estimate")) + calibration,
-        "headline": f"{badge(overall.grade)} {escape(overall.text)}",
-        "verdicts": quality.verdicts_table(section_verdict(section, results) for section in checked),
+        "headline": quality.headline_line(overall),
+        "verdicts": quality.verdicts_table(
+            (section_verdict(section, results) for section in checked), analysis.table
+        ),
         "isb": quality.checklist(checklist),
         "citation": escape(CITATION),
-        "audit": folded("all figures with their limits and sources", quality.audit_table(results)),
+        "audit": quality.audit_table(results),
         "acknowledgement": escape(summary.acknowledgement),
     }
     return fill_template(parts, plots, _foot(summary, session))

@@ -9,14 +9,19 @@ from html import escape
 from typing import Any, Final
 
 from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.session import Session
+from rtof_kin.report.angle_names import plain_words
 from rtof_kin.report.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict
+from rtof_kin.report.headline import Headline
 from rtof_kin.report.html import badge, bullets, definitions, folded, table
 from rtof_kin.report.isb import Items
 from rtof_kin.report.summary_file import Summary
 
-_LONGEST: Final = 260  # characters of a reason that stands in the table of verdicts unfolded
+_PROBLEMS: Final = {Grade.FAIL: "problem", Grade.WARN: "with care", Grade.WEAK: "not verified"}
+"""Grades of sections with a row of their own, worst first, and their labels."""
+_LONGEST: Final = 180  # characters of a reason that stands in the table of verdicts unfolded
 
 
 def recording_section(motion: MotionSource, summary: Summary, session: Session, made: str) -> str:
@@ -96,23 +101,50 @@ def missing_data(motion: MotionSource) -> str:
     return f"the person was not observed at {spans}{more}; interpolated, and marked as such"
 
 
-def verdicts_table(verdicts: Iterable[SectionVerdict]) -> str:
-    """Return the verdict on each section with its first reason; the others are folded.
+def headline_line(overall: Headline) -> str:
+    """Return the verdicts on the angles and on the position in the room, and what they mean.
 
     Args:
-        verdicts: in the order of the table.
+        overall: headline of the audit.
     """
+    grades = {"Angles": overall.grade} | ({"Position in the room": overall.room} if overall.room else {})
+    both = "; ".join(f"{what} {badge(grade)}" for what, grade in grades.items())
+    note = ""
+    if {Grade.WARN, Grade.FAIL} & {*grades.values()}:
+        note = "Use with care: some figures are less reliable. Do not use: an input is wrong, or they are."
+    return f"<p>{both}</p>" + (f'<p class="note wide">{note}</p>' if note else "")
 
-    def why(reasons: tuple[str, ...]) -> str:
-        if not reasons:
-            return "all figures are within their limits"
-        first = textwrap.shorten(reasons[0], _LONGEST, placeholder=" ...")
-        rest = reasons[1:] if first == " ".join(reasons[0].split()) else reasons
-        title = f"{len(rest)} more" if len(rest) < len(reasons) else "in full"
-        return escape(first) + (f" {folded(title, bullets(rest))}" if rest else "")
 
-    rows = ((escape(v.title), badge(v.grade), why(v.reasons)) for v in verdicts)
-    return table(("section", "verdict", "why"), rows, "verdicts", row_headers=True)
+def verdicts_table(verdicts: Iterable[SectionVerdict], names: AngleTable) -> str:
+    """Return a row for each section with a problem, with its first reason and the others folded, one row for
+    the sections of each other grade, and remarks on them.
+
+    Args:
+        verdicts: in the order of the table. names: with the names of segments.
+    """
+    found = [(v, [_sentence(reason, names) for reason in v.reasons]) for v in verdicts]
+    rows = []
+    for grade, word in _PROBLEMS.items():
+        for v, reasons in found:
+            if v.grade is grade:
+                short = textwrap.shorten(reasons[0], _LONGEST, placeholder=" ...")
+                more = reasons if short.endswith(" ...") else reasons[1:]
+                title = "in full" if more is reasons else f"{len(more)} more"
+                why = escape(short) + (f" {folded(title, bullets(more))}" if more else "")
+                rows.append((escape(v.title), badge(grade, word), why))
+    others = [g for g in Grade if g not in _PROBLEMS]
+    for grade in others:
+        if alike := [v.title for v, _ in found if v.grade is grade]:
+            rows.append((escape(", ".join(alike)), badge(grade), ""))
+    remarks = [f"{v.title}: {reason}" for v, reasons in found if v.grade in others for reason in reasons]
+    rest = folded("remarks on sections without a problem", bullets(remarks)) if remarks else ""
+    sections = table(("section", "verdict", "why"), rows, "verdicts", row_headers=True)
+    return f'{sections}<div class="remarks">{rest}</div>'
+
+
+def _sentence(text: str, names: AngleTable) -> str:
+    text = plain_words(text, names)
+    return text[:1].upper() + text[1:]
 
 
 def audit_table(results: Iterable[AuditResult]) -> str:
@@ -129,8 +161,8 @@ def audit_table(results: Iterable[AuditResult]) -> str:
         return "any" if value < 0 else figure(value, unit) or "no limit"
 
     rows = (
-        (escape(f"{r.subject}: {r.name}" if r.name else r.subject), figure(r.value, r.unit), badge(r.grade),
-         limit(r.warn, r.unit), limit(r.fail, r.unit),
+        (escape(f"{r.subject}: {r.name}" if r.name else r.subject), figure(r.value, r.unit),
+         badge(r.grade, r.grade.value), limit(r.warn, r.unit), limit(r.fail, r.unit),
          escape(r.note if r.grade is not Grade.PASS else ""), escape(r.source), escape(r.section))
         for r in results
     )  # fmt: skip

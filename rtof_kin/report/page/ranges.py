@@ -12,8 +12,7 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.data.confidence import BAND_95
-from rtof_kin.report.angle_names import ISB, OPENSIM, XZY, AngleName, angle_name, side_and_name
+from rtof_kin.report.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, side_and_name
 from rtof_kin.report.html import table
 from rtof_kin.report.page.clinical import OBSERVED
 
@@ -24,6 +23,8 @@ _BOTH: Final = (
 )  # fmt: skip
 _RELIABLE: Final = 0.75
 """Share of reliable among observed frames below which a range says it."""
+_FEWEST: Final = 0.25
+"""Share of observed and reliable frames below which there is no range."""
 
 
 def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> str:
@@ -62,23 +63,28 @@ class _Line:
 
 def _table(columns: tuple[str, ...], lines: list[_Line], kind: str, caption: str) -> str:
     cells = [_single(line) if columns is _SINGLE else _both(line) for line in lines]
-    return table(columns, cells, kind, caption, row_headers=True, shown=[line.name.shown for line in lines])
+    return table(
+        columns, cells, kind, caption, row_headers=True, shown=[line.name.shown for line in lines],
+        further=[line.name.clinical not in MAIN for line in lines],
+    )  # fmt: skip
 
 
 def _single(line: _Line) -> tuple[str, ...]:
     found = line.first
     assert found is not None
-    return _title(line.name), _range(found), _ends(found, line.name), _whole(found.peak_velocity)
+    return _title(line.name), _range(found), _ends(found, line.name), _peak(found)
 
 
 def _both(line: _Line) -> tuple[str, ...]:
     right, left = line.first, line.second
-    difference = math.degrees(right.range - left.range) if right and left else math.nan
+    difference = math.nan
+    if right and left and right.is_comparable and left.is_comparable:
+        difference = math.degrees(right.range - left.range)
     return (
         _title(line.name),
         *(cell for found in (right, left) for cell in (_range(found), _ends(found, line.name))),
         f"{round(difference):+d}".replace("+0", "0") if math.isfinite(difference) else "",
-        *(_whole(found.peak_velocity) if found else "" for found in (right, left)),
+        *(_peak(found) for found in (right, left)),
     )
 
 
@@ -93,26 +99,41 @@ def _title(name: AngleName) -> str:
 def _range(found: RangeOfMotion | None) -> str:
     if found is None:
         return ""
-    if not math.isfinite(found.low):
-        return "<small>no reliable value</small>"
-    sigma = BAND_95 * math.degrees(found.range_sigma)
-    within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
+    if not _has_range(found):
+        few = 100 * _reliable_share(found)
+        return f"<small>{f'reliable only {few:.0f} %' if few else 'no reliable value'}</small>"
     share = ""
     if found.known_share < OBSERVED:
         share = f" <small>observed {100 * found.known_share:.0f} %</small>"
     if found.trusted_share < _RELIABLE:
         share += f" <small>{100 * found.trusted_share:.0f} % of it reliable</small>"
-    return f"<b>{_whole(found.range)}</b>{within}{share}"
+    value, _, uncertain = found.text.partition(", ")
+    value, _, half = value.partition(" \u00b1 ")
+    within = f" &plusmn; {half}" if half else f" <small>{escape(uncertain)}</small>" if uncertain else ""
+    return f"<b>{escape(value)}</b>{within}{share}"
 
 
 def _ends(found: RangeOfMotion | None, name: AngleName) -> str:
-    if found is None or not math.isfinite(found.low):
+    if found is None or not _has_range(found):
         return ""
     usual = f"{_whole(found.low)} to {_whole(found.high)}"
     if not name.opposite:
         return usual
     turned = f"{_whole(-found.high)} to {_whole(-found.low)}"
     return f'<span data-in="{ISB} {XZY}">{usual}</span><span data-in="{OPENSIM}">{turned}</span>'
+
+
+def _peak(found: RangeOfMotion | None) -> str:
+    return "" if found is None or not _has_range(found) else _whole(found.peak_velocity)
+
+
+def _reliable_share(found: RangeOfMotion) -> float:
+    """Share of the frames in which the angle is observed and reliable."""
+    return found.known_share * found.trusted_share
+
+
+def _has_range(found: RangeOfMotion) -> bool:
+    return math.isfinite(found.low) and _reliable_share(found) >= _FEWEST
 
 
 def _whole(radians: float) -> str:

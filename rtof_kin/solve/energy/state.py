@@ -73,17 +73,22 @@ class StateSpace:
     def from_poses(self, p_root: Array, R_world_bone: Array) -> Array:
         """Return the states (T, 3 + 4A) of poses, without rotations of fixed joints or off a hinge's axis.
 
+        A hinge gets the angle of its bone in the plane of the hinge: the shank's own twist, which a lifter
+        may have wrong by half a turn, says nothing of flexion.
+
         Args:
             p_root: (T, 3) m. R_world_bone: (T, J, 3, 3).
         """
         local = kinematics.local_rotations(self.skeleton.parents, R_world_bone)[:, self.joints]
         q = so3.to_quat_wxyz(local)
-        for a, axis in enumerate(self.hinge_axis):
-            if axis >= 0:
-                about = np.zeros_like(q[:, a])
-                about[:, [0, 1 + axis]] = q[:, a][:, [0, 1 + axis]]
-                norm = np.linalg.norm(about, axis=-1, keepdims=True)
-                q[:, a] = np.where(norm > 1e-6, about / np.maximum(norm, 1e-6), [1.0, 0, 0, 0])
+        for a in np.flatnonzero(self.hinge_axis >= 0):
+            axis, child = self.hinge_axis[a], kinematics.children_of(self.skeleton.parents, self.joints[a])[0]
+            across = [(axis + 1) % 3, (axis + 2) % 3]
+            rest = self.skeleton.joint_offsets[child]
+            bent = (local[:, a] @ rest)[:, across]
+            half = (np.arctan2(bent[:, 1], bent[:, 0]) - np.arctan2(*rest[across[::-1]])) / 2
+            q[:, a] = 0.0
+            q[:, a, 0], q[:, a, 1 + axis] = np.cos(half), np.sin(half)
         return np.concatenate([p_root, q.reshape(len(q), -1)], axis=1)
 
     def rotations(self, x: Array) -> Array:

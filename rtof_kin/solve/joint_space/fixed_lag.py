@@ -128,11 +128,12 @@ class FixedLagSmoother:
         self.prior = replace(self.prior, x=self.prior.x + moved)
 
     def predicted(self) -> Array:
-        """Return the state (3 + 4A,) of the next frame at the speed of the last two."""
+        """Return the state (3 + 4A,) of the next frame at the speed of the last two, hinges within limits."""
         if not self.inside[-2:].all():
             return np.array(self.x[-1])
         step = self.space.difference(self.x[-2:-1], self.x[-1:])
-        return np.asarray(self.space.retract(self.x[-1:], step)[0])
+        x = self.space.retract(self.x[-1:], step)
+        return np.asarray((x if self.limits is None else self.limits.within(x))[0])
 
     def iterate(self, iterations: int, tolerance: float | None = None) -> bool:
         """Improve the states; return whether they have converged.

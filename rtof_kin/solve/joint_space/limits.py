@@ -55,6 +55,16 @@ class Limits:
         """Return the violations (T, M), rad: negative below the lower limit, 0 inside."""
         return np.asarray(values - np.minimum(np.maximum(values, self.lower), self.upper))
 
+    def within(self, x: Array) -> Array:
+        """Return states (T, 3 + 4A) with the angles beyond a limit moved onto it.
+
+        So no hinge of an initial guess passes through a whole turn, which no step of a solver undoes.
+        """
+        half = np.minimum(np.maximum(self.values(x), self.lower), self.upper) / 2
+        out = x.copy()
+        out[:, self._cosine], out[:, self._sine] = np.cos(half), np.sin(half)
+        return out
+
     def force(self, x: Array, push: Array) -> Array:
         """Return J^T push (T, D) of forces (T, M) on the angles."""
         out = np.zeros((len(x), self._size))

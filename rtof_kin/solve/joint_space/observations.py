@@ -183,6 +183,7 @@ class Observations:
     def _initial_states(self, start: PoseSequence) -> Array:
         """Low-pass filtered states of the initial guess, fixed joints at zero."""
         x = self.space.from_poses(start.p_world_joint[:, 0], start.R_world_bone)
+        x = x if self.limits is None else self.limits.within(x)
         self.space.rotations(x)[:, [name in self.fixed for name in self.space.names]] = [1.0, 0, 0, 0]
         return self.space.low_passed(x, start.rate_hz, self.settings.smooth_start_hz)
 

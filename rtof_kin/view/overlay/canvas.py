@@ -22,8 +22,6 @@ Image = NDArray[np.uint8]
 Coverage = NDArray[np.float32]
 _POINT: Final = 1e-9
 """Length below which a line is a disc, px."""
-_GAP: Final = 1.2
-"""Gaps between dashes, lengths of a dash."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,6 @@ class Stroke:
     """Colour of the edge around it; None for no edge."""
     edge_width: float = 0.0
     """Width of that edge, px."""
-    dash: float | None = None
-    """Length of dashes, px; None for a solid line."""
 
 
 @dataclass(frozen=True)
@@ -117,11 +113,7 @@ class Canvas:
             return
         ux, uy = (bx - ax) / length, (by - ay) / length
         along, across = x * ux + y * uy, y * ux - x * uy
-        if stroke.dash is None:
-            nearest = np.minimum(np.maximum(along, 0), length)
-        else:
-            nearest = _nearest_dash(along, length, stroke.dash)
-        along -= nearest
+        along -= np.minimum(np.maximum(along, 0), length)
         _fill(patch, along * along + across * across, stroke)
 
     def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
@@ -208,15 +200,6 @@ class Canvas:
         x = np.arange(x0, x1, dtype=np.float32)
         y = np.arange(y0, y1, dtype=np.float32)[:, None]
         return x, y, self.image[y0:y1, x0:x1]
-
-
-def _nearest_dash(along: Any, length: float, dash: float) -> Any:
-    """Return the coordinate along a line of the nearest point of its dashes."""
-    period = (1 + _GAP) * dash
-    last = max(int((length - dash / 2) // period), 0)
-    number = np.clip(np.round((along - dash / 2) / period), 0, last)
-    start = number * period
-    return np.clip(along, start, np.minimum(start + dash, length))
 
 
 def _fill(patch: Image, squared: Any, stroke: Stroke) -> None:

@@ -1,4 +1,4 @@
-"""Captions above and below a picture: verdict, time, title, faults while they last, legend."""
+"""Captions above and below a picture: time, title, faults while they last, legend."""
 
 from __future__ import annotations
 
@@ -19,15 +19,13 @@ _SMALLEST_PX: Final = 11
 _SIZE: Final = 0.0165
 """Size of the font over the square root of the picture's area."""
 _OPACITY: Final = 0.75
-_VERDICT_LINES: Final = 2
-"""Most lines of the verdict."""
 _FAULT_LINES: Final = 2
 """Most lines of a fault."""
 _FAULTS: Final = 2
 """Most faults that are named at a time."""
-_GRADES: Final[dict[str, Rgb]] = {"warn": (255, 205, 90), "fail": (255, 130, 120)}
 _FAULT: Final[Rgb] = (255, 205, 90)
 _NOWHERE: Final = "no motion here"
+_UNSEEN: Final = "not observed"
 
 
 @dataclass(frozen=True)
@@ -36,10 +34,6 @@ class CaptionTexts:
 
     title: str
     """One line beside the time."""
-    grade: str = ""
-    """'warn' or 'fail', of the verdict; '' if it is neither."""
-    verdict: str = ""
-    """Sentence of the verdict, in the first line."""
     faults: tuple[StreamFault, ...] = ()
     """Shown while they last."""
     provenances: tuple[Provenance, ...] = ()
@@ -79,8 +73,6 @@ class Captions:
         self.lettering = Lettering(font_size(width_px, height_px))
         self._pad = max(self.lettering.size_px // 3, 3)
         inner = width_px - 2 * self._pad
-        verdict = f"{texts.grade}: {texts.verdict}" if texts.grade else ""
-        self._verdict = self.lettering.wrap(verdict, inner, _VERDICT_LINES) if verdict else []
         self._legend = self._legend_rows(_items(texts, self._style), inner)
 
     def boxes(self, time: float | None) -> tuple[Box, Box]:
@@ -90,29 +82,28 @@ class Captions:
             time: s, of the motion; None where there is none.
         """
         line = self.lettering.line_height
-        above = (len(self._verdict) + 1) * line + 2 * self._pad
+        above = line + 2 * self._pad
         below = (len(self._fault_lines(time)) + len(self._legend)) * line + 2 * self._pad
         return Box(0, 0, self._width, above), Box(0, self._height - below, self._width, below)
 
-    def draw(self, canvas: Canvas, time: float | None, video_time: float) -> None:
+    def draw(self, canvas: Canvas, time: float | None, video_time: float, seen: bool = True) -> None:
         """Draw captions.
 
         Args:
             canvas: to draw on. time: s, of the motion; None where there is none.
-            video_time: s, of the video.
+            video_time: s, of the video. seen: whether the person is observed.
         """
         above, below = self.boxes(time)
         for box in (above, below):
             canvas.shade(box, BLACK, _OPACITY)
         line, pad = self.lettering.line_height, self._pad
-        now = f"{time:.2f} s" if time is not None else f"{_NOWHERE} (video: {video_time:.2f} s)"
-        colour = WHITE if time is not None else _FAULT
-        lines = [(text, _GRADES[self._texts.grade]) for text in self._verdict] + [(now, colour)]
-        for i, (text, shade) in enumerate(lines):
-            canvas.stamp(pad, above.top + pad + i * line, self.lettering.mask(text), shade)
+        now, colour = f"{_NOWHERE} (video: {video_time:.2f} s)", _FAULT
+        if time is not None:
+            now, colour = f"{time:.2f} s{'' if seen else f', {_UNSEEN}'}", WHITE
+        canvas.stamp(pad, above.top + pad, self.lettering.mask(now), colour)
         left = 2 * pad + self.lettering.line_height + self.lettering.width(now)
         title = self.lettering.shortened(self._texts.title, self._width - left - pad)
-        canvas.stamp(left, above.top + pad + len(self._verdict) * line, self.lettering.mask(title), WHITE)
+        canvas.stamp(left, above.top + pad, self.lettering.mask(title), WHITE)
         faults = self._fault_lines(time)
         for i, text in enumerate(faults):
             canvas.stamp(pad, below.top + pad + i * line, self.lettering.mask(text), _FAULT)
@@ -174,10 +165,7 @@ def font_size(width_px: int, height_px: int) -> int:
 def _items(texts: CaptionTexts, style: SkeletonStyle) -> list[_Item]:
     """Return the entries of a legend."""
     shown = sorted(texts.provenances, reverse=True)
-    words = WORDS | {Provenance.PRIOR: WORDS[Provenance.NOBODY]}
-    items = list(
-        {words[how]: _Item(words[how], style.bone_stroke(how, right=False)) for how in shown}.values()
-    )
+    items = [_Item(WORDS[how], style.bone_stroke(how, right=False)) for how in shown]
     for text, edge in (("right", WHITE), ("left, middle", BLACK)):
         items.append(_Item(text, Stroke((120, 120, 120), style.bone, edge, style.edge)))
     if texts.detected:

@@ -43,8 +43,6 @@ from rtof_kin.view.verdict import Verdict, read_verdict
 
 Progress = Callable[[str, int, int], None]
 _STAGE: Final = "draw"
-_GRADES: Final = ("warn", "fail")
-"""Verdicts that are shown."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +77,8 @@ class OverlayResult:
     """Name of the encoder."""
     notes: tuple[str, ...]
     """What does not fit between video and motion."""
+    verdict: Verdict
+    """Of the motion, which is not drawn on the pictures."""
 
 
 def read_result(folder: str | Path) -> ResultFiles:
@@ -142,7 +142,7 @@ def write_overlay(
             frames, without = _draw(source, painter, writer, size, settings, progress)
         if frames == 0:
             raise InvalidInputError(f"overlay: no picture is {_interval(settings)}; see --from and --to")
-    return OverlayResult(Path(output), *size, frames, without, writer.encoder, notes)
+    return OverlayResult(Path(output), *size, frames, without, writer.encoder, notes, result.verdict)
 
 
 def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureView:
@@ -186,8 +186,6 @@ def _painter(result: ResultFiles, view: PictureView, settings: OverlaySettings) 
     projected = ProjectedMotion(result.motion, view)
     texts = CaptionTexts(
         title=_title(result) if settings.title is None else " ".join(settings.title.split()),
-        grade=result.verdict.grade if result.verdict.grade in _GRADES else "",
-        verdict=result.verdict.text,
         faults=result.measurements.faults,
         provenances=projected.provenances,
         detected=settings.points,

@@ -46,7 +46,7 @@ class Painter:
         self._face = FaceFinder(projected) if settings.blur_face else None
 
     def paint(self, image: Image, video_time: float) -> bool:
-        """Draw on one picture, in place; return whether there is motion.
+        """Draw on one picture, in place; return whether a person is drawn.
 
         Args:
             image: (height, width, 3), BGR. video_time: s, in the time of the view's video.
@@ -55,14 +55,14 @@ class Painter:
         if self._face is not None:
             pixelate(image, self._face.region(moment))
         canvas = Canvas(image)
-        time = None
+        time, seen = None, False
         if moment is not None:
             pose = self._projected.pose(moment)
-            time = pose.time
+            time, seen = pose.time, bool(np.isfinite(pose.uv_px).any())
             self._draw_person(canvas, pose, moment)
             self._draw_labels(canvas, pose, moment)
-        self._captions.draw(canvas, time, video_time)
-        return moment is not None
+        self._captions.draw(canvas, time, video_time, seen)
+        return seen
 
     def _draw_person(self, canvas: Canvas, pose: ProjectedPose, moment: Moment) -> None:
         projected = self._projected

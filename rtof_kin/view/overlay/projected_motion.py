@@ -57,7 +57,8 @@ class ProjectedPose:
     time: float
     """s, of the motion."""
     uv_px: Array
-    """(P, 2) pixels of the joints and the ends of the limbs; NaN where unknown or behind the camera."""
+    """(P, 2) pixels of the joints and the ends of the limbs; NaN where unobserved or behind the camera, and
+    all where no joint is observed."""
     provenance: NDArray[np.uint8]
     """(P,) `Provenance`; of the weaker frame where two are interpolated."""
 
@@ -92,8 +93,9 @@ class ProjectedMotion:
 
     @property
     def provenances(self) -> tuple[Provenance, ...]:
-        """Those that occur."""
-        return tuple(Provenance(int(value)) for value in np.unique(self._provenance))
+        """Those that are drawn."""
+        drawn = self._provenance[self._provenance > _WEAKEST]
+        return tuple(Provenance(int(value)) for value in np.unique(drawn))
 
     def moment(self, video_time: float) -> Moment | None:
         """Return the frames of the motion at an instant of the video; None where there is no motion.
@@ -123,10 +125,11 @@ class ProjectedMotion:
             moment: of the motion.
         """
         frames = moment.frames
-        uv = self.view.project(self._p_world[frames], frames)
-        return ProjectedPose(
-            float(moment.mix(self.motion.times[frames])), moment.mix(uv), self._provenance[frames].min(axis=0)
-        )
+        uv = moment.mix(self.view.project(self._p_world[frames], frames))
+        provenance = self._provenance[frames].min(axis=0)
+        drawn = (provenance > _WEAKEST) & (provenance >= Provenance.IMU).any()
+        uv = np.where(drawn[:, None], uv, np.nan)
+        return ProjectedPose(float(moment.mix(self.motion.times[frames])), uv, provenance)
 
     def detected(self, moment: Moment) -> Array:
         """Return detected points (L, 2) px at an instant, NaN where there are none.
@@ -156,7 +159,7 @@ _WEAKEST: Final = int(Provenance.PRIOR)
 
 
 def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
-    """Return `Provenance` (T, J) as it is drawn: unreliable positions are not drawn as observed ones.
+    """Return `Provenance` (T, J) as it is drawn: unreliable positions count as unobserved.
 
     A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.
 
@@ -165,7 +168,7 @@ def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
     """
     poses = motion.poses
     given = poses.provenance if poses.provenance.any() else np.full(poses.provenance.shape, Provenance.CAMERA)
-    shown = np.where(poses.valid, given, np.minimum(given, Provenance.BRIDGED))
+    shown = np.where(poses.valid, given, np.minimum(given, _WEAKEST))
     return np.asarray(shown, dtype=np.uint8)
 
 

@@ -1,7 +1,7 @@
 """Drawing of a person: bones and joints by provenance, 95 % ellipses, detected points.
 
-The colour of a bone is that of its child's provenance. Grey dashes stand for what was not observed, pink for
-what was bridged or unreliable. Bones of the right side have a white edge, all others a black one.
+The colour of a bone is that of its child's provenance; pink is bridged. What was not observed is not drawn.
+Bones of the right side have a white edge, all others a black one.
 """
 
 from __future__ import annotations
@@ -49,9 +49,7 @@ class SkeletonStyle:
         Args:
             provenance: of its child. right: whether it is of the right side.
         """
-        dash = None if provenance >= Provenance.BRIDGED else 4 * self.bone
-        colour = COLOURS[Provenance(provenance)]
-        return Stroke(colour, self.bone, WHITE if right else BLACK, self.edge, dash)
+        return Stroke(COLOURS[Provenance(provenance)], self.bone, WHITE if right else BLACK, self.edge)
 
 
 def draw_skeleton(

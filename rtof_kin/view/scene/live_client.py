@@ -29,22 +29,23 @@ def live_address(text: str) -> str:
     """Return the WebSocket address that a text names.
 
     Args:
-        text: ``ws://127.0.0.1:PORT``, the address of the live page, or only the port.
+        text: the address of the live page, or that with ``ws:`` in place of ``http:``; with its token.
 
     Raises:
-        InvalidInputError: not an address of this machine, or without a port.
+        InvalidInputError: not an address of this machine, or without a port or token.
     """
-    parts = urlsplit(text if "//" in text else f"ws://127.0.0.1:{text}" if text.isdigit() else f"ws://{text}")
+    parts = urlsplit(text if "//" in text else f"ws://{text}")
     try:
         host, port = parts.hostname or "", parts.port
     except ValueError:
         host, port = "", None
-    if parts.scheme not in ("ws", "http") or port is None or not _loopback(host):
+    token = parts.path.strip("/")
+    if parts.scheme not in ("ws", "http") or port is None or not _loopback(host) or not token:
         raise InvalidInputError(
-            f"{text}: not an address of this machine; give the one that rtof-kin live printed, "
-            "e.g. ws://127.0.0.1:8765"
+            f"{text}: not an address of this machine with its token; give the whole one that rtof-kin live "
+            "printed, e.g. http://127.0.0.1:8765/kq0T.../"
         )
-    return f"ws://[{host}]:{port}/" if ":" in host else f"ws://{host}:{port}/"
+    return f"ws://[{host}]:{port}/{token}/" if ":" in host else f"ws://{host}:{port}/{token}/"
 
 
 def _loopback(host: str) -> bool:

@@ -68,7 +68,7 @@ def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: Sk
     skeleton.check_joints(poses.names)
     shown = poses.valid.any(axis=1) & (keypoints.seen.mean(axis=1) > 0)
     R = np.where(shown[:, None, None, None], poses.R_world_bone, np.nan)
-    out = _turning(poses.times, R)
+    out = turning_of(poses.times, R)
     seconds = STEP * float(out.known.any(axis=1).sum())
     if seconds < LEAST_SECONDS:
         raise CalibrationError(
@@ -86,17 +86,39 @@ def sensor_turning(log: SensorLog) -> Turning:
     """
     first = min(stream.times[0] for stream in log.streams)
     last = max(stream.times[-1] for stream in log.streams)
-    grid = np.arange(first, last + STEP / 2, STEP)
+    grid = _grid(first, last)
     columns = []
     for stream in log.streams:
         assert stream.R_inertial_sensor is not None
-        columns.append(_turning(stream.times, stream.R_inertial_sensor[:, None], grid).w_world)
-    return Turning(float(first), np.concatenate(columns, axis=1))
+        columns.append(turning_of(stream.times, stream.R_inertial_sensor[:, None], grid).w_world)
+    return Turning(float(grid[0]), np.concatenate(columns, axis=1))
 
 
-def _turning(times: Array, R: Array, grid: Array | None = None) -> Turning:
-    """Angular velocities of orientations (T, N, 3, 3) on a grid."""
-    grid = np.arange(times[0], times[-1] + STEP / 2, STEP) if grid is None else grid
+def joined(parts: Sequence[Turning]) -> Turning:
+    """Return parts of one recording on one grid; NaN between them."""
+    if len(parts) == 1:
+        return parts[0]
+    start = min(part.start for part in parts)
+    firsts = [round((part.start - start) / STEP) for part in parts]
+    stop = max(first + len(part.w_world) for first, part in zip(firsts, parts, strict=True))
+    out = np.full((stop, *parts[0].w_world.shape[1:]), np.nan)
+    for first, part in zip(firsts, parts, strict=True):
+        out[first : first + len(part.w_world)] = part.w_world
+    return Turning(start, out)
+
+
+def _grid(first: float, last: float) -> Array:
+    """Multiples of `STEP` from one time to another."""
+    return np.asarray(STEP * np.arange(np.ceil(first / STEP - 1e-6), last / STEP + 1e-6))
+
+
+def turning_of(times: Array, R: Array, grid: Array | None = None) -> Turning:
+    """Return the angular velocities of orientations.
+
+    Args:
+        times: (T,) s. R: (T, N, 3, 3). grid: even times, `STEP` apart; default: all multiples of it.
+    """
+    grid = _grid(float(times[0]), float(times[-1])) if grid is None else grid
     R = signals.interpolate_rotations(times, R, grid, _LONGEST_GAP)
     w = np.stack([angular_velocity(grid, one) for one in R.swapaxes(0, 1)], axis=1)
     w *= np.minimum(1.0, _FASTEST / np.maximum(np.linalg.norm(w, axis=-1, keepdims=True), 1e-9))

@@ -1,7 +1,7 @@
 """Offset and drift between the clocks of a video and of sensors, from angular velocities over everything.
 
 The offset is the best one of `clock_scan`, the drift the slope of the offsets of windows along the
-recording.
+recording. `find_clock` searches wide, `small_offset` about the clocks that a recording declares.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.clock_scan import APART, SIGMA_LEAST, Scan
+from rtof_kin.calibration.turning import STEP, Turning, image_turning, sensor_turning
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError
@@ -20,8 +22,6 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.orientation import log_with_orientation
-from rtof_kin.setup.clock_scan import APART, SIGMA_LEAST, Scan
-from rtof_kin.setup.turning import STEP, Turning, image_turning, sensor_turning
 
 SURE: Final = 4.0
 """[nats] Least margin of an offset that is not in doubt; see `ClockEstimate.margin`."""
@@ -37,6 +37,17 @@ _WINDOWS: Final = 3
 _WINDOW_REACH: Final = 0.2
 _SIGMA_DRIFT: Final = 60e-6
 """[s/s] Standard deviation of clocks' drifts."""
+REACH: Final = 0.5
+"""[s] Largest offset of `small_offset`."""
+_SURE_NEAR: Final = 2.0
+"""[nats] The same as `SURE` of an offset within `REACH`, of which fewer are tried."""
+_PART, _MOST_PARTS = 2.6, 12
+"""[s] Length of its windows, and their number."""
+_WRONG_DRIFT: Final = 0.01
+"""[s/s] Standard deviation of the drift where rates may be declared wrongly."""
+_SURE_DRIFT: Final = 2.5
+"""Standard deviations from which a drift is sure; of 42 recordings with right clocks, 2.1 at most
+(benchmarks/results/clock_offsets.md)."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +73,14 @@ class ClockEstimate:
     """[s] Other offsets that explain the motion nearly as well, the best first."""
     joints: dict[str, str] = field(default_factory=dict)
     """Segment of each sensor that moves most like it at this offset, or the one given."""
+    explained: float = np.nan
+    """[1] Part of the image's motion that the sensors explain."""
+    likely_drift: float = 0.0
+    """[s/s] Drift that windows show, sure or not."""
+
+    def at(self, times: Array) -> Array:
+        """Return the offset (T,), s, at times (T,) of the video."""
+        return self.offset + self.drift * (times - self.offset - self.middle)
 
     def apply(self, log: SensorLog) -> SensorLog:
         """Return sensors on the video's clock.
@@ -116,6 +135,7 @@ def find_clock(
         margin=scan.margin,
         doubt=_doubt(scan, around, reach),
         candidates=scan.rivals(_RIVAL),
+        explained=scan.explained,
         joints={log.names[s]: carriers[j] for s, j in zip(worn, segments, strict=True)},
     )
 
@@ -154,42 +174,93 @@ def _moving(sensed: Turning) -> Turning:
     return sensed
 
 
+def small_offset(seen: Turning, sensed: Turning) -> ClockEstimate:
+    """Estimate offset and drift of clocks that agree within `REACH`; 0 drift unless it is sure.
+
+    Args:
+        seen: segments that carry the sensors. sensed: sensors in the order of their segments.
+
+    Raises:
+        CalibrationError: they have too little in common.
+    """
+    scan = Scan.of(seen, sensed, 0.0, REACH)
+    offset, sigma = scan.vertex()
+    middle = sum(_common(seen, sensed, offset)) / 2
+    line = ClockEstimate(
+        offset, 0.0, sigma, scan.margin, _doubt(scan, 0.0, REACH, _SURE_NEAR), np.inf, middle - offset,
+        scan.rivals(_RIVAL), explained=scan.explained,
+    )  # fmt: skip
+    around = replace(line, offset=0.0, middle=middle)
+    for _ in range(3):  # of a large drift, only the windows near the middle are found at first
+        found = _windows(seen, sensed, around, _PART, _MOST_PARTS, REACH)
+        if len(found) < _WINDOWS:
+            return line
+        fitted = _fitted(found, middle, _WRONG_DRIFT)
+        if abs(fitted.drift) < _SURE_DRIFT * fitted.sigma_drift:
+            break
+        around = fitted
+    if abs(fitted.drift) < _SURE_DRIFT * fitted.sigma_drift:
+        return replace(line, sigma_drift=fitted.sigma_drift, likely_drift=fitted.drift)
+    return replace(fitted, margin=line.margin, explained=float(np.mean(found[:, 3])))
+
+
 def _line(seen: Turning, sensed: Turning, best: float) -> ClockEstimate:
     """Offset and drift from the offsets of windows, or from the whole where it is short."""
     offset, sigma = Scan.of(seen, sensed, best, 2 * APART).vertex()
-    ends = [len(one.w_world) * STEP + one.start for one in (seen, sensed)]
-    start, stop = max(seen.start, sensed.start + offset), min(ends[0], ends[1] + offset)
+    start, stop = _common(seen, sensed, offset)
     middle = (start + stop) / 2
-    windows = int((stop - start) / _WINDOW)
-    found = []
-    for k in range(windows if windows >= _WINDOWS else 0):
-        at = start + (k + 0.5) * (stop - start) / windows
-        v, s = _cut(seen, at, _WINDOW / 2), _cut(sensed, at - offset, _WINDOW / 2 + _WINDOW_REACH)
+    whole = ClockEstimate(offset, 0.0, sigma, 0.0, middle=middle - offset)
+    if stop - start < _WINDOWS * _WINDOW:
+        return whole
+    found = _windows(seen, sensed, whole, _WINDOW, 10**6, _WINDOW_REACH)
+    return whole if len(found) < _WINDOWS else _fitted(found, middle)
+
+
+def _common(seen: Turning, sensed: Turning, offset: float) -> tuple[float, float]:
+    """Common time on the video's clock, s."""
+    ends = [len(one.w_world) * STEP + one.start for one in (seen, sensed)]
+    return max(seen.start, sensed.start + offset), min(ends[0], ends[1] + offset)
+
+
+def _windows(
+    seen: Turning, sensed: Turning, line: ClockEstimate, seconds: float, most: int, reach: float
+) -> Array:
+    """Offsets (K, 4) of windows in which the motion agrees: time from the middle of the video, offset, its
+    standard deviation, part explained.
+
+    Args:
+        line: offsets about which those of the windows are searched. seconds: least length of a window.
+        most: number of windows. reach: s.
+    """
+    start, stop = _common(seen, sensed, line.offset)
+    count, found = min(int((stop - start) / seconds), most), list[tuple[float, ...]]()
+    for k in range(count):
+        at = start + (k + 0.5) * (stop - start) / count
+        around, half = float(line.at(np.array(at))), (stop - start) / count / 2
+        v, s = _cut(seen, at, half), _cut(sensed, at - around, half + reach)
         if v.known.any() and s.known.any():
-            part = Scan.of(v, s, offset, _WINDOW_REACH)
+            part = Scan.of(v, s, around, reach)
             vertex, own = part.vertex()
-            if part.explained > _AGREEING and abs(vertex - offset) < _WINDOW_REACH - STEP:
-                found.append((at - middle, vertex, own))
-    if len(found) < _WINDOWS:
-        return ClockEstimate(offset, 0.0, sigma, 0.0, middle=middle - offset)
-    return _fitted(np.array(found), middle)
+            if part.explained > _AGREEING and abs(vertex - around) < reach - STEP:
+                found.append((at - (start + stop) / 2, vertex, own, part.explained))
+    return np.array(found).reshape(-1, 4)
 
 
-def _fitted(found: Array, middle: float) -> ClockEstimate:
-    """Robust line through offsets (K, 3): time from the middle of the video, offset, standard deviation."""
-    at, offsets, sigmas = found.T
+def _fitted(found: Array, middle: float, sigma_drift: float = _SIGMA_DRIFT) -> ClockEstimate:
+    """Robust line through offsets (K, 4) of `_windows`, with a drift of a standard deviation."""
+    at, offsets, sigmas, _ = found.T
     A = np.stack([np.ones_like(at), at], axis=1)
-    weights, prior = 1 / sigmas**2, np.diag([0.0, 1 / _SIGMA_DRIFT**2])
+    weights, prior = 1 / sigmas**2, np.diag([0.0, 1 / sigma_drift**2])
     solution, covariance = np.zeros(2), np.eye(2)
     for _ in range(20):
         covariance = np.linalg.inv(A.T @ (weights[:, None] * A) + prior)
         solution = covariance @ (A.T @ (weights * offsets))
         square = ((offsets - A @ solution) / sigmas) ** 2
         weights = 4 / (3 + square) / sigmas**2  # Student's t with 3 degrees of freedom
-    sigma, sigma_drift = np.sqrt(np.diag(covariance))
+    sigma, after = np.sqrt(np.diag(covariance))
     return ClockEstimate(
         float(solution[0]), float(solution[1]), float(np.hypot(sigma, SIGMA_LEAST)), 0.0,
-        sigma_drift=float(sigma_drift), middle=middle - float(solution[0]),
+        sigma_drift=float(after), middle=middle - float(solution[0]),
     )  # fmt: skip
 
 
@@ -199,7 +270,7 @@ def _cut(turning: Turning, middle: float, half: float) -> Turning:
     return turning[a:b]
 
 
-def _doubt(scan: Scan, around: float, reach: float) -> str:
+def _doubt(scan: Scan, around: float, reach: float, sure: float = SURE) -> str:
     if scan.explained < _AGREEING:
         return (
             f"image and sensors move differently at every offset within {reach:g} s of {around:g} s: check "
@@ -212,7 +283,7 @@ def _doubt(scan: Scan, around: float, reach: float) -> str:
             f"{scan.best:+.2f} s; give the start times of video and sensors (around, reach), or record a "
             "turn or an arm raise"
         )
-    if scan.margin < SURE:
+    if scan.margin < sure:
         return (
             f"the offset of {scan.best:+.2f} s is the best one, but the motion is too short or too slow to "
             "be sure; give the start times of video and sensors (around, reach), or record a turn"

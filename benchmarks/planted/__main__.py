@@ -1,0 +1,110 @@
+"""Planted faults: how many are named in the first line, and whether bands cover those that are not.
+
+``python -m benchmarks.planted --corpus DIR [DIR]`` with the folder of free motion and the second collection
+(see README.md): right recordings of people whom nothing was fitted on, then the first ``--motions`` of them
+with every fault of `FAULTS` in every size. Judged is the line that a user reads first. Rows are written as
+they come: an interrupted run resumes where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+from rich.progress import Progress
+
+from benchmarks.accuracy.row_file import RowFile, version_of
+from benchmarks.harness import HERE, write_results
+from benchmarks.planted.faults import FAULTS, RIGHT
+from benchmarks.planted.gross import GROSS
+from benchmarks.planted.measuring import Row, measured
+from benchmarks.planted.recordings import Scene, scenes
+from benchmarks.planted.tables import markdown, totals
+from rtof_kin.core.errors import RtofError
+
+
+def others(scene: Scene, known: Sequence[Scene]) -> dict[str, Scene]:
+    """Other takes of the same person and of another one, with the sensors of a scene."""
+    found: dict[str, Scene] = {}
+    for one in known:
+        if one.clip.name != scene.clip.name:
+            same = one.clip.subject == scene.clip.subject
+            other = Scene(one.clip, scene.sensors, scene.floor, scene.seed)
+            found.setdefault("same person" if same else "another person", other)
+    return found
+
+
+def collected(
+    chosen: Sequence[Scene], known: Sequence[Scene], names: list[str], with_faults: int, calibrate: bool,
+    kept: RowFile, workers: int,
+) -> list[Row]:  # fmt: skip
+    """Rows of all recordings in their order; those done earlier are taken from the file."""
+    left = [(i, scene) for i, scene in enumerate(chosen) if scene.key not in kept.rows]
+    right = [name for name in names if name in RIGHT]
+    with Progress() as progress, ProcessPoolExecutor(workers) as pool:
+        task = progress.add_task("recordings", total=len(chosen), completed=len(chosen) - len(left))
+        futures = {
+            pool.submit(
+                measured, scene, names if i < with_faults else right, others(scene, known), calibrate
+            ): scene.key
+            for i, scene in left
+        }
+        try:
+            for future in as_completed(futures):
+                kept.add(futures[future], future.result())
+                progress.advance(task)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [row for scene in chosen for row in kept.rows[scene.key]]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.planted", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
+    parser.add_argument(
+        "--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME"
+    )
+    parser.add_argument("--motions", type=int, default=8, help="recordings that faults are planted in")
+    parser.add_argument("--right", type=int, help="recordings without one; all by default")
+    parser.add_argument("--sensors", default="8,0,8,10", help="numbers of sensors, in turn")
+    parser.add_argument("--calibrate", action="store_true", help="each recording from itself first")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "planted.json")
+    options = parser.parse_args(arguments)
+    known = scenes(options.corpus, options.sensors.split(","), options.seed)
+    count = max(options.motions, len(known) if options.right is None else options.right)
+    chosen, names = known[:count], options.faults or [*RIGHT, *FAULTS, *GROSS]
+    own = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+    version = version_of(own, names, options.motions, options.calibrate, options.seed)
+    try:
+        kept = RowFile(options.out.with_suffix(".jsonl"), version, options.restart)
+    except RtofError as error:
+        sys.exit(f"error: {error}")
+    rows = collected(chosen, known, names, options.motions, options.calibrate, kept, options.workers)
+    people = len({scene.clip.subject for scene in chosen})
+    how = (
+        f"`python -m benchmarks.planted`: {len(chosen)} recordings of {people} people whom nothing was "
+        f"fitted on, {min(options.motions, len(chosen))} of them with faults; {options.sensors} "
+        "sensors in turn."
+    )
+    text = markdown(rows, how)
+    plain = json.loads(json.dumps(totals(rows)), parse_float=lambda number: float(f"{float(number):.4g}"))
+    write_results(options.out, {"how": how, "totals": plain}, text)
+    print(text)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

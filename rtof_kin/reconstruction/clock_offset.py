@@ -1,0 +1,242 @@
+"""Offset between the clocks of video and sensors, found and corrected before a recording is solved.
+
+Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors at all
+offsets within half a second (`calibration.clocks.small_offset`); where that leaves more than 10 ms, the
+energy of a short excerpt decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.body.metrics import at_times
+from rtof_kin.calibration.clock_scan import Scan
+from rtof_kin.calibration.clocks import ClockEstimate, small_offset
+from rtof_kin.calibration.priors import CalibrationPriors
+from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration
+from rtof_kin.calibration.turning import Turning, image_turning, joined, turning_of
+from rtof_kin.core.errors import CalibrationError, RtofError
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.inertial.recorded_form import check_form
+from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.self_calibration import calibrated
+from rtof_kin.recording.recording import Recording
+
+NAME: Final = "motion that the sensors do not explain, relative to what they explain"
+DAYS_APART: Final = "video and sensors are of different days"
+"""Beginning of a note of a recording that was set up so."""
+_SIGMAS: Final = 3.0
+_LEAST: Final = 0.01
+"""Standard deviations and [s] from which an offset is corrected."""
+_NAMED: Final = 0.03
+"""[s] Offset, also by drift, from which it is named."""
+_UNSHARP: Final = 0.01
+"""[s] Standard deviation above which the energy decides."""
+_EXCERPT: Final = 2.5
+"""[s] of the recording that it takes."""
+_SURE_DRIFT_UNNAMED: Final = 1.5
+"""Standard deviations from which a drift that is not sure counts as uncertain."""
+_FEW: Final = 4
+_EXPLAINED: Final = (0.05, 0.1)
+"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
+sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
+(benchmarks/results/clock_offsets.md)."""
+_ANYWHERE: Final = (0.15, 0.2)
+"""[1] The same on any segments at offsets up to `_ELSEWHERE`, where `_EXPLAINED` is not reached."""
+_ELSEWHERE: Final = 6.0
+"""[s] Offsets at which sensors may be that belong to the video."""
+_MOVING: Final = 0.15
+"""[rad/s] per axis: motion of the sensors below which nothing relates them to the image."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """What is known of the clocks of a recording."""
+
+    delay: Quantity | None = None
+    """Delay of the video; None where the motion does not show it."""
+    applied: SelfCalibration | None = None
+    """Correction of the recording; None where none is sure."""
+    checks: tuple[Check, ...] = ()
+    """That the sensors belong to the video."""
+    warnings: tuple[str, ...] = ()
+    middle: float = 0.0
+    """[s] Time stamp of the constant of the delay."""
+    uncertain_drift: float = 0.0
+    """[s/s] Drift that is likely, but not sure."""
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the sensors are of another recording."""
+        return any(check.failed for check in self.checks)
+
+    def corrected(self, job: Job) -> Job:
+        """Return the job on the recording with corrected clocks."""
+        if self.applied is None:
+            return job
+        times = None if job.times is None else self.applied.on_clock(job.times)
+        return replace(job, recording=self.applied.apply(job.recording), times=times)
+
+    def left_out(self, job: Job) -> tuple[StreamFault, ...]:
+        """Return faults of all sensors where they are of another recording."""
+        imus, calibration = job.recording.imus, job.recording.calibration
+        if not self.foreign or imus is None or calibration is None:
+            return ()
+        a, b = float(imus.times[0]), float(imus.times[-1])
+        joints = calibration.select(imus.names).joints
+        return tuple(StreamFault(FaultKind.FOREIGN, joint, a, b) for joint in joints)
+
+    def apart(self, poses: PoseSequence) -> tuple[PoseSequence, ...]:
+        """Return the motion one standard deviation of the clocks later, for its covariances."""
+        if self.delay is None or self.foreign:
+            return ()
+        sigma = float(self.delay.sigma[0])
+        if self.applied is not None and self.applied.sensors_late:
+            sigma = float(np.hypot(sigma, SIGMA_DETECTOR))
+        rate = self.uncertain_drift or float(np.append(self.delay.sigma, 0.0)[1])
+        later = np.hypot(sigma, rate * (poses.times - self.middle))
+        return (replace(at_times(poses, poses.times + later), times=poses.times),)
+
+
+def _noted(recording: Recording) -> tuple[str, ...]:
+    """Return the notes of a recording by which its sensors may be of another day."""
+    return tuple(
+        line[line.index(DAYS_APART) :] for line in recording.notes.splitlines() if DAYS_APART in line
+    )
+
+
+def find_offset(jobs: Sequence[Job]) -> ClockOffset:
+    """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
+
+    Args:
+        jobs: on the recording, or on parts of it in the order of time.
+    """
+    if not jobs:
+        return ClockOffset()
+    try:
+        seen, sensed, columns = _turnings(jobs)
+        found = small_offset(seen.of(columns), sensed)
+    except RtofError:  # without keypoints or calibration the stages say so
+        return ClockOffset()
+    check = _check_belonging(jobs[0], seen, sensed, columns, found)
+    middle = float(found.middle + found.offset)
+    rates = [found.drift] if found.drift else []
+    sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
+    delay = _delay([found.offset, *rates], sigmas, found.doubt)
+    noted = _noted(jobs[0].recording)
+    if check.failed:
+        return ClockOffset(checks=(check,), warnings=noted)
+    if not found.doubt and not rates and found.sigma > _UNSHARP:
+        delay = _refined(jobs, delay, middle)
+    larger = abs(found.offset) > max(_SIGMAS * delay.sigma[0], _LEAST)
+    applied = None
+    if not found.doubt and (larger or rates):
+        applied = SelfCalibration((delay,), middle=middle)
+    unsure = 0.0
+    if not rates and abs(found.likely_drift) > _SURE_DRIFT_UNNAMED * found.sigma_drift:
+        unsure = found.likely_drift
+    seconds = float(jobs[-1].recording.video.times[-1] - jobs[0].recording.video.times[0])
+    warnings = (*noted, *_sentences(delay, applied, found, seconds, len(columns)))
+    return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
+
+
+def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Quantity:
+    """Delay of the video, s, and its rate; all offsets that are tried were as likely before."""
+    prior = np.array([0.29, 0.01])[: len(value)]
+    sigmas = np.minimum(sigma, prior)
+    known = float(1 - (sigmas[0] / prior[0]) ** 2)
+    return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
+
+
+def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
+    """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
+    seen, sensed, columns = [], [], list[int]()
+    for job in jobs:
+        recording = job.recording
+        if recording.imus is None or recording.calibration is None:
+            raise CalibrationError(f"recording {recording.name}: has no calibrated IMUs")
+        lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
+        native = recording.calibration.apply(recording.imus)
+        columns = list(lifted.skeleton.index(*native.joints))
+        seen.append(image_turning(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
+        sensed.append(turning_of(native.times, native.R_world_bone))
+    return joined(seen), joined(sensed), columns
+
+
+def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
+    """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
+    only = CalibrationPriors(
+        sigma_delay=float(delay.sigma[0]), sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None,
+        most_seconds=_EXCERPT, rounds=1,
+    )  # fmt: skip
+    first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
+    silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
+    try:
+        found = calibrated(silent, only, None)["delay", "video"]
+    except RtofError:
+        return delay
+    return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])
+
+
+def _check_belonging(
+    job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate
+) -> Check:
+    """Check that the sensors, on whatever segment and at whatever offset, move as the image shows."""
+    S = len(columns)
+    least, explained, speed = _EXPLAINED[S >= _FEW], found.explained, np.nanmean(sensed.w_world**2)
+    if explained < least:
+        imus, calibration = job.recording.imus, job.recording.calibration
+        assert imus is not None
+        assert calibration is not None
+        form = check_form(imus, calibration.select(imus.names).R_world_inertial)
+        if speed < _MOVING**2 or any(check.failed for check in form):
+            return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
+        carriers = {joint for joint, _ in job.subject.sensors.values()} | {
+            job.subject.names[j] for j in columns
+        }
+        anywhere = seen.of(job.subject.index(*sorted(carriers)))
+        least = _ANYWHERE[S >= _FEW]
+        explained = max(explained, Scan.of(anywhere, sensed, 0.0, _ELSEWHERE, known=False).explained)
+    return Check(
+        NAME, "sensors", (1 - explained) / max(explained, 1e-3), (1 - least) / least, "times",
+        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; "
+        "they are left out. Give the sensors' file of this take, or check the rates of video and sensors",
+        cause="the sensors do not belong to this video",
+    )  # fmt: skip
+
+
+def _sentences(
+    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, sensors: int
+) -> list[str]:
+    """What is said about the clocks, the drift first."""
+    said, ms = [], 1000 * delay.sigma[0]
+    if len(delay.value) > 1 and abs(delay.value[1]) * seconds / 2 > _NAMED:
+        rate, sigma = -100 * delay.value[1], 100 * delay.sigma[1]
+        word = "fast" if rate > 0 else "slow"
+        said.append(
+            f"the sensors' clock runs {abs(rate):.2g} ± {sigma:.1g} % {word} against the video's; corrected"
+        )
+    late = 0.0 if applied is None else 1000 * applied.sensors_late
+    if abs(late) > 1000 * _NAMED:
+        word = "late" if late > 0 else "early"
+        ms = float(np.hypot(ms, 1000 * SIGMA_DETECTOR))
+        said.append(f"the sensors are {abs(late):.0f} ± {ms:.0f} ms {word} against the video; corrected")
+    off = max(-found.offset, found.offset - 2 * _NAMED) - 2 * delay.sigma[0]
+    if applied is None and found.explained < _ANYWHERE[0] and sensors >= _FEW:
+        said.append(
+            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that "
+            "they are of this take, and which sensor is where"
+        )
+    elif applied is None and found.candidates and off > _NAMED:
+        word = "late" if found.offset < 0 else "early"
+        said.append(
+            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is "
+            f"not corrected: {found.doubt}"
+        )
+    return said
