@@ -26,8 +26,6 @@ from rtof_kin.report.audit_results import (
     section_verdict,
 )
 
-_LONG: Final = 0.45
-"""[s] Faults of a stream from which they lead the warnings; shorter ones are repaired."""
 _NAMED: Final = 3  # largest number of unchecked things that are named
 _ALONE: Final = "for the angles; "
 """Beginning of the text where the angles pass and the position in the room does not."""
@@ -130,8 +128,8 @@ def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
         named,
         result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
-        not result.name or (result.name == FAULT and result.value > _LONG),
-        0.0 if named else result.value / limit if limit > 0 else math.inf,
+        result.name in ("", FAULT),
+        0.0 if named else result.value / limit if limit > 0 and result.name != FAULT else math.inf,
     )
 
 
