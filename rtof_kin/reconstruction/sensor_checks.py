@@ -138,7 +138,7 @@ def _measured(
     found = [check_still(recording.calibration.apply(recording.imus), skeleton), tilt]
     if images is not None and not view_suspect and not any(check.failed for check in found):
         found += check_turned(images, recording.video.camera, tilt.passed)
-    if prepared.bone_imus is not None:
+    if prepared.bone_imus is not None and not view_suspect:
         found.append(check_twist(poses, prepared.bone_imus, skeleton))
     return found
 

@@ -129,7 +129,7 @@ def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
         result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
         result.name in ("", FAULT),
-        0.0 if named else result.value / limit if limit > 0 else math.inf,
+        0.0 if named else result.value / limit if limit > 0 and result.name != FAULT else math.inf,
     )
 
 
