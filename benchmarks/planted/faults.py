@@ -302,9 +302,7 @@ def other_rate(recording: Recording, hz: float, draws: Draws) -> Recording:
 
 
 _CLOCK = r"clock|delay|\blate\b|\bearly\b|offset|synchron|time stamps|began .* (after|before)"
-_RATE = (
-    r"frame rate|frames per second|frames/s|\bHz\b|sampling rate|speed of the video|faster than|slower than"
-)
+_RATE = r"frame rate|frames (a|per) second|frames/s|\bHz\b|sampling rate|speed of the video|video runs"
 _BONES = (
     r"\bbones? |bone length|bones are|\bheight of the (person|subject|body)|body height|stature|\bskeleton"
 )
@@ -369,7 +367,7 @@ FAULTS: Final[dict[str, Fault]] = {
     ),
     "sensors of another take": Fault(
         of_another_take, ("same person", "another person"), "",
-        r"another|belong|no offset|(other|different|same) (take|recording|person|motion)", "angles", True,
+        r"another|belong to|no offset|(other|different|same) (take|recording|person|motion)", "angles", True,
     ),
     "30 Hz called": Fault(other_rate, (25.0, 50.0, 60.0), "Hz", _RATE, "relative"),
     "nobody seen": Fault(gap, (1.0, 2.0, 5.0), "s", _GONE, "relative", accuses=False),
