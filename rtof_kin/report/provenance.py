@@ -50,8 +50,8 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
         },
         "sensors": _sensors(statistics),
         "delay": None if (delay := result.delay) is None else {
-            "seconds": float(delay.value[0]), "sigma_s": float(delay.sigma[0]),
-            "drift": float(delay.value[1]) if len(delay.value) > 1 else 0.0, "doubt": delay.doubt,
+            "offset_s": float(delay.value[0]), "sigma_s": float(delay.sigma[0]),
+            "drift_share": float(delay.value[1]) if len(delay.value) > 1 else 0.0, "doubt": delay.doubt,
         },
         "calibration": None if result.calibration is None else {
             "converged": result.calibration.converged,
