@@ -116,16 +116,8 @@ def test_a_contradicted_position_in_the_room_does_not_fail_the_angles_but_leads(
 
 
 def test_sides_that_may_be_exchanged_for_a_moment_lead_before_nothing() -> None:
-    sides = AuditResult(
-        "streams",
-        FAULT.name,
-        "keypoints of legs",
-        0.5,
-        "s",
-        0.15,
-        note=FaultKind.SIDES_IN_DOUBT.value,
-        at=6.6,
-    )
+    note = FaultKind.SIDES_IN_DOUBT.value
+    sides = AuditResult("streams", FAULT.name, "keypoints of legs", 0.5, "s", 0.15, note=note, at=6.6)
     other = AuditResult.warning("streams", "motion", "the sensors are 52 ± 6 ms late; corrected")
     unseen = AuditResult("streams", "share of frames unseen", "LeftForeArm", 12.0, "%", 10.0, 90.0)
     assert "52 ± 6 ms late" in headline((sides, other)).text
