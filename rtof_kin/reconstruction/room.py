@@ -42,8 +42,8 @@ from rtof_kin.recording.recording import Recording
 FOCAL, SIZE, RIGHT, DOWN, PITCH, HEADING, ROLL, HEIGHT = range(8)
 _DEG: Final = float(np.radians(1.0))
 _NAMES: Final = (
-    "the focal length is", "the size of the body is", "the principal point is", "the principal point is",
-    "the camera's tilt is", "the camera's heading is", "the camera's roll is", "the camera's height is",
+    "the focal length", "the size of the body", "the principal point", "the principal point",
+    "the camera's tilt", "the camera's heading", "the camera's roll", "the height of camera or floor",
 )  # fmt: skip
 _STATED: Final = "state the accuracy of its calibration"
 _REMEDIES: Final = (
@@ -66,8 +66,9 @@ reach 2.4."""
 _LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
 """Factor on changes of scale: those at the upper end of a band of a logarithm."""
 DIRECTION: Final = "turn of the image against the sensors"
-_MENTIONED: Final = 0.5
-"""Share of the position's other errors from which an open quantity is named."""
+_MENTIONED, _BESIDE = 0.5, 0.2
+"""Share of the position's other errors from which an open quantity is named; and of the largest one's from
+which others are named beside it."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +94,15 @@ class Room:
         own = float(np.nanmean(np.trace(confidence.position_covariance[:, 0], axis1=-2, axis2=-1)))
         open_ = np.nanmean((d[:, 0] ** 2).sum(axis=1), axis=0) * (np.diag(self.moment) + self.elsewhere**2)
         worst = int(open_.argmax())
+        named = dict.fromkeys(_NAMES[i] for i in np.argsort(-open_) if open_[i] > _BESIDE**2 * open_[worst])
         more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
         remedy = _REMEDIES[worst]
         if self.camera.uncertainty is not None:
             remedy = remedy.replace(_STATED, "calibrate it with a chessboard")
-        words = f"{_NAMES[worst]} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
+        what = " and ".join(filter(None, (", ".join([*named][:-1]), [*named][-1])))
+        verb = "is" if len(named) == 1 else "are"
+        words = f"{what} {verb} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
 
