@@ -39,7 +39,7 @@ class ImuCalibration:
     p_bone_sensor: Array
     """(S, 3) lever arm: position of the sensor in the link frame, m."""
     mounting_sd_deg: Array | None = None
-    """(S,) standard deviation of R_sensor_bone about each axis, deg; NaN, or None for all, where not stated."""
+    """(S,) standard deviation of R_sensor_bone about each axis, deg; NaN, or None for all: not stated."""
 
     def __post_init__(self) -> None:
         S = len(self.sensors)
