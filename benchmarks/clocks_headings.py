@@ -33,6 +33,7 @@ from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.clocks import find_clock
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -45,7 +46,6 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.headings import wrapped
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.setup.alignment import align_sensors
-from rtof_kin.calibration.clocks import find_clock
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise

@@ -21,9 +21,9 @@ import numpy as np
 from scipy import fft
 from scipy.optimize import linear_sum_assignment
 
+from rtof_kin.calibration.turning import STEP, Turning
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.calibration.turning import STEP, Turning
 
 APART: Final = 0.35
 """[s] Least distance of another offset."""

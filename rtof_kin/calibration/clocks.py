@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.clock_scan import APART, SIGMA_LEAST, Scan
+from rtof_kin.calibration.turning import STEP, Turning, image_turning, sensor_turning
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError
@@ -20,8 +22,6 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.orientation import log_with_orientation
-from rtof_kin.calibration.clock_scan import APART, SIGMA_LEAST, Scan
-from rtof_kin.calibration.turning import STEP, Turning, image_turning, sensor_turning
 
 SURE: Final = 4.0
 """[nats] Least margin of an offset that is not in doubt; see `ClockEstimate.margin`."""
@@ -46,8 +46,8 @@ _PART, _MOST_PARTS = 2.6, 12
 _WRONG_DRIFT: Final = 0.01
 """[s/s] Standard deviation of the drift where rates may be declared wrongly."""
 _SURE_DRIFT: Final = 2.5
-"""Standard deviations from which a drift is sure: 0.65 is their root mean square of right clocks, 2.1 the most
-of 42 (benchmarks/results/clock_offsets.md)."""
+"""Standard deviations from which a drift is sure; of 42 recordings with right clocks, 2.1 at most
+(benchmarks/results/clock_offsets.md)."""
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,22 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration import sensor_unknowns as sensing
 from rtof_kin.calibration import vision_unknowns as seeing
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.calibration.excerpt import Excerpt, Slice
 from rtof_kin.calibration.posture_unknown import Posture
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import BONE_GROUPS, Detector, Quantity, SelfCalibration, Verdict, bone_groups
+from rtof_kin.calibration.result import (
+    BONE_GROUPS,
+    Detector,
+    Quantity,
+    SelfCalibration,
+    Verdict,
+    bone_groups,
+    place_swing,
+)
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
 from rtof_kin.calibration.unknowns import Bones, Unknown
 from rtof_kin.core.array_types import Array
@@ -73,7 +82,7 @@ def calibrate(
     )
     times = fragments.excerpt.times
     return SelfCalibration(
-        quantities=tuple(_doubted(q, slices, shared) for q in quantities),
+        quantities=tuple(with_places(_doubted(q, slices, shared), recording.skeleton) for q in quantities),
         detector=_detector(fragments, shared.residuals),
         middle=float(times[0] + times[-1]) / 2,
         converged=shared.converged,
@@ -191,6 +200,18 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Samp
         raise CalibrationError("nothing is left open: give at least one standard deviation")
     posture = () if p.sigma_posture is None else (Posture.of(data.space.names, p.sigma_posture),)
     return [*found, *posture]
+
+
+def with_places(quantity: Quantity, skeleton: SkeletonModel) -> Quantity:
+    """Return a mounting with the detector's place errors in its standard deviation; others as they are.
+
+    Args:
+        skeleton: the subject's.
+    """
+    if quantity.kind != "mounting" or quantity.verdict is Verdict.PRIOR:
+        return quantity
+    place = np.minimum(place_swing(skeleton, quantity.item), quantity.sigma_prior)
+    return replace(quantity, sigma=np.hypot(quantity.sigma, place))
 
 
 def _height_px(slices: Sequence[Slice]) -> float:

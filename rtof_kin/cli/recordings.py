@@ -265,8 +265,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     name = motion.mode or "motion"
     print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
     out.print(
-        f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved by "
-        f"{math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
+        f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
+        f"by {math.hypot(*shift):.2f} m, once for all frames; without that, its world counts as the truth's. "
         "By joint below: not aligned.",
         soft_wrap=True,
     )

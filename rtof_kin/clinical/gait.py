@@ -50,7 +50,7 @@ class GaitAnalysis:
 
     @property
     def rests_on(self) -> str:
-        """What the measures rest on: '1 stride, of the right side alone' or '5 strides, 3 right and 2 left'."""
+        """What the measures rest on: '1 stride, of the right side alone', '5 strides, 3 right and 2 left'."""
         counts = {side: int(own["stride_time"][2]) for side, own in self.summary.items()}
         total = sum(counts.values())
         text = f"{total} stride" + ("s" if total != 1 else "")

@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.limbs import LIMBS
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
@@ -37,6 +38,8 @@ from rtof_kin.formats.joint_trajectory import joint_velocities
 
 SHORTEST: Final = 0.5  # [s] of the shortest stretch that is differentiated twice
 NO_WEIGHT: Final = "not computed: no weight is given, and torques are proportional to it"
+_CARRY: Final = tuple(name for limb in LIMBS if "UpLeg" in limb[0] for name in limb[1:])
+"""Knees and ankles, without which no torque of a leg is known."""
 _EDGE: Final = 0.1
 """[s] at either end of a stretch that are left NaN, where accelerations are one-sided differences."""
 
@@ -112,7 +115,9 @@ def joint_torques(
         raise InvalidInputError(f"support: 0 is the {SIDES[0]} foot, 1 the {SIDES[1]}, {UNKNOWN} unknown")
     whole = _Arrays.unknown(T, skeleton.nv)
     short = 0
-    for start, stop in signals.runs(source.masks.known & source.masks.valid.all(axis=1)):
+    ends = [i for i, name in enumerate(skeleton.names) if name in _CARRY]
+    placed = source.masks.known & source.masks.valid[:, [0, *ends]].all(axis=1)
+    for start, stop in signals.runs(placed):
         times = source.times[start:stop]
         if times[-1] - times[0] < SHORTEST:
             short += 1

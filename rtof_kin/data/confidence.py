@@ -67,6 +67,17 @@ class Confidence:
         cut: dict[str, Any] = {name: getattr(self, name)[frames] for name in ("times", *_COVARIANCES)}
         return replace(self, **cut)
 
+    def scaled(self, factor: float) -> Self:
+        """Return the covariances times a factor; NaN stays."""
+        return replace(self, **{name: factor * getattr(self, name) for name in _COVARIANCES})
+
+    def plus(self, other: Self) -> Self:
+        """Return the sum with the covariances of independent errors of the same motion; NaN counts as 0."""
+        both: dict[str, Any] = {
+            name: getattr(self, name) + np.nan_to_num(getattr(other, name)) for name in _COVARIANCES
+        }
+        return replace(self, **both)
+
     @property
     def position_sigma(self) -> Array:
         """Standard deviation (T, J) per axis of positions in world, m."""

@@ -5,9 +5,10 @@ Axes are time, element, component. Missing is NaN.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,40 @@ class Provenance(IntEnum):
     IMU = 3
     CAMERA = 4
     CAMERA_AND_IMU = 5
+
+
+LONGEST_BRIDGE: Final = 0.5
+"""[s] Longest interval between two observations of a joint in which it is valid: it is interpolated."""
+
+
+def valid_positions(provenance: NDArray[np.uint8], times: Array, parents: Sequence[int]) -> Mask:
+    """Return which positions (T, J) are valid: observed, or between two observations at most `LONGEST_BRIDGE`
+    apart and not out of the image.
+
+    A sensor turns the segment that ends in a joint; where a camera is used, the joint is observed by it only
+    if the segment's other end is valid.
+
+    Args:
+        provenance: (T, J) of the joints. times: (T,) s. parents: of the joints, parents first.
+    """
+    camera, by_imu = provenance >= Provenance.CAMERA, provenance == Provenance.IMU
+    has_camera = bool(camera.any() or np.any(provenance == Provenance.BRIDGED))
+    valid = _bridged(camera if has_camera else by_imu, times)
+    for j, parent in enumerate(parents):
+        if parent >= 0:
+            valid[:, j] |= by_imu[:, j] & valid[:, parent]
+    return np.asarray(_bridged(valid, times) & (provenance[:, :1] != Provenance.BRIDGED))
+
+
+def _bridged(observed: Mask, times: Array) -> Mask:
+    """The mask (T, J) with short intervals between two observations filled."""
+    out = np.array(observed)
+    for column in out.T:
+        known = np.flatnonzero(column)
+        for k in np.flatnonzero(np.diff(known) > 1):
+            if times[known[k + 1]] - times[known[k]] <= LONGEST_BRIDGE:
+                column[known[k] : known[k + 1]] = True
+    return out
 
 
 def _not_given() -> Any:
@@ -48,7 +83,7 @@ class PoseSequence:
     provenance: NDArray[np.uint8] = field(default_factory=_not_given)
     """(T, J) `Provenance` of each joint. Default: NOBODY."""
     valid: Mask = field(default_factory=_not_given)
-    """(T, J) True if the position is reliable. Default: where it is finite."""
+    """(T, J) True if the position was observed or shortly bridged (`valid_positions`). Default: finite."""
     orientation_observed: Mask = field(default_factory=_not_given)
     """(T, J), or (J,) for all frames, True if all three angles of the segment were observed; else its twist
     follows the parent. Default: False."""

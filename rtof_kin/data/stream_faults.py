@@ -17,6 +17,8 @@ class FaultKind(Enum):
     )
     SOMEBODY_ELSE = "the keypoints jumped to another person and back; they were left out"
     JUMP = "the keypoints jumped and did not come back; which person is tracked is unclear"
+    UNSEEN = "nobody is seen in this gap; positions in it are bridged, or not valid"
+    ENDED = "no samples: stopped, began late, or out of reach; there the motion is from the rest alone"
     STUCK = "the sensor repeated one sample; it was left out"
     SATURATED = "the accelerometer was at the end of its range; its acceleration was left out"
     DISAGREES = (

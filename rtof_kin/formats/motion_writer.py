@@ -64,10 +64,12 @@ class MotionWriter:
         Raises:
             WritingError: it cannot be written.
         """
-        self._open.enter_context(self._arrays)
-        self._open.push(self._finish)
-        for name, array in self._header.items():
-            self._arrays.add(name, array)
+        with ExitStack() as failed:
+            failed.enter_context(self._arrays)
+            failed.push(self._finish)
+            for name, array in self._header.items():
+                self._arrays.add(name, array)
+            self._open = failed.pop_all()
         return self
 
     def __exit__(

@@ -16,7 +16,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 
 
 def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> PoseSequence:
@@ -46,13 +46,14 @@ def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> P
     R = _Neutral(skeleton, sensed).orientations()
     ended = np.zeros_like(seen)
     ended[:, 1:] = seen[:, list(skeleton.parents[1:])]
+    provenance = np.where(ended, Provenance.IMU, Provenance.PRIOR).astype(np.uint8)
     return PoseSequence(
         times=bone_imus.times,
         p_world_joint=kinematics.positions(skeleton.parents, skeleton.joint_offsets, np.zeros((T, 3)), R),
         R_world_bone=R,
         names=skeleton.names,
-        provenance=np.where(ended, Provenance.IMU, Provenance.PRIOR).astype(np.uint8),
-        valid=np.broadcast_to(seen.any(axis=1, keepdims=True), seen.shape),
+        provenance=provenance,
+        valid=valid_positions(provenance, bone_imus.times, skeleton.parents),
         orientation_observed=seen,
     )
 

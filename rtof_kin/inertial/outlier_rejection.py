@@ -23,6 +23,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
 _STUCK = 0.25  # [s] over which a working sensor never repeats a sample
+_GONE = 0.6  # [s] without samples from which that is a fault
 _SAME = 1e-9
 _LEAST_RANGE = 1.5 * STANDARD_GRAVITY  # [m/s^2] smallest range of an accelerometer
 _FEWEST_AT_END = 4  # samples at an axis' largest value that make it the end of the range
@@ -55,6 +56,27 @@ def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFau
     R = np.where(stuck[..., None, None], np.nan, imus.R_inertial_sensor)
     f = np.where(saturated[..., None], np.nan, f)
     return replace(imus, R_inertial_sensor=R, f_sensor=f), tuple(faults)
+
+
+def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[StreamFault]:
+    """Yield intervals without samples within a span; one for all sensors where all have it in common.
+
+    Args:
+        imus: as recorded. start, stop: s.
+    """
+    known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
+    by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
+    shared = set(by_sensor[0]).intersection(*by_sensor[1:])
+    yield from (StreamFault(FaultKind.ENDED, "all sensors", *span) for span in sorted(shared))
+    for name, spans in zip(imus.names, by_sensor, strict=True):
+        yield from (StreamFault(FaultKind.ENDED, name, *span) for span in spans if span not in shared)
+
+
+def _without(times: Array, start: float, stop: float) -> list[tuple[float, float]]:
+    """Gaps longer than `_GONE` between samples within a span."""
+    inside = times[(times > start) & (times < stop)]
+    edges = np.array([start, *inside, stop])
+    return [(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)]
 
 
 def repeated_samples(imus: ImuSequence) -> Mask:

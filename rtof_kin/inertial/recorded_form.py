@@ -21,6 +21,7 @@ from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY, ImuSequence
 from rtof_kin.inertial.outlier_rejection import repeated_samples
 
 FROZEN, GRAVITY = "longest time of one repeated sample", "mean specific force in world, off gravity"
+UNEXPLAINED = "accelerations and orientations of"
 _LONGEST_REPEAT = 1.0  # [s] lost radio packets repeat a sample for less
 _LEAST_SECONDS = 2.0  # [s] over which a motion's own acceleration averages out
 _OFF = 1.0  # [m/s^2] of the mean off gravity; real sensors have up to 0.15 (docs/real_recordings.md)
@@ -152,7 +153,7 @@ def _unexplained(names: str, value: float, most: float) -> Check:
         "swapped or mirrored, is R_world_inertial of these sensors, is the reference's z axis up? "
         "`rtof-kin inspect` looks at each sensor"
     )
-    cause = f"accelerations and orientations of {names} do not belong together"
+    cause = f"{UNEXPLAINED} {names} do not belong together"
     return Check(GRAVITY, names, value, most, "m/s2", advice, cause=cause)
 
 

@@ -16,7 +16,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.camera_evidence import Scene, standing_feet
+from rtof_kin.reconstruction.camera_evidence import WALK_IN_DEPTH, Scene, check_walk, standing_feet
 from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sensed
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
@@ -26,7 +26,6 @@ from rtof_kin.reconstruction.scale_checks import (
     Standing,
     check_bones,
     check_perspective,
-    check_walk,
     standing,
 )
 from rtof_kin.recording.body_checks import check_camera
@@ -53,7 +52,7 @@ _LARGE = 0.6
 """[m] between ankle and floor from which the floor is more likely wrong than a scale."""
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
 _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
-ROOM_CHECKS = (_DISTANCE, _FEET, "walk in depth", "principal point off the centre")
+ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre")
 """Beginnings of the names of checks about the position in the room, which angles hardly depend on."""
 
 
@@ -76,13 +75,14 @@ def check_camera_evidence(
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
     picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
     video = prepared.recording.video
-    walk = check_walk(poses, prepared.bone_imus, video, skeleton)
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
     scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
     room, direction = look_at_room(unseen_room(recording), scene, video, poses, picture)
-    return _ordered(recording, picture, skeleton, stands, (walk, direction)), room
+    return _ordered(
+        recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses), direction)
+    ), room
 
 
 def check_camera_alone(

@@ -24,6 +24,7 @@ from rtof_kin.calibration.camera_estimate import Evidence
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -69,6 +70,11 @@ WALK_LEG: Final = 0.08
 """[m] Standard deviation of the root of the sum of squares of all contacts' paths."""
 LEAST_WALK: Final = 2.0
 """[m^2] Sum of squares of the legs' paths below which nothing follows from them: some five steps."""
+
+
+WALK_IN_DEPTH: Final = "walk in depth"
+_OF_WALK: Final = 3.0
+"""Standard deviations by which a walk may contradict the focal length."""
 
 
 @dataclass(frozen=True)
@@ -233,6 +239,26 @@ def walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
     value = np.log(body @ legs / total) - WALK.mean
     sigma = np.hypot(WALK.sigma, WALK_LEG / np.sqrt(total))
     return Evidence(np.array([value]), np.array([sigma]))
+
+
+def check_walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Check:
+    """Check the focal length by walking to or from the camera.
+
+    Args:
+        scene: of the recording. camera, poses: solved with it.
+    """
+    if camera.uncertainty is not None:
+        return Check.unknown(WALK_IN_DEPTH, "the feet", "times", "the focal length is estimated by it")
+    found = walk(scene, camera, poses)
+    (value,), (sigma,) = found.value, found.sigma
+    if np.isnan(value):
+        why = "needs some five steps to or from the camera, with sensors on thighs and shanks"
+        return Check.unknown(WALK_IN_DEPTH, "the feet", "times", why)
+    return Check(
+        WALK_IN_DEPTH, "the feet", float(np.exp(abs(value))), float(np.exp(_OF_WALK * sigma)), "times",
+        f"Along the view the body moves {np.exp(value):.2f} times as far over standing feet as its legs do",
+        cause=f"the focal length is probably too {'long' if value > 0 else 'short'}",
+    )  # fmt: skip
 
 
 def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Array]:

@@ -1,8 +1,8 @@
 """Offset between the clocks of video and sensors, found and corrected before a recording is solved.
 
-The angular velocities of the limbs in a lift of the image alone are compared with those of the sensors at all
-offsets within half a second (`calibration.clocks.small_offset`); where that leaves more than 10 ms, the energy
-of a short excerpt decides.
+Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors at all
+offsets within half a second (`calibration.clocks.small_offset`); where that leaves more than 10 ms, the
+energy of a short excerpt decides.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.self_calibration import calibrated
+from rtof_kin.recording.recording import Recording
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
+DAYS_APART: Final = "video and sensors are of different days"
+"""Beginning of a note of a recording that was set up so."""
 _SIGMAS: Final = 3.0
 _LEAST: Final = 0.01
 """Standard deviations and [s] from which an offset is corrected."""
@@ -35,15 +38,17 @@ _NAMED: Final = 0.03
 """[s] Offset, also by drift, from which it is named."""
 _UNSHARP: Final = 0.01
 """[s] Standard deviation above which the energy decides."""
-_EXCERPT: Final = 4.0
+_EXCERPT: Final = 2.5
 """[s] of the recording that it takes."""
 _SURE_DRIFT_UNNAMED: Final = 1.5
 """Standard deviations from which a drift that is not sure counts as uncertain."""
 _FEW: Final = 4
 _EXPLAINED: Final = (0.05, 0.1)
-"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW` sensors
-and of more; of 44 right recordings of 8 s with 8 sensors at least 0.2, of other takes 0.1 in one of twenty
+"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
+sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
 (benchmarks/results/clock_offsets.md)."""
+_ANYWHERE: Final = (0.15, 0.2)
+"""[1] The same on any segments at offsets up to `_ELSEWHERE`, where `_EXPLAINED` is not reached."""
 _ELSEWHERE: Final = 6.0
 """[s] Offsets at which sensors may be that belong to the video."""
 _MOVING: Final = 0.15
@@ -99,12 +104,21 @@ class ClockOffset:
         return (replace(at_times(poses, poses.times + later), times=poses.times),)
 
 
+def _noted(recording: Recording) -> tuple[str, ...]:
+    """Return the notes of a recording by which its sensors may be of another day."""
+    return tuple(
+        line[line.index(DAYS_APART) :] for line in recording.notes.splitlines() if DAYS_APART in line
+    )
+
+
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
 
     Args:
         jobs: on the recording, or on parts of it in the order of time.
     """
+    if not jobs:
+        return ClockOffset()
     try:
         seen, sensed, columns = _turnings(jobs)
         found = small_offset(seen.of(columns), sensed)
@@ -115,8 +129,9 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     rates = [found.drift] if found.drift else []
     sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
     delay = _delay([found.offset, *rates], sigmas, found.doubt)
+    noted = _noted(jobs[0].recording)
     if check.failed:
-        return ClockOffset(checks=(check,))
+        return ClockOffset(checks=(check,), warnings=noted)
     if not found.doubt and not rates and found.sigma > _UNSHARP:
         delay = _refined(jobs, delay, middle)
     larger = abs(found.offset) > max(_SIGMAS * delay.sigma[0], _LEAST)
@@ -127,7 +142,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     if not rates and abs(found.likely_drift) > _SURE_DRIFT_UNNAMED * found.sigma_drift:
         unsure = found.likely_drift
     seconds = float(jobs[-1].recording.video.times[-1] - jobs[0].recording.video.times[0])
-    warnings = tuple(_sentences(delay, applied, found, seconds))
+    warnings = (*noted, *_sentences(delay, applied, found, seconds, len(columns)))
     return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
 
 
@@ -158,7 +173,7 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
     only = CalibrationPriors(
         sigma_delay=float(delay.sigma[0]), sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None,
-        most_seconds=_EXCERPT, rounds=2,
+        most_seconds=_EXCERPT, rounds=1,
     )  # fmt: skip
     first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
     silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
@@ -182,19 +197,22 @@ def _check_belonging(
         form = check_form(imus, calibration.select(imus.names).R_world_inertial)
         if speed < _MOVING**2 or any(check.failed for check in form):
             return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
-        carriers = {joint for joint, _ in job.subject.sensors.values()} | {job.subject.names[j] for j in columns}
+        carriers = {joint for joint, _ in job.subject.sensors.values()} | {
+            job.subject.names[j] for j in columns
+        }
         anywhere = seen.of(job.subject.index(*sorted(carriers)))
+        least = _ANYWHERE[S >= _FEW]
         explained = max(explained, Scan.of(anywhere, sensed, 0.0, _ELSEWHERE, known=False).explained)
     return Check(
         NAME, "sensors", (1 - explained) / max(explained, 1e-3), (1 - least) / least, "times",
-        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; they "
-        "are left out. Give the sensors' file of this take, or check the rates of video and sensors",
+        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; "
+        "they are left out. Give the sensors' file of this take, or check the rates of video and sensors",
         cause="the sensors do not belong to this video",
     )  # fmt: skip
 
 
 def _sentences(
-    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float
+    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, sensors: int
 ) -> list[str]:
     """What is said about the clocks, the drift first."""
     said, ms = [], 1000 * delay.sigma[0]
@@ -210,10 +228,15 @@ def _sentences(
         ms = float(np.hypot(ms, 1000 * SIGMA_DETECTOR))
         said.append(f"the sensors are {abs(late):.0f} ± {ms:.0f} ms {word} against the video; corrected")
     off = max(-found.offset, found.offset - 2 * _NAMED) - 2 * delay.sigma[0]
-    if applied is None and found.candidates and off > _NAMED:
+    if applied is None and found.explained < _ANYWHERE[0] and sensors >= _FEW:
+        said.append(
+            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that "
+            "they are of this take, and which sensor is where"
+        )
+    elif applied is None and found.candidates and off > _NAMED:
         word = "late" if found.offset < 0 else "early"
         said.append(
-            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is not "
-            f"corrected: {found.doubt}"
+            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is "
+            f"not corrected: {found.doubt}"
         )
     return said

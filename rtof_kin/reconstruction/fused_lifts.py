@@ -24,7 +24,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import Provenance
+from rtof_kin.data.poses import Provenance, valid_positions
 from rtof_kin.reconstruction.lift import Lifted
 
 _JOINT: Final = np.array([0.03, 0.08])
@@ -59,12 +59,13 @@ def fused(lifts: Sequence[Lifted], cameras: Sequence[KeypointSequence], skeleton
     camera = (provenance == Provenance.CAMERA).any(axis=0)
     observed = np.any([lift.poses.orientation_observed for lift in lifts], axis=0)
     known = np.any([np.isfinite(lift.poses.sigma_rad) for lift in lifts], axis=0)
+    provenance = np.where(camera, Provenance.CAMERA, provenance.min(axis=0)).astype(np.uint8)
     poses = replace(
         poses,
         p_world_joint=p,
         R_world_bone=np.where(np.isfinite(R_seen), R_seen, R),
-        provenance=np.where(camera, Provenance.CAMERA, provenance.min(axis=0)).astype(np.uint8),
-        valid=np.any([lift.poses.valid for lift in lifts], axis=0),
+        provenance=provenance,
+        valid=valid_positions(provenance, poses.times, skeleton.parents),
         orientation_observed=observed,
         sigma_rad=np.where(known, 1 / np.sqrt((1 / sigmas**2).sum(axis=0)), np.nan),
     )

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Final
 
 import numpy as np
 
@@ -49,6 +50,8 @@ _HEADINGS = np.radians(np.arange(0, 360, 15))
 _REACH = 0.55
 """Fraction of the image beyond which points of an image half as large cannot lie."""
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
+OF_PICTURE: Final = (_SIZE, _TURN, _SIDES)
+_LEGS = "left and right of the legs' keypoints are exchanged"
 _SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
 _MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
 _SMALL = "the keypoints are of a picture 2 times smaller than the camera's"
@@ -152,14 +155,16 @@ def _unknown(name: str, why: str) -> Check:
 # --- mistakes, undone ----------------------------------------------------------------------------
 
 
-def exchanged_sides(keypoints: KeypointSequence) -> KeypointSequence:
+def exchanged_sides(keypoints: KeypointSequence, only: str = "") -> KeypointSequence:
     """Return the keypoints with left and right names exchanged.
 
     Args:
-        keypoints: an excerpt.
+        keypoints: an excerpt. only: a group of `side_pairs`; by default all.
     """
     order = np.arange(len(keypoints.names))
-    for pairs in side_pairs(keypoints.names).values():
+    for group, pairs in side_pairs(keypoints.names).items():
+        if only not in ("", group):
+            continue
         order[pairs.ravel()] = pairs[:, ::-1].ravel()
     uv, confidence = keypoints.uv_px[:, order], keypoints.confidence[:, order]
     return replace(keypoints, uv_px=uv, confidence=confidence)
@@ -307,6 +312,10 @@ class _Look:
         undone = {_SWAPPED: exchanged_sides, _MIRRORED: mirrored}
         gains = {cause: self._with_sensors(gain, undo) for cause, undo in undone.items()}
         certain = dict.fromkeys(gains, gain)
+        legs = partial(exchanged_sides, only="legs")
+        name = _LEGS if self.bone_imus is None else f"{_LEGS}, or of the sensors on the legs"
+        certain[name] = self._gain(legs)
+        gains[name] = self._with_sensors(certain[name], legs)
         if self.bone_imus is not None:
             as_given = self._misfit(self.keypoints, _HEADINGS[:1])
             heads = _agreement(as_given, self._misfit(mirrored(self.keypoints), _HEADINGS[:1]))

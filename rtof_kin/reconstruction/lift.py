@@ -15,7 +15,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 
 if TYPE_CHECKING:
     from lifting.predict import LiftedPoses
@@ -92,15 +92,14 @@ def lift(
     bridged = ~np.asarray(result.seen)
     provenance = np.where(joints.seen, Provenance.CAMERA, Provenance.PRIOR)
     provenance[bridged] = Provenance.BRIDGED
-    valid = np.broadcast_to(~bridged[:, None], joints.seen.shape)
     poses = PoseSequence(
         times=keypoints.times,
         p_world_joint=p,
         R_world_bone=np.where(np.isfinite(result.R_world_bone), result.R_world_bone, R),
         names=skeleton.names,
         provenance=provenance.astype(np.uint8),
-        valid=valid,
-        orientation_observed=valid & (levels_by_points(skeleton, joints) == WHOLE),
+        valid=valid_positions(provenance, keypoints.times, skeleton.parents),
+        orientation_observed=~bridged[:, None] & (levels_by_points(skeleton, joints) == WHOLE),
         sigma_rad=result.sigma_rad,
     )
     return Lifted(poses, result.R_world_bone, result.sigma_m)

@@ -217,7 +217,7 @@ def _lost(
 def _estimated_once(
     source: RecordingSlices, job: Job, mode: Mode, calibrate: bool, known: SelfCalibration | None
 ) -> _Once:
-    """Estimate clocks, the camera, if it is not calibrated, and the calibration, on excerpts of the recording.
+    """Estimate the clocks, a camera that is not calibrated, and the calibration, on excerpts.
 
     Args:
         job: of a part. mode, calibrate, known: as for `reconstruct`.

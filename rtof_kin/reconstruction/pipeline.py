@@ -21,12 +21,13 @@ from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
+from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.room import Room, unseen_room
+from rtof_kin.reconstruction.room import DIRECTION, Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -35,6 +36,7 @@ from rtof_kin.reconstruction.sensor_checks import (
 )
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.setup_causes import RATE
 from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -237,13 +239,23 @@ def _checked(
 ) -> tuple[tuple[Check, ...], Room]:
     """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
     camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
-    if clocks.foreign:
-        return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
-    view_suspect = any(check.failed for check in camera)
+    view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording, prepared, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
-    )
+        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect,
+        view_suspect,
+    )  # fmt: skip
+    if clocks.foreign and not any(check.failed and check.name == RATE for check in sensors):
+        return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
+    if clocks.foreign:  # at the right rate of the video they may belong to it
+        return (*sensors, *camera), room
+    if wrong := next((check for check in sensors if check.failed), None):
+        camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
     return (*clocks.checks, *sensors, *camera), room
+
+
+def _unless(check: Check, why: str) -> Check:
+    """The check, but unknown where wrong sensors would explain it."""
+    return replace(check, value=float("nan"), advice=why) if check.name == DIRECTION else check
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,7 +18,12 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, reject_imu_outliers
+from rtof_kin.inertial.outlier_rejection import (
+    mask_faults,
+    merge_faults,
+    missing_samples,
+    reject_imu_outliers,
+)
 from rtof_kin.reconstruction.camera_heading import without_heading_drift
 from rtof_kin.reconstruction.fused_lifts import fused
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
@@ -27,7 +32,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
+from rtof_kin.vision.outlier_rejection import gaps, reject_keypoint_outliers
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, steps done, steps in all)."""
@@ -199,7 +204,22 @@ def cleaned(
         faults += tuple(replace(fault, what=f"{fault.what} of view {i}") for fault in of_view)
     if views:
         recording = replace(recording, views=tuple(views))
-    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
+    recording = replace(recording, keypoints=keypoints, imus=imus) if faults else recording
+    return recording, (*faults, *missing_data(recording))
+
+
+def missing_data(recording: Recording) -> Iterator[StreamFault]:
+    """Yield intervals of the video in which nobody is seen, and those without samples of sensors.
+
+    Args:
+        recording: with keypoints, sensors or both.
+    """
+    if recording.keypoints is None:
+        return
+    yield from gaps(recording.keypoints)
+    if recording.imus is not None:
+        a, b = recording.keypoints.times[[0, -1]]
+        yield from missing_samples(recording.imus, float(a), float(b))
 
 
 def evenly_spaced(keypoints: KeypointSequence, times: Array | None = None) -> KeypointSequence:

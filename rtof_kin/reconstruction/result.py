@@ -91,7 +91,7 @@ class Reconstruction:
     calibration: SelfCalibration | None = None
     """The self-calibration that was applied."""
     delay: Quantity | None = None
-    """Delay of the video relative to the sensors' clock, as found before the calibration; None without sensors
+    """Delay of the video relative to the sensors' clock, found before the calibration; None without sensors
     or where the motion does not show it."""
     camera: CameraEstimate | None = None
     """What was assumed and found of a camera that is not calibrated; None for a calibrated one."""

@@ -31,7 +31,7 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_position import refit_root
@@ -45,9 +45,10 @@ _NAMES: Final = (
     "the focal length is", "the size of the body is", "the principal point is", "the principal point is",
     "the camera's tilt is", "the camera's heading is", "the camera's roll is", "the camera's height is",
 )  # fmt: skip
+_STATED: Final = "state the accuracy of its calibration"
 _REMEDIES: Final = (
-    "calibrate it with a chessboard, or walk two metres towards the camera with sensors on thighs and shanks",
-    "give the person's height", *("calibrate the camera with a chessboard",) * 2,
+    f"{_STATED}, or walk two metres towards the camera with sensors on thighs and shanks",
+    "give the person's height", *(_STATED,) * 2,
     *("measure the camera's height and give the floor's",) * 4,
 )  # fmt: skip
 DECLARED: Final = np.array([0.12, 0.04, 0.02, 0.02, 2 * _DEG, 3 * _DEG, 2 * _DEG, 0.05])
@@ -55,12 +56,16 @@ DECLARED: Final = np.array([0.12, 0.04, 0.02, 0.02, 2 * _DEG, 3 * _DEG, 2 * _DEG
 between a calibration and an unknown phone (0.15), as videos are cropped, zoomed and stabilised."""
 SIZE_BY_HEIGHT: Final = 0.03
 """[1] of the size of a body whose height is declared."""
-TURN: Final = np.radians([2.4, 2.4, 1.8])
+TURN: Final = np.radians([2.4, 3.0, 1.8])
 """[rad] Standard deviations (3,) of the turn between image and sensors with the true camera."""
 _SEEN_PITCH: Final = 0.5
 """Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet."""
-MOST_TURNED: Final = 4.0
-"""Standard deviations of the turn from which the camera or the sensors are declared wrongly."""
+MOST_TURNED: Final = 3.0
+"""Standard deviations from which the camera or the sensors are declared wrongly; correct recordings of others
+reach 2.4."""
+_LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
+"""Factor on changes of scale: those at the upper end of a band of a logarithm."""
+DIRECTION: Final = "turn of the image against the sensors"
 _MENTIONED: Final = 0.5
 """Share of the position's other errors from which an open quantity is named."""
 
@@ -84,14 +89,16 @@ class Room:
             confidence: of the motion, with the declared camera. poses: of the motion.
         """
         d = displacements(self.camera, poses.p_world_joint)
+        d[..., [FOCAL, SIZE]] *= _LONGEST
         own = float(np.nanmean(np.trace(confidence.position_covariance[:, 0], axis1=-2, axis2=-1)))
         open_ = np.nanmean((d[:, 0] ** 2).sum(axis=1), axis=0) * (np.diag(self.moment) + self.elsewhere**2)
         worst = int(open_.argmax())
         more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
-        words = (
-            f"{_NAMES[worst]} not checked ({_REMEDIES[worst]})" if open_[worst] > _MENTIONED**2 * own else ""
-        )
+        remedy = _REMEDIES[worst]
+        if self.camera.uncertainty is not None:
+            remedy = remedy.replace(_STATED, "calibrate it with a chessboard")
+        words = f"{_NAMES[worst]} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
 
@@ -191,7 +198,7 @@ def _turn(scene: Scene, picture: Picture) -> Array:
 
 def _check_direction(turn: Array, spread: Array) -> Check:
     """Check the camera's direction against that of the sensors."""
-    name, what = "turn of the image against the sensors", "camera and sensors"
+    name, what = DIRECTION, "camera and sensors"
     if not np.isfinite(turn).all():
         return Check.unknown(name, what, "standard deviations", "no person was lifted, or without sensors")
     off = turn / spread

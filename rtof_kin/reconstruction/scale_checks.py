@@ -16,7 +16,7 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, detect_contacts
+from rtof_kin.inertial.contacts import FEET
 from rtof_kin.inertial.root_position import refit_root
 from rtof_kin.reconstruction.image_checks import Picture
 from rtof_kin.reconstruction.limb_images import Limbs
@@ -28,11 +28,6 @@ LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
 tilt)."""
 LARGEST_SCALE = 1.14
 """Tolerated factor of bone lengths by the accelerations of two sensors."""
-WALKED, LONGEST_WALK = 1.045, 1.18
-"""Usual ratio of a body's path over its standing feet, seen by the camera and by its legs (feet roll), and
-the tolerated factor."""
-LEAST_WALK = 0.7
-"""[m] Least walking to or from the camera that constrains its focal length."""
 FLATTEST, LEAST_DISTINCT = 0.55, 0.88
 """Perspective of the bones relative to that of the focal length, below which the focal length is too
 short; and the fraction of the misfit that must remain with it."""
@@ -44,7 +39,7 @@ _PARTS = 4
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
 LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
-_SCALE, _WALK, _PERSPECTIVE = "length of bones by accelerations", "walk in depth", "perspective"
+_SCALE, _PERSPECTIVE = "length of bones by accelerations", "perspective"
 
 
 @dataclass(frozen=True)
@@ -82,21 +77,24 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
     Args:
         bone_imus: at the sensors' own times. skeleton: the subject's.
     """
-    found = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
-    if found is None:
+    bounds = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
+    if bounds is None:
         return Check.unknown(_SCALE, "bones", "times", "no two sensors at one joint that turns fast enough")
-    longer = 1 / found
-    word = "long" if longer > 1 else "short"
+    found = min(max(1.0, bounds[0]), bounds[1])  # the nearest to 1 that both directions of regression allow
+    word = "long" if found < 1 else "short"
     return Check(
-        _SCALE, "bones", max(longer, found), LARGEST_SCALE, "times",
+        _SCALE, "bones", max(1 / found, found), LARGEST_SCALE, "times",
         f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
         "in m, or look at the sensors' places",
-        cause=f"the bones are probably too {word}",
+        cause=f"the bones are probably too {word}, or the sensors sit elsewhere on them than declared",
     )  # fmt: skip
 
 
-def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | None:
-    """Ratio of measured to declared bone lengths between sensors, by regression."""
+def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float, float] | None:
+    """Bounds of the ratio of measured to declared bone lengths between sensors: regression of the measured
+    accelerations on those of the declared bones, which errors of the orientations make too small, and the
+    other way round, which errors of the accelerations make too large (Frisch 1934).
+    """
     if len(imus.times) < _LEAST_SAMPLES:
         return None
     rate_hz = (len(imus.times) - 1) / float(np.ptp(imus.times))
@@ -127,48 +125,8 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> float | Non
     y, x = np.concatenate(measured), np.concatenate(declared)
     xx, xy, yy = x @ x, x @ y, y @ y
     moving = xx / len(x) > (_LEAST_ACCELERATION / 3) ** 2
-    return float(xy / xx) if moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy else None
-
-
-def check_walk(
-    poses: PoseSequence, bone_imus: BoneImuSequence | None, keypoints: KeypointSequence,
-    skeleton: SkeletonModel,
-) -> Check:  # fmt: skip
-    """Check the focal length by walking to or from the camera.
-
-    Bones and sensors of the legs determine the length of a step; the path of the body over standing feet
-    depends on the focal length.
-
-    Args:
-        poses: the final ones. bone_imus, keypoints: at their times. skeleton: the subject's.
-    """
-    if bone_imus is None or not {*LEGS} <= {*bone_imus.joints}:
-        return Check.unknown(_WALK, "the feet", "times", "needs sensors on thighs and shanks")
-    if keypoints.camera.uncertainty is not None:
-        return Check.unknown(_WALK, "the feet", "times", "the focal length is estimated by it")
-    contacts = detect_contacts(poses, bone_imus, skeleton)
-    ahead = keypoints.camera.R_camera_world[2] * [1, 1, 0]
-    ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-    body, legs = [], []
-    for i, foot in enumerate(contacts.joints):
-        root = poses.p_world_joint[:, 0]
-        for start, stop in signals.runs(contacts.standing[:, i]):
-            n = max((stop - start) // 6, 1)
-            path = np.stack([root, root - poses.p_world_joint[:, skeleton.names.index(foot)]]) @ ahead
-            moved = path[:, stop - n : stop].mean(axis=1) - path[:, start : start + n].mean(axis=1)
-            body.append(moved[0])
-            legs.append(moved[1])
-    x, y = np.array(legs), np.array(body)
-    if np.abs(x).sum() < LEAST_WALK or x @ y <= 0:
-        why = f"the person walks less than {LEAST_WALK:g} m to or from the camera"
-        return Check.unknown(_WALK, "the feet", "times", why)
-    ratio = float(x @ y / (x @ x)) / WALKED
-    word = "long" if ratio > 1 else "short"
-    return Check(
-        _WALK, "the feet", max(ratio, 1 / ratio), LONGEST_WALK, "times",
-        f"Along the view the body moves {ratio:.2f} times as far over standing feet as its legs do",
-        cause=f"the focal length is probably too {word}",
-    )  # fmt: skip
+    explained = moving and xy > 0 and xy**2 > _LEAST_EXPLAINED * xx * yy
+    return (float(xy / xx), float(yy / xy)) if explained else None
 
 
 def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:

@@ -1,7 +1,7 @@
 """Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion.
 
-Checks run in the order of cause: form of the samples, then clocks, then placement of the sensors. A check
-that an earlier failure would mislead is skipped.
+Checks run in the order of cause: form of the samples, then the video's rate and the clocks, then what all
+sensors share, then single sensors. A check that an earlier failure would mislead is skipped.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.bone_images import best_exchange, bone_images
+from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
@@ -21,11 +21,19 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.recorded_form import check_form
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.recorded_form import FROZEN, UNEXPLAINED, check_form
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reconstruction.setup_causes import (
+    check_frame_rate,
+    check_still,
+    check_tilt,
+    check_turned,
+    check_twist,
+)
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -38,6 +46,8 @@ _THINNED = 0.05
 """[s] between the samples in which exchanged sensors are looked for."""
 _LEAST_SECONDS = 2.0
 """[s] Shortest movement by which placement and references of sensors can be checked."""
+_OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
+"""Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
 """Faults whose evidence differs where the sensors were calibrated in an N-pose."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
@@ -58,15 +68,16 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
 
 
 def check_sensor_evidence(
-    recording: Recording, prepared: Prepared, skeleton: SkeletonModel, lifter: LifterLike | None,
-    settings: ReconstructionSettings, suspect: bool = False, view_suspect: bool = False,
+    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    lifter: LifterLike | None, settings: ReconstructionSettings, suspect: bool = False,
+    view_suspect: bool = False,
 ) -> tuple[Check, ...]:  # fmt: skip
     """Check the declared sensors and clocks.
 
     Args:
         recording: as declared, before calibration and outlier rejection.
         prepared: the prepared streams and the poses of each stage before the solver.
-        skeleton: the subject's. lifter, settings: as for `reconstruct`.
+        poses: the final poses. skeleton: the subject's. lifter, settings: as for `reconstruct`.
         suspect: another finding may be explained by a wrong sensor setup.
         view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem
             rotated together.
@@ -77,16 +88,28 @@ def check_sensor_evidence(
     form = check_sensor_form(recording)
     if not form or recording.imus is None or recording.calibration is None:
         return form
+    native = recording.calibration.apply(recording.imus)
+    tilt = check_tilt(native, prepared.stages["lift"])
+    if tilt.failed and not any(check.failed and check.name == FROZEN for check in form):
+        form = (tilt, *(check for check in form if not check.cause.startswith(UNEXPLAINED)))
     if wrong := next((check for check in form if check.failed), None):
         why = f"the samples are not as declared: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
     seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
-    native = recording.calibration.apply(recording.imus)
+    images = bone_images(seen, native, lifted, skeleton)
+    if images is not None:
+        rate = check_frame_rate(images, seen)
+        form = (*form, rate)
+        if rate.failed:
+            return (*form, Check.unknown(SETUP, "sensors", "nats", f"first {rate.cause}"))
     clocks = check_clocks(seen, native, lifted, skeleton)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    images = bone_images(seen, native, lifted, skeleton)
+    shared = _measured(recording, prepared, poses, skeleton, images, tilt, view_suspect)
+    form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
+    if wrong:
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
     off = np.full(1, np.nan) if images is None else images.by_sensor()
     if np.isnan(off).all() and not suspect:
         why = "no bone with a sensor is visible in the image"
@@ -103,6 +126,21 @@ def check_sensor_evidence(
         image_only = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
     setup = _check_setup(image_only, recording.calibration, view_suspect)
     return (*form, clocks, setup)
+
+
+def _measured(
+    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    images: BoneImages | None, tilt: Check, view_suspect: bool,
+) -> list[Check]:  # fmt: skip
+    """Check what is measured of the sensors: what all share, then single ones."""
+    assert recording.imus is not None
+    assert recording.calibration is not None
+    found = [check_still(recording.calibration.apply(recording.imus), skeleton), tilt]
+    if images is not None and not view_suspect and not any(check.failed for check in found):
+        found += check_turned(images, recording.video.camera, tilt.passed)
+    if prepared.bone_imus is not None and not view_suspect:
+        found.append(check_twist(poses, prepared.bone_imus, skeleton))
+    return found
 
 
 @contextmanager
@@ -156,7 +194,7 @@ def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect
         why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
-        fault for pose, kinds in (("T", tuple(FaultKind)), ("N", _ELSEWHERE)) for fault in diagnose_setup(
+        fault for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE)) for fault in diagnose_setup(
             bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration,
             kinds=kinds, most=1)
     ]  # fmt: skip

@@ -19,7 +19,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 from rtof_kin.inertial.contacts import Contacts, ContactSettings, detect_contacts, footholds
 from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
@@ -131,7 +131,8 @@ def _on_path(
     provenance = start.provenance.copy()
     provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
     p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, path.p_world, start.R_world_bone)
-    return replace(start, p_world_joint=p, provenance=provenance)
+    valid = valid_positions(provenance, start.times, skeleton.parents)
+    return replace(start, p_world_joint=p, provenance=provenance, valid=valid)
 
 
 def _warnings(

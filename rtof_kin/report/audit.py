@@ -19,10 +19,18 @@ from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit_results import FAILED_FRAGMENTS, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
+from rtof_kin.report.audit_results import (
+    FAILED_FRAGMENTS,
+    FAULT,
+    ROOM,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+)
 from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -41,6 +49,8 @@ _UNSEEN: Final = dict.fromkeys(("Nose", "LeftEar", "RightEar"), (90.0, 100.0))
 _MANY: Final = 8
 """Sensors beyond which more are no remedy."""
 _WIDE_M: Final = 0.5
+_SHORT_S: Final = 0.15
+"""[s] of a fault that was mended and hardly matters."""
 _POSITION: Final = "position in the room"
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
@@ -90,6 +100,7 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     ]  # fmt: skip
     if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
+        shares = shares[1:]  # only joints between sensors are valid there
     else:
         note = "occluded, out of the image, or not detected"
         names = first.keypoints.landmarks.names
@@ -104,15 +115,17 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         ]
     for name, subject, share, warn, fail, note in shares:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
+    seconds = statistics.frames / first.motion.poses.rate_hz
+    most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.5 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", "fault, duration", fault.what, fault.stop - fault.start, "s", -1.0,
-            source="any fault warns", note=fault.kind.value, at=fault.start,
+            "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,
+            max(most.get(fault.kind, math.inf), _SHORT_S), _USER, fault.kind.value, fault.start,
         )  # fmt: skip
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
         if warning in of_camera:  # its effect is in the stated uncertainty
-            yield AuditResult.remark(ROOM, "camera", warning)
+            yield AuditResult.remark(ROOM, "camera that is not calibrated", warning)
         else:
             yield AuditResult.warning("streams", "motion", warning)
     if math.isfinite(drift := statistics.root_sigma):
@@ -278,7 +291,7 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     sensors = 0 if (imus := statistics.first.bone_imus) is None else len(imus.joints)
     note = "the recorded data give no better accuracy"
     if sensors < _MANY:
-        note += "; add sensors" if sensors else "without sensors; add some"
+        note = "the recorded data give no better accuracy; add sensors"
     figures = (
         ("joints relative to the root", "relative sigma", 1000.0, "mm", 60.0, 120.0),
         ("orientation of segments", "orientation sigma", np.degrees(1.0), "deg", 20.0, 40.0),
@@ -305,10 +318,9 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     else:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
         open_ = "" if first.room is None else first.room.unverified
-        note = f"± {half:.2g} m{f', {open_}' if open_ else ''}"
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(
-            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=note, weak=bool(open_)
+            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_)
         )
 
 

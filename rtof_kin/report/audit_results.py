@@ -32,6 +32,7 @@ ROOM_BAND: Final = "half width of the 95 % band"
 """Name of the figure that states how far off the position in the room may be."""
 FAILED_FRAGMENTS: Final = "share of fragments that failed"
 UNOBSERVED_FRAGMENTS: Final = "share of fragments in which nothing was seen"
+FAULT: Final = "fault, duration"
 """Names of the figures about frames without a measurement, as they are stored in summary.json."""
 _NAMED: Final = 5  # largest number of similar results that are named beside the worst
 
@@ -104,6 +105,8 @@ class AuditResult:
             return f"{self.subject}: {self.note}"
         if self.grade is Grade.NOT_CHECKED:
             return f"{self.subject}: {self.name}: {self.note}"
+        if self.name == FAULT and math.isfinite(self.at):
+            return f"{self.subject}, {self.at:.1f} to {self.at + self.value:.1f} s: {self.note}"
         line = f"{self.subject}: {self.name} {self.value:.3g} {self.unit}".rstrip()
         if self.grade in (Grade.PASS, Grade.INFORMATION):
             return line

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from rtof_kin.report.audit_results import (
     FAILED_FRAGMENTS,
+    FAULT,
     ROOM,
     ROOM_BAND,
     SECTIONS,
@@ -104,7 +105,8 @@ def _room_text(grade: Grade, results: Sequence[AuditResult]) -> str:
     if wrong:
         words.append(f": {_words(max(wrong, key=_severity)).rstrip('.')}")
     elif band is not None:
-        words.append(f"{' ' if grade is Grade.PASS else ': '}{band.note}".rstrip())
+        size = f"± {band.value:.2g} {band.unit}" if math.isfinite(band.value) else ""
+        words.append((" " if grade is Grade.PASS else ": ") + ", ".join(p for p in (size, band.note) if p))
     return "".join(words)
 
 
@@ -118,15 +120,16 @@ def _words(result: AuditResult) -> str:
 
 
 def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
-    """Sort key of failures and warnings; among warnings, those in words come before figures."""
+    """Sort key of failures and warnings; faults and what is said in words come before figures."""
     fails = result.grade is Grade.FAIL
     limit = result.fail if fails else result.warn
+    named = fails and result.section in ("inputs", ROOM)  # they are in the order of cause
     return (
-        fails and result.section in ("inputs", ROOM),
+        named,
         result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
-        not result.name,
-        result.value / limit if limit > 0 else math.inf,
+        result.name in ("", FAULT),
+        0.0 if named else result.value / limit if limit > 0 and result.name != FAULT else math.inf,
     )
 
 

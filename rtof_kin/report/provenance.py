@@ -49,6 +49,10 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
             "columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()],
         },
         "sensors": _sensors(statistics),
+        "delay": None if (delay := result.delay) is None else {
+            "offset_s": float(delay.value[0]), "sigma_s": float(delay.sigma[0]),
+            "drift_share": float(delay.value[1]) if len(delay.value) > 1 else 0.0, "doubt": delay.doubt,
+        },
         "calibration": None if result.calibration is None else {
             "converged": result.calibration.converged,
             "columns": ["quantity", "of", "value", "sd", "sd expected", "verdict"],

@@ -15,7 +15,7 @@ from rtof_kin.report.audit_results import AuditResult
 
 SUMMARY: Final = "summary.json"
 SIGMAS: Final = ("relative_m", "world_m")
-_NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s2")  # suffixes of fields that are numbers
+_NUMBERS: Final = ("_m", "_kg", "_hz", "_px", "_share", "_s", "_s2")  # suffixes of fields that are numbers
 _COUNTS: Final = ("first_frame", "cameras")
 _LISTS: Final = ("lever_arm_m", "landmarks")
 
@@ -85,8 +85,8 @@ _TABLES = ("calibration", "camera_estimate")
 
 def _check_inputs(inputs: Any) -> None:
     """Raise `InvalidInputError` if the structure is not that of `report.provenance`."""
-    _check_table("inputs", inputs, {"session", "subject", *_TABLES, "camera", "sensors"})
-    for name in ("session", "subject", "camera"):
+    _check_table("inputs", inputs, {"session", "subject", *_TABLES, "camera", "delay", "sensors"})
+    for name in ("session", "subject", "camera", "delay"):
         _check_table(f"inputs, {name}", inputs.get(name) or {})
     sensors = inputs.get("sensors") or []
     _check("inputs, sensors", sensors, list, "list")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.clock_scan import APART
+from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
@@ -24,11 +26,11 @@ from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment, segments_of
+from rtof_kin.reconstruction.clock_offset import DAYS_APART
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
 from rtof_kin.setup.assignment_check import check_assignment
-from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
 _STILL: Final = np.radians(8.0)
@@ -39,6 +41,9 @@ _SURE: Final = 0.95
 """Probability of a segment below which a sensor is left out: lower ones are stated too high."""
 _USUAL_REACH, _NEAR = 600.0, 60.0
 """[s] Offsets that are searched: at least, and, beside the video's length, about the one that files state."""
+_BELONGING: Final = 0.15
+"""[1] Part of the image's motion below which sensors are of another take; of right ones 0.2 at least."""
+_SAME_DAY: Final = timedelta(days=1)
 _LEAST_COMMON: Final = 2.0
 """[s] Least time that video and sensors have in common."""
 
@@ -85,8 +90,15 @@ def set_up_sensors(
     log = _from_zero(log)
     told = None if places is None else {name: str(places[name].value) for name in log.names}
     clock = _clock(log, take, told, start_utc)
+    apart = _days_apart(log.start_utc, start_utc)
+    if clock.explained < _BELONGING or (apart and clock.doubt):
+        raise InvalidInputError(
+            f"{log.path}: its sensors do not move as the video shows at any offset (they explain "
+            f"{100 * clock.explained:.0f} % of the motion){'; ' if apart else ''}{apart}; give the sensors' "
+            "files of this take, or leave them out and use the camera alone"
+        )
     _check_overlap(clock.apply(log), keypoints.times)
-    doubts = [*still, clock.doubt]
+    doubts = [apart, *still, clock.doubt]
     if places is None or told is None:
         places, unsure = _assigned(clock.apply(log), take)
         told = {name: str(field.value) for name, field in places.items()}
@@ -118,6 +130,16 @@ def _clock(
             if not near.doubt:
                 return near
     return search(reach=max(_USUAL_REACH, *(float(stream.times[-1]) for stream in log.streams)))
+
+
+def _days_apart(sensors: datetime | None, video: datetime | None) -> str:
+    """Return a sentence where the files state days that differ; empty where not, or where one is unknown."""
+    if sensors is None or video is None or abs(sensors - video) < _SAME_DAY:
+        return ""
+    days = abs(sensors - video).days
+    return (
+        f"{DAYS_APART}: the video of {video:%Y-%m-%d}, the sensors of {sensors:%Y-%m-%d}, {days} days apart"
+    )
 
 
 def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
@@ -212,8 +234,10 @@ def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]
 
 
 def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], take: _Take) -> ClockEstimate:
-    """Return the clock with the segments known; a doubt of the first search stays."""
-    again = find_clock(take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=1.0)
+    """Return the clock with the segments known, within half a stride; a doubt of the first search stays."""
+    again = find_clock(
+        take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART
+    )
     return replace(again, doubt=clock.doubt)
 
 

@@ -16,7 +16,7 @@ from rtof_kin.body.pose_prior import has_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.choices import SPACES, Space
 from rtof_kin.core.errors import InvalidInputError, SolverError, UnknownNameError, ViewError
-from rtof_kin.data.confidence import joined
+from rtof_kin.data.confidence import Confidence, joined
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -29,7 +29,7 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
 from rtof_kin.solve.point_terms import PointData, PointTerm, check_terms
-from rtof_kin.solve.solution import FragmentReport, FragmentSolution, SolverStatus
+from rtof_kin.solve.solution import Block, FragmentReport, FragmentSolution, SolverStatus
 
 __all__ = ["FragmentReport", "FragmentSolution", "FragmentSolver", "SolverStatus"]
 
@@ -144,6 +144,7 @@ class FragmentSolver:
             self._solver.oriented(whole, keypoints, bone_imus, views),
             tuple(report for block in blocks for report in block.fragments),
             joined(confidences) if confidences else None,
+            _spread(blocks),
         )
 
     def stream(
@@ -218,6 +219,15 @@ class FragmentSolver:
                 raise UnknownNameError("IMU segment", unknown, self.sensor_joints)
         if keypoints is not None:
             _check_before(keypoints, start)
+
+
+def _spread(blocks: Sequence[Block]) -> Confidence | None:
+    """Covariances of what nobody sees, zero in blocks without any; None for none at all."""
+    if all(block.spread is None for block in blocks):
+        return None
+    return joined([
+        block.spread or block.confidence.scaled(0.0) for block in blocks if block.confidence is not None
+    ])  # fmt: skip
 
 
 def _check_before(keypoints: KeypointSequence, start: PoseSequence, whose: str = "") -> None:

@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,15 @@ class InertialGuidedIK:
 
     def _posed(self, poses: PoseSequence, p: Array, R: Array, sensed: Mask) -> PoseSequence:
         """The poses with positions and orientations, with sensor data where `sensed`."""
+        provenance, valid = self._provenance(poses.provenance, sensed), poses.valid
+        if poses.provenance.any():
+            valid = valid_positions(provenance, poses.times, self.skeleton.parents)
         return replace(
             poses,
             p_world_joint=p,
             R_world_bone=R,
-            provenance=self._provenance(poses.provenance, sensed),
+            provenance=provenance,
+            valid=valid,
             sigma_rad=np.where(sensed, np.nan, poses.sigma_rad),
             orientation_observed=sensed | poses.orientation_observed,
         )

@@ -90,6 +90,8 @@ class Block:
     fragments: tuple[FragmentReport, ...]
     """Reports since the previous block."""
     confidence: Confidence | None = None
+    spread: Confidence | None = None
+    """Covariances of what nobody sees (`joint_space.unseen`); None where everything is seen."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,9 @@ class FragmentSolution:
     confidence: Confidence | None = None
     """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for
     autocorrelated errors (see `uncertainty.covariance_inflation`)."""
+    spread: Confidence | None = None
+    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated
+    ones; None where everything is seen."""
 
     @property
     def status(self) -> SolverStatus:
@@ -160,10 +165,10 @@ def misfits(
     for f in solved:
         if f.sees_enough and f.sigma_reprojection >= least:
             bad[max(f.first_frame, 0) : f.first_frame + frames] = True
-    bad &= np.isfinite(off_px)
     return tuple(
-        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {np.median(off_px[a:b]):.0f} px from where "
+        f"{times[a]:.1f} to {times[b - 1]:.1f} s: joints lie {np.nanmedian(off_px[a:b]):.0f} px from where "
         f"they were seen, in the median ({np.nanmedian(off_px):.0f} in the whole recording); the pose may be "
         "wrong there, compare it with the video"
         for a, b in signals.runs(bad)
+        if np.isfinite(off_px[a:b]).any()
     )

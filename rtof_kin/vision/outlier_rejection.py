@@ -27,6 +27,7 @@ _PAST, _FRAMES_OF_PAST, _FEWEST_FRAMES = 0.15, 5, 3  # [s] and frames of a predi
 _APART, _NEARER = 0.08, 0.35  # [sizes] least error of a point, and its ratio with sides exchanged
 _REACH, _REACH_RATE = 0.25, 5.0  # [sizes] largest step, and its growth per s
 _FEWEST, _FEWEST_PAIRS = 4, 2  # points that identify a person, pairs that show an exchange
+_LONGEST_BLINK = 0.75  # [s] without a person from which that is a fault
 _LOWER = ("Leg", "Foot", "Toe", "Heel", "Hip", "Knee")
 
 
@@ -54,6 +55,18 @@ def reject_keypoint_outliers(
         keypoints, faults = _without_other_people(keypoints)
         found += faults
     return keypoints, tuple(sorted(found, key=lambda fault: fault.start))
+
+
+def gaps(keypoints: KeypointSequence) -> Iterator[StreamFault]:
+    """Yield intervals in which nobody is seen, within the video.
+
+    Args:
+        keypoints: T frames, not necessarily evenly spaced.
+    """
+    seen = keypoints.times[keypoints.seen.sum(axis=1) >= _FEWEST]
+    edges = np.array([keypoints.times[0], *seen, keypoints.times[-1]])
+    for i in np.flatnonzero(np.diff(edges) > _LONGEST_BLINK):
+        yield StreamFault(FaultKind.UNSEEN, "the person", float(edges[i]), float(edges[i + 1]))
 
 
 def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:

@@ -53,6 +53,21 @@ def test_estimate_of_mode_imu_is_shifted_to_the_first_common_frame(truth: PoseSe
     assert metrics.comparable(truth, shifted(truth, 1.0), "rtof") is truth
 
 
+def test_worlds_that_differ_by_a_turn_and_a_shift_are_aligned(truth: PoseSequence) -> None:
+    R = so3.about_axis("z", 2.0)
+    elsewhere = replace(
+        truth, p_world_joint=truth.p_world_joint @ R.T + [4.0, -3.0, 0.5], R_world_bone=R @ truth.R_world_bone
+    )
+    moved, angle, shift = metrics.aligned_worlds(elsewhere, truth)
+    assert angle == pytest.approx(-2.0)
+    assert shift == pytest.approx(-R.T @ [4.0, -3.0, 0.5])
+    assert evaluate(elsewhere, truth)["mpjpe_mm"] > 4000
+    aligned = evaluate(moved, truth)
+    assert (aligned["mpjpe_mm"], aligned["angle_deg"]) == pytest.approx((0, 0), abs=1e-4)
+    tilted = replace(truth, p_world_joint=truth.p_world_joint @ so3.about_axis("x", 0.2).T)
+    assert evaluate(metrics.aligned_worlds(tilted, truth)[0], truth)["mpjpe_mm"] > 20  # tilt is an error
+
+
 def test_truth_has_no_error_and_a_constant_shift_only_an_absolute_one(truth: PoseSequence) -> None:
     for shift in (0.0, 0.05):
         figures = evaluate(shifted(truth, shift * DIRECTION), truth)

@@ -6,10 +6,10 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError
 from rtof_kin.calibration.clock_scan import Scan
 from rtof_kin.calibration.turning import STEP, Turning
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import CalibrationError
 
 
 def turning(seed: int, samples: int, columns: int = 3) -> Turning:

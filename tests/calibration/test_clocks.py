@@ -10,10 +10,10 @@ import pytest
 from clocks_support import cut, filmed, joints, shifted, skeleton, worn
 
 from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.core.errors import CalibrationError, UnknownNameError
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 
 
 @cache

@@ -12,6 +12,8 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.estimate import with_places
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration, Verdict, bone_groups
 from rtof_kin.core import rotations as so3
@@ -54,10 +56,37 @@ def test_unobserved_quantities_are_not_applied() -> None:
     np.testing.assert_array_equal(after.calibration.R_sensor_bone, before.calibration.R_sensor_bone)
 
 
-def test_delay_shifts_the_times_of_keypoints() -> None:
-    times = recording().keypoints.times
-    after = applied(quantity("delay", "video", 0.05, 0.01), middle=0.1)
-    np.testing.assert_allclose(after.keypoints.times, times - 0.05 - 0.01 * (times - 0.1))
+def test_a_delay_of_usual_detectors_shifts_the_times_of_keypoints_alone() -> None:
+    before, after = recording(), applied(quantity("delay", "video", 0.04))
+    np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.04)
+    np.testing.assert_array_equal(after.imus.times, before.imus.times)
+
+
+def test_another_delay_shifts_the_sensors_to_where_a_usual_detector_would_be() -> None:
+    before, after = (
+        recording(),
+        applied(replace(quantity("delay", "video", -0.172, 0.01), sigma=np.array([0.01, 0.001])), middle=0.1),
+    )
+    np.testing.assert_allclose(after.keypoints.times, before.keypoints.times - 0.028)
+    sensed = before.imus.times  # what the video shows at t is sensed at t + 0.172 - 0.01 (t - 0.1)
+    np.testing.assert_allclose(after.imus.times, 0.1 + (sensed - 0.1 - 0.172) / 0.99 - 0.028, atol=1e-9)
+
+
+def test_a_delay_in_doubt_is_not_applied() -> None:
+    doubted = replace(quantity("delay", "video", -0.112), doubt="the search ends at its border")
+    before, after = recording(), applied(doubted)
+    np.testing.assert_array_equal(after.keypoints.times, before.keypoints.times)
+    np.testing.assert_array_equal(after.imus.times, before.imus.times)
+
+
+def test_a_delay_is_added_to_that_of_the_clocks_unless_it_is_in_doubt() -> None:
+    clocks = SelfCalibration((quantity("delay", "video", -0.2, 0.01),), middle=1.0)
+    small = quantity("delay", "video", 0.004)
+    both = SelfCalibration((small,), middle=2.0).after(clocks)
+    np.testing.assert_allclose(both["delay", "video"].value, [-0.186, 0.01])
+    doubted = SelfCalibration((replace(small, doubt="why"),), middle=1.0).after(clocks)
+    np.testing.assert_allclose(doubted["delay", "video"].value, [-0.2, 0.01])
+    assert not doubted["delay", "video"].doubt
 
 
 def test_bias_is_subtracted_from_its_landmark() -> None:
@@ -238,3 +267,17 @@ def test_further_views_keep_clock_and_pose_beside_the_first_camera() -> None:
     np.testing.assert_allclose(relative(after), relative(before), atol=1e-12)
     assert np.abs(after.views[0].camera.R_camera_world - camera.R_camera_world).max() > 1e-3
     np.testing.assert_allclose(after.views[0].times, after.video.times, atol=1e-12)
+
+
+def test_an_estimated_mounting_carries_the_place_errors_of_the_detector() -> None:
+    body = SkeletonModel.default()
+    sigma_prior = np.radians([20.0, 20.0, 20.0])
+    free = Quantity("mounting", "LeftLeg", np.zeros(3), np.radians([2.0] * 3), sigma_prior, 0.95)
+    known = replace(free, item="RightLeg", sigma_prior=np.radians([2.0] * 3))
+    variances = SelfCalibration((free, known)).place_variances(body)
+    length = np.linalg.norm(body.joint_offsets[body.index("LeftFoot")[0]])
+    assert variances["LeftLeg"] == pytest.approx(np.arctan(0.025 * np.sqrt(2) / length) ** 2)
+    assert variances["RightLeg"] == pytest.approx(np.radians(2.0) ** 2)
+    wide = with_places(free, body)
+    np.testing.assert_allclose(wide.sigma**2, free.sigma**2 + variances["LeftLeg"])
+    assert np.degrees(wide.sigma.min()) > 4

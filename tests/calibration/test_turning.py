@@ -6,8 +6,8 @@ import numpy as np
 import planted
 from clocks_support import filmed, skeleton, worn
 
-from rtof_kin.core import rotations as so3
 from rtof_kin.calibration.turning import STEP, image_turning, sensor_turning
+from rtof_kin.core import rotations as so3
 
 
 def test_a_sensor_turns_like_its_segment_but_for_the_heading() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import shutil
@@ -16,6 +17,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER
+from rtof_kin.cli.terminal import log_handler
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.recording import Recording
@@ -211,7 +214,7 @@ def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: An
 def test_evaluate_prints_the_stage_beside_zero_motion(short: Path, reconstructed: Path, cli: Any) -> None:
     done = cli("evaluate", reconstructed, "--truth", short)
     assert done.code == 0
-    for text in ("rtof", "zero", "LeftForeArm", "[m/s2]"):
+    for text in ("rtof", "zero", "LeftForeArm", "[m/s2]", "worlds aligned: the motion is turned by"):
         assert text in done.out
     assert "\u2026" not in done.out  # no heading is cut at 80 columns
 
@@ -245,3 +248,27 @@ def test_simulate_writes_a_recording_with_the_sensors_asked_for(tmp_path: Path, 
     assert recording.imus.names == ("Pelvis", "L_LowArm")
     assert recording.truth is not None
     assert str(folder) in cli(*command).err
+
+
+def test_paths_longer_than_the_system_takes_are_one_sentence(cli, tmp_path: Path) -> None:
+    name, path = "x" * 300, "/".join(["y" * 200] * 25)
+    for long in (name, path):
+        for arguments in (
+            ("reconstruct", long, "-o", tmp_path / "out"), ("reconstruct", tmp_path, "-o", tmp_path / long),
+            ("report", long), ("inspect", long), ("batch", long, "-o", tmp_path / "out"),
+            ("batch", tmp_path, "-o", tmp_path / long), ("live", long, "--imus", long), ("view", long),
+            ("live", "--finish", long), ("export", long, "--to", "osim", tmp_path / "a"),
+        ):  # fmt: skip
+            done = cli(*arguments)
+            assert (done.code, done.err.count("error: ")) == (2, 1), (arguments, done.err)
+            assert "Traceback" not in done.err
+
+
+def test_escape_codes_of_others_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "\x1b[1mWeights only\x1b[0m \x1b]0;title\x07\x1b]8;;http://x\x1b\\load\x9b2J\x08 failed\n\x1b[3"
+    assert plain(text) == "Weights only load2J failed\n"
+    assert str(RtofError(text)) == str(FileFormatError("a", text)).removeprefix("a: ") == plain(text)
+    assert str(OutputExistsError(text)) == plain(text)
+    handler = log_handler()
+    handler.handle(logging.LogRecord("torch", logging.WARNING, "", 0, "%s", (text,), None))
+    assert capsys.readouterr().err == "WARNING: Weights only load2J failed\n\n"

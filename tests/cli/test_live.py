@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from detector_support import points_px, walking, watching
-from live_support import FakeEstimator, demo
+from live_support import FakeEstimator, demo, imu_samples
 from rich.console import Console
 
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
@@ -22,6 +22,8 @@ from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.cli.live_display import LiveDisplay
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.session.clock_map import Arrived
+from rtof_kin.live.session.recorder import Recorder
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Person
 
@@ -141,22 +143,43 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
 
 
 @pytest.mark.usefixtures("estimator")
-def test_ctrl_c_ends_the_session_and_finishes_the_recording(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_and_signals_end_the_session_and_finish_the_recording(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sent: signal.Signals
 ) -> None:
     advance, steps = FakeEstimator.advance, iter(range(1000))
 
     def interrupted(self: FakeEstimator, *arguments: Any, **how: Any) -> list[OnlineEstimate]:
         if next(steps) == 50:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), sent)
         return advance(self, *arguments, **how)
 
+    before = signal.getsignal(sent)
     monkeypatch.setattr(FakeEstimator, "advance", interrupted)
     take = tmp_path / "take"
     done = cli("live", DEMO, "--imus", DEMO, "-o", take)
     assert done.code == 0
     assert "rtof-kin reconstruct" in done.out
     assert Recording.load(take).imus is not None
+    assert signal.getsignal(sent) is before
+
+
+def test_a_killed_session_is_finished_and_reconstruct_says_how(cli: Cli, tmp_path: Path) -> None:
+    take = tmp_path / "take"
+    recorder = Recorder(take, demo(), in_background=False)
+    for sample in imu_samples(1.0):
+        recorder.add(Arrived("demo", sample, sample.time, sample.time))
+    recorder.close()  # as far as a killed one comes
+    refused = cli("reconstruct", take, "-o", tmp_path / "out")
+    assert refused.code == 2
+    assert f"rtof-kin live --finish {take} makes a recording of it" in refused.err
+    done = cli("live", "--finish", take)
+    assert done.code == 0, done.err
+    assert f"next rtof-kin reconstruct {take} -o OUT" in done.out
+    assert len(Recording.load(take).imus or ()) >= 59
+    again = cli("live", "--finish", take)
+    assert (again.code, "is a recording already" in again.err) == (2, True)
+    assert cli("live", DEMO, "--finish", take).code == cli("live").code == 2
 
 
 @pytest.mark.usefixtures("estimator")

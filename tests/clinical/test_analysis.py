@@ -246,9 +246,9 @@ def test_command_writes_the_folder_and_prints_tables(
 
 
 def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two strides are too few; their numbers are in the files all the same."""
+    """Two strides on a treadmill are too few; their numbers are in the files all the same."""
     path = tmp_path / "motion.npz"
-    write_motion_npz(path, walking(2.4), mode="rtof")
+    write_motion_npz(path, walking(2.4, treadmill=True), mode="rtof")
     assert main(["analyse", str(path), "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "gait: Only 2 complete strides of walking" in text

@@ -74,9 +74,7 @@ def standing_first(motion: MotionSequence, seconds: float) -> MotionSequence:
 
 
 @pytest.mark.parametrize(("seconds", "strides"), [(1.8, 1), (2.4, 2)])
-def test_a_short_walk_is_gait_from_one_stride_on_and_says_what_it_rests_on(
-    seconds: float, strides: int
-) -> None:
+def test_a_short_walk_is_gait_from_one_stride_on_and_says_on_what(seconds: float, strides: int) -> None:
     gait = analysed(walking(seconds))
     assert gait.is_gait
     assert len(gait.verdict.walking) == strides

@@ -158,7 +158,9 @@ def test_sensors_alone_begin_on_the_floor() -> None:
     lowest = np.array([estimate.poses.p_world_joint[0, :, 2].min() for estimate in found])
     assert len(found) > 100
     assert np.abs(lowest).max() < 0.3
-    assert found[60].poses.valid.all()
+    poses = found[60].poses
+    assert poses.valid[0, 0]
+    np.testing.assert_array_equal(poses.valid[0, 1:], poses.provenance[0, 1:] >= Provenance.IMU)
     assert errors_mm(found)[30:].mean() < 120
 
 

@@ -124,3 +124,13 @@ def test_posture_says_less_in_a_short_recording() -> None:
     short = evidence(scene(), seen(), WALK.poses[:60], WALK.poses)
     long = evidence(scene(), seen(), WALK.poses, WALK.poses)
     assert (short.sigma[3:5] > 1.5 * long.sigma[3:5]).all()
+
+
+def test_a_sensor_on_a_segment_without_a_child_tells_no_direction() -> None:
+    parts = scene(sensors=True)
+    assert parts.bone_imus is not None
+    leaf = next(i for i in range(len(BODY.names)) if i not in BODY.parents)
+    joints = (*parts.bone_imus.joints[:-1], BODY.names[leaf])
+    leaves = replace(parts, bone_imus=replace(parts.bone_imus, joints=joints))
+    found = evidence(leaves, seen(), WALK.poses, WALK.poses)
+    np.testing.assert_allclose(found.value[3:5], 0.0, atol=1e-6)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import planted
 import pytest
@@ -84,3 +86,14 @@ def test_person_behind_the_camera_is_refused_with_the_frame(case: Case) -> None:
     lifter.p[17] += [9.0, 0.0, 0.0]
     with pytest.raises(ViewError, match="frame 17 is behind the camera"):
         case.run(lifter=lifter)
+
+
+def test_unseen_legs_are_not_valid_beyond_half_a_second(case: Case) -> None:
+    legs = BODY.index("LeftLeg", "LeftFoot")
+    video = case.recording.video
+    for step, valid in ((1.0, True), (12.0, False)):  # five frames are 0.1 s, then 1.2 s
+        hidden = replace(planted.unseen(video, slice(5, 10), legs), times=video.times * step)
+        poses = case.changed(keypoints=hidden).lift(case.lifter()).poses
+        assert np.all(poses.valid[5:10, legs] == valid)
+        assert poses.valid[:5].all()
+        assert np.all(poses.provenance[5:10, legs] == Provenance.PRIOR)

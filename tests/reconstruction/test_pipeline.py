@@ -212,7 +212,7 @@ def test_settings_reach_sf2_and_the_fragment_solver(case: Case) -> None:
 def test_floor_of_the_recording_reaches_lifter_and_solver(case: Case, floor: float | None) -> None:
     lifter, own = case.lifter(), case.changed(floor_height=floor)
     assert (floor_energy(own.run(lifter=lifter)) > 0) == (floor is not None)
-    assert lifter.floors == [floor]
+    assert lifter.floors == [floor, floor]  # the first is that of the clocks
     given = replace(SETTINGS, fragment=JointSpaceSettings(floor_height=5.0))
     assert floor_energy(own.run(settings=given)) > 10  # settings override the recording
 
@@ -282,3 +282,23 @@ def test_priors_of_a_calibration_that_is_not_made_are_refused(case: Case) -> Non
         case.run(calibrate=False, priors=QUICK_PRIORS)
     with pytest.raises(CalibrationError, match="no IMUs.*'rto'"):
         calibrate_recording(replace(case.recording, imus=None, calibration=None))
+
+
+def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -> None:
+    ones = np.ones(3)
+    free = SelfCalibration(tuple(
+        Quantity("mounting", name, 0.01 * ones, 0.03 * ones, prior * ones, 0.95)
+        for name, prior in (("LeftUpLeg", 0.4), ("LeftLeg", 0.4))
+    ))  # fmt: skip
+    wide = case.run("rtof", calibration=free)
+    known = replace(free, quantities=tuple(replace(q, sigma_prior=0.035 * ones) for q in free.quantities))
+    usual = case.run("rtof", calibration=known)
+    (said,) = [text for text in wide.warnings if text.startswith("the zero of knee and elbow flexion")]
+    assert "+-1" in said  # 10 to 19 deg
+    assert not any("zero of knee" in text for text in usual.warnings)
+    assert wide.motion.confidence is not None
+    assert usual.motion.confidence is not None
+    knees = [
+        c.turn("LeftUpLeg", "LeftLeg")[:, 1, 1] for c in (wide.motion.confidence, usual.motion.confidence)
+    ]
+    assert np.degrees(np.sqrt(knees[0].mean() - knees[1].mean())) > 5

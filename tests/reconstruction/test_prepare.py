@@ -30,20 +30,21 @@ Array = NDArray[np.float64]
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
 @pytest.mark.parametrize("with_sensors", [True, False])
-def test_video_is_lifted_once_with_the_sensors_of_the_mode(
+def test_video_is_lifted_for_the_clocks_and_once_with_the_sensors_of_the_mode(
     case: Case, mode: Mode, with_sensors: bool
 ) -> None:
     lifter, used = case.lifter(), mode in ("sf2", "rtof")
     settings = replace(SETTINGS, lift_with_sensors=with_sensors)
     result = case.run(mode, lifter=lifter, settings=settings)
     assert (result.bone_imus is not None) == used
-    assert lifter.sensors == [result.bone_imus if used and with_sensors else None]
+    of_clocks = [None] if used else []
+    assert lifter.sensors == [*of_clocks, result.bone_imus if used and with_sensors else None]
 
 
-def test_video_is_lifted_twice_with_calibration(case: Case) -> None:
+def test_video_is_lifted_once_more_with_calibration(case: Case) -> None:
     lifter = case.lifter()
     assert case.run(lifter=lifter, calibrate=True, priors=QUICK_PRIORS).calibration is not None
-    assert len(lifter.asked) == 2
+    assert len(lifter.asked) == 3
 
 
 def test_rejected_sensor_runs_sf2_again_on_the_same_lift(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +69,7 @@ def test_rejected_sensor_runs_sf2_again_on_the_same_lift(case: Case, monkeypatch
     assert np.isnan(result.bone_imus.R_world_bone[:, 0]).all()
     assert len(refined) == 2
     assert refined[0] is refined[1] is result.stages["lift"]
-    assert [sensors is not None for sensors in lifter.sensors] == [True, False]
+    assert [sensors is not None for sensors in lifter.sensors] == [False, True, False]
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rtof"])

@@ -124,7 +124,7 @@ def test_faults_and_warnings_are_results(good: Reconstruction) -> None:
     fault = StreamFault(FaultKind.STUCK, "LeftLeg", 0.1, 0.3)
     off = replace(good, faults=(fault,), warnings=("the posture is unknown",))
     found = of(off, "streams", "LeftLeg", "fault")
-    assert found.text.startswith("LeftLeg: fault, duration 0.2 s at 0.1 s: ")
+    assert found.text.startswith("LeftLeg, 0.1 to 0.3 s: the sensor repeated")
     assert found.note == FaultKind.STUCK.value
     texts = [f.text for f in audit(off)]
     assert "motion: the posture is unknown" in texts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -25,7 +26,7 @@ FOCAL = AuditResult(
     "the focal length is too short: compare it with the camera's file",
 )  # fmt: skip
 WARNING = AuditResult.warning("streams", "motion", "two sensors are exchanged")
-FAULT = AuditResult("streams", "fault, duration", "LeftLeg", 2.0, "s", -1.0, note="it stuck")
+FAULT = AuditResult("streams", "fault, duration", "LeftLeg", 2.0, "s", -1.0, note="it stuck", at=1.0)
 UNKNOWN = AuditResult.not_checked("inputs", "camera", "the person does not move", "distance")
 WEAK = AuditResult.remark("calibration", "30 quantities", "1 observed, 29 weakly observed", weak=True)
 
@@ -39,13 +40,19 @@ def test_contradicted_inputs_come_first_with_their_likely_cause() -> None:
     assert "\n" not in found.line
 
 
+def test_of_several_contradicted_inputs_the_first_leads_as_they_are_in_the_order_of_cause() -> None:
+    tilted = replace(FOCAL, value=0.11, note="the references are tilted: calibrate")
+    assert headline([tilted, FOCAL]).line.startswith("fail: the references are tilted")
+
+
 @pytest.mark.parametrize(
     ("results", "grade", "text"),
     [
         ([OFF, LOOSE, LOST, GONE], Grade.FAIL, "gave up"),
         ([OFF, LOOSE, LOST], Grade.FAIL, "the prior alone"),
         ([LOOSE, WARNING, OFF], Grade.FAIL, "the camera is off"),
-        ([LOOSE, FAULT, WARNING], Grade.WARN, "motion: two sensors are exchanged"),
+        ([LOOSE, FAULT, WARNING], Grade.WARN, "LeftLeg, 1.0 to 3.0 s: it stuck"),
+        ([LOOSE, WARNING], Grade.WARN, "motion: two sensors are exchanged"),
         ([GOOD, LOOSE], Grade.WARN, "LeftLeg: residual 3 deg (above 2 deg): mounting"),
     ],
 )
@@ -82,9 +89,7 @@ def test_the_summary_has_grade_headline_and_sections() -> None:
     assert plain["sections"] == {"image": "pass", "sensors": "warn"}
 
 
-BAND = AuditResult(
-    "room", ROOM_BAND, "position", 1.1, "m", note="± 1.1 m, the focal length is not checked", weak=True
-)
+BAND = AuditResult("room", ROOM_BAND, "position", 1.1, "m", note="the focal length is not checked", weak=True)
 LENS = AuditResult(
     "room", "height of the ankle", "the person", 0.4, "m", 0.2, 0.2, note="the lens is higher: measure it"
 )

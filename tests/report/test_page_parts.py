@@ -17,6 +17,7 @@ from report_support import Page, certain_to, unpacked
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.range_of_motion import UncertainEnd
 from rtof_kin.data.poses import Provenance
 from rtof_kin.report import plot_data
 from rtof_kin.report.angle_names import angle_name, side_and_name
@@ -198,13 +199,30 @@ def test_the_figure_opens_on_a_frame_in_which_the_person_is_seen() -> None:
     assert "data.times[data.first]" in asset("player.js")
 
 
+def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -> None:
+    motion = walk()
+    analysis = analyse_motion(replace(motion, confidence=certain_to(2.0, motion)))
+    end = UncertainEnd(1.0, np.radians(141.0), np.radians(200.0))
+    rows = [
+        replace(row, uncertain_high=end) if row.name == "right_hip_flexion" else row
+        for row in analysis.ranges
+    ]
+    html = ranges_section(rows, analysis.angles.rows)
+    (hip,) = re.findall(r"<tr[^>]*>(?:(?!</tr>).)*>hip flexion .*?</tr>", html, re.DOTALL)
+    assert "<small>the highest 1.0 s is uncertain (up to 141)</small>" in hip
+    assert "&gt;= " in hip
+    assert re.search(r'data-label="right - left"></td>', hip)
+
+
 def test_the_way_says_how_far_and_which_way_it_turned() -> None:
     way = analyse_motion(walk()).travel
     text = Page(way_line(way)).text[""]
     assert f"{way.path_length:.1f} m along its path" in text
-    assert "not turned" in text
-    text = Page(way_line(replace(way, turned_left=np.pi, observed_share=0.5))).text[""]
-    assert "turned 180° to the left" in text
+    assert "without turns" in text
+    turned = replace(way, turned_left=np.pi, turned_left_sigma=np.radians(5.0), observed_share=0.5)
+    text = Page(way_line(turned)).text[""]
+    assert "turning 180 ± 10° left" in text
+    assert "turns within their error" in way_line(replace(way, unsure_turns=True))
     assert "position observed in 50 %" in text
     assert "not observed" in way_line(replace(way, path_length=np.nan))
 

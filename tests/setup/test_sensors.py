@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from setup_support import write_demo
 
+from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu_stream import SensorLog
@@ -21,7 +22,6 @@ from rtof_kin.reconstruction.lift import lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import sensors
 from rtof_kin.setup.alignment import align_sensors
-from rtof_kin.calibration.clocks import ClockEstimate
 from rtof_kin.setup.recording_text import Field, summaries
 from rtof_kin.setup.sensors import SetupSensors, set_up_sensors
 
@@ -134,6 +134,32 @@ def test_sensors_of_another_time_are_doubted(take: Take) -> None:
         streams.append(replace(stream, **arrays))
     found = take.set_up(replace(take.log, streams=tuple(streams)), take.map)
     assert any("check that" in doubt or "sure" in doubt for doubt in found.doubts)
+
+
+@pytest.mark.parametrize(("explained", "days", "doubt"), [(0.1, 0, ""), (0.4, 1100, "too short")])
+def test_sensors_of_another_take_or_day_stop_the_setup(
+    take: Take, monkeypatch: pytest.MonkeyPatch, explained: float, days: int, doubt: str
+) -> None:
+    clock = ClockEstimate(-3.0, 0.0, 0.01, 50.0, doubt, explained=explained)
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: clock)
+    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
+    log = replace(take.log, start_utc=start - timedelta(days=days))
+    with pytest.raises(InvalidInputError, match="do not move as the video shows") as error:
+        set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+    assert ("1100 days apart" in str(error.value)) == bool(days)
+
+
+def test_sensors_that_fit_but_state_another_day_are_doubted_first(
+    take: Take, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: ClockEstimate(-3.0, 0.0, 0.01, 50.0))
+    start = datetime(2024, 1, 31, 12, tzinfo=UTC)
+    log = replace(take.log, start_utc=start - timedelta(days=9))
+    found = set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
+    assert found.doubts[0] == (
+        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, "
+        "9 days apart"
+    )
 
 
 def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,6 +58,7 @@ RECORDINGS = {
     stabilised = true
     heading_drift_deg_s = 0.01
     uncertainty = {{focal = 0.1, tilt_deg = 5, roll_deg = 1.0, height_m = 0.02, k1 = 0.05, of_motion = true}}
+    accuracy = {{focal = 0.004, tilt_deg = 0.3, roll_deg = 0.2, height_m = 0.01, k1 = 0.01}}
     [keypoints]
     file = "keypoints.npz"
     rate_hz = 60.0

@@ -64,8 +64,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[bool | None]:
-    """Lock a folder: True; False if another process has it locked or removed, or another user has made it;
-    None without file locks.
+    """Lock a folder: True; False if another process has it locked or removed; None without file locks.
 
     Args:
         folder: to be locked while the block runs.
@@ -76,7 +75,7 @@ def locked(folder: Path) -> Iterator[bool | None]:
             descriptor = os.open(folder, os.O_RDONLY)
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             held = True
-    except (BlockingIOError, FileNotFoundError, PermissionError):
+    except (BlockingIOError, FileNotFoundError):
         held = False
     except OSError:  # a file system without locks
         held = None
@@ -109,7 +108,8 @@ def remove_leftovers(parent: Path) -> None:
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             found = _OWN.fullmatch(entry.name)
-            if found is None or not entry.is_dir(follow_symlinks=False):
+            mine = os.access(entry.path, os.R_OK | os.W_OK | os.X_OK)
+            if found is None or not mine or not entry.is_dir(follow_symlinks=False):
                 continue
             folder = Path(entry.path)
             with locked(folder) as held:

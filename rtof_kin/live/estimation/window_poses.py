@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from rtof_kin.body.observability import WHOLE, levels_by_points
 from rtof_kin.core.array_types import Mask
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.data.poses import LONGEST_BRIDGE, PoseSequence, Provenance
 from rtof_kin.live.estimation.window import Window
-
-_BRIDGED_S: Final = 0.5  # [s] without image and sensors for which a pose counts as valid
 
 
 class WindowPoses:
@@ -34,16 +30,22 @@ class WindowPoses:
         seen, sensed = window.seen[i], self._sensed(i)
         by_imu = np.zeros(len(seen), dtype=bool)
         by_imu[1:] = sensed[list(skeleton.parents[1:])]  # the segments that end in the joints
-        unseen = Provenance.PRIOR if window.camera is None else Provenance.BRIDGED
+        person = window.camera is None or seen.any()
+        unseen = Provenance.PRIOR if person else Provenance.BRIDGED
         provenance = np.where(
             by_imu,
             np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU),
             np.where(seen, Provenance.CAMERA, unseen),
         )
-        valid = bool(seen.any() or sensed.any() or window.lost_s < _BRIDGED_S)
+        first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
+        valid: Mask = np.asarray(window.seen[first : i + 1].any(axis=0))
+        if window.camera is None:
+            valid = np.concatenate([[sensed.any()], by_imu[1:]])
+        for j, parent in enumerate(skeleton.parents):
+            valid[j] |= parent >= 0 and by_imu[j] and valid[parent]
         return PoseSequence(
             np.array([time]), p, R, skeleton.names, provenance[None].astype(np.uint8),
-            np.full((1, len(seen)), valid), (sensed | (self._whole(seen) & valid))[None],
+            valid[None], (sensed | (self._whole(seen) & valid))[None],
         )  # fmt: skip
 
     def _sensed(self, i: int) -> Mask:

@@ -361,8 +361,7 @@ class LiveSession:
         if self._summary is not None:
             return self._summary
         with suppress(RtofError):
-            rest = self._estimator.finish()
-            self._send(rest, arrival)
+            self._send(rest := self._estimator.finish(), arrival)
             if rest and self._times.frames:
                 self._times.add(self._times.percentile(50), len(rest))
         for feed in self._feeds:

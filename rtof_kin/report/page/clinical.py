@@ -43,13 +43,8 @@ def way_line(travel: Travel) -> str:
                 f", {travel.displacement:.1f} m {travel.way}".rstrip()
                 + " from its first to its last position"
             )
-    turns = [
-        f"{math.degrees(turn):.0f}° to the {side}"
-        for side, turn in (("left", travel.turned_left), ("right", travel.turned_right))
-        if turn > 0
-    ]
     known = math.isfinite(travel.turned_left)
-    turned = "turned " + " and ".join(turns) if turns else "not turned" if known else "turns not observed"
+    turned = travel.turns or ("turns within their error" if known else "turns not observed")
     seen = travel.observed_share
     share = f"; position observed in {100 * seen:.0f} % of the frames" if seen < OBSERVED else ""
     notes = "".join(f"; {note}" for note in travel.notes)

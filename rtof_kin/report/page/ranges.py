@@ -12,7 +12,6 @@ import numpy as np
 
 from rtof_kin.clinical.angle_table import AngleRow
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.data.confidence import BAND_95
 from rtof_kin.report.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, side_and_name
 from rtof_kin.report.html import table
 from rtof_kin.report.page.clinical import OBSERVED
@@ -24,8 +23,6 @@ _BOTH: Final = (
 )  # fmt: skip
 _RELIABLE: Final = 0.75
 """Share of reliable among observed frames below which a range says it."""
-_COMPARED: Final = 0.75
-"""Share of observed and reliable frames of both sides from which on they are compared."""
 _FEWEST: Final = 0.25
 """Share of observed and reliable frames below which there is no range."""
 
@@ -81,7 +78,7 @@ def _single(line: _Line) -> tuple[str, ...]:
 def _both(line: _Line) -> tuple[str, ...]:
     right, left = line.first, line.second
     difference = math.nan
-    if right and left and min(_reliable_share(right), _reliable_share(left)) >= _COMPARED:
+    if right and left and right.is_comparable and left.is_comparable:
         difference = math.degrees(right.range - left.range)
     return (
         _title(line.name),
@@ -105,14 +102,15 @@ def _range(found: RangeOfMotion | None) -> str:
     if not _has_range(found):
         few = 100 * _reliable_share(found)
         return f"<small>{f'reliable only {few:.0f} %' if few else 'no reliable value'}</small>"
-    sigma = BAND_95 * math.degrees(found.range_sigma)
-    within = f" &plusmn; {sigma:.0f}" if math.isfinite(sigma) else ""
     share = ""
     if found.known_share < OBSERVED:
         share = f" <small>observed {100 * found.known_share:.0f} %</small>"
     if found.trusted_share < _RELIABLE:
         share += f" <small>{100 * found.trusted_share:.0f} % of it reliable</small>"
-    return f"<b>{_whole(found.range)}</b>{within}{share}"
+    value, _, uncertain = found.text.partition(", ")
+    value, _, half = value.partition(" \u00b1 ")
+    within = f" &plusmn; {half}" if half else f" <small>{escape(uncertain)}</small>" if uncertain else ""
+    return f"<b>{escape(value)}</b>{within}{share}"
 
 
 def _ends(found: RangeOfMotion | None, name: AngleName) -> str:

@@ -25,6 +25,7 @@ from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.unseen import unseen_covariance, unseen_times
 from rtof_kin.solve.point_terms import PointData, PointTerm
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
 from rtof_kin.vision.image_points import measurements
@@ -87,13 +88,17 @@ class JointSpaceSolver:
             fragments.least_px = {piece.first: piece.report.sigma_reprojection for piece in solved}
             data.continue_from(np.concatenate([x for _, x, _, _ in parts]))
         reports: list[FragmentReport] = []
+        unseen = unseen_times(data)
         for frames, x, previous, piece in blends(fragments.settled(firsts, progress)):
-            count, known = len(x), None
+            count, known, spread = len(x), None, None
             if previous.covariance is not None and piece.covariance is not None:
                 C = blended(previous.covariance[half:], piece.covariance[:half], share)[:count]
                 known = confidence_of(data.space, times[frames], x, C, data.fixed)
+                if unseen[frames].any():
+                    C = unseen_covariance(data, unseen[frames])
+                    spread = confidence_of(data.space, times[frames], x, C, data.fixed)
             reports = [piece.report] if reports else [previous.report, piece.report]
-            yield Block(frames, *data.space.poses(x), tuple(reports), known)
+            yield Block(frames, *data.space.poses(x), tuple(reports), known, spread)
 
     def oriented(
         self, poses: PoseSequence, keypoints: KeypointSequence | None, _: BoneImuSequence | None,
