@@ -149,8 +149,10 @@ def _typical(rows: Sequence[Row]) -> str:
 
 def _of_right(rows: Sequence[Row]) -> list[str]:
     lines = [
-        "| | n | false alarms | world | relative | angles | " + " | ".join(ERRORS.values()) + " |",
-        "|---" * (6 + len(ERRORS)) + "|",
+        "| | n | false alarms | world | relative | angles | "
+        + " | ".join(ERRORS.values())
+        + " | world stated mm |",
+        "|---" * (7 + len(ERRORS)) + "|",
     ]
     alarms = []
     for name in RIGHT:
@@ -162,7 +164,8 @@ def _of_right(rows: Sequence[Row]) -> list[str]:
             told = [row for row in own if "inside" in row]
             shares = [f"{np.nanmean([r['inside'][b] for r in told]):.0%}" for b in told[0]["inside"]]
             errors = [f"{np.mean([r[e] for r in told]):.1f}" for e in ERRORS]
-            cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors]
+            sigma = f"{np.mean([r.get('world_sigma_mm', np.nan) for r in told]):.0f}"
+            cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors, sigma]
             lines.append("| " + " | ".join(cells) + " |")
             alarms += [f"- {name}, {r['motion']}, {sensors} sensors: {r['line'][:200]}" for r in wrong]
     image = np.array([row["image"] for row in rows if row["fault"] in RIGHT and "image" in row])
