@@ -230,10 +230,11 @@ def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
         size = float(np.sqrt(np.mean((quantity.value / quantity.sigma_prior) ** 2)))
         if quantity.verdict is Verdict.PRIOR:
             size = 0.0  # no correction is applied
+        weak = quantity.verdict is not Verdict.OBSERVED  # convicts nothing
         yield AuditResult(
             "calibration", f"{quantity.kind}, correction in standard deviations of the prior",
-            quantity.item, size, "", 3.0, 6.0, "3 and 6 standard deviations", quantity.verdict.value,
-            weak=quantity.verdict is not Verdict.OBSERVED,
+            quantity.item, size, "", 3.0, math.inf if weak else 6.0, "3 and 6 standard deviations",
+            quantity.verdict.value, weak=weak,
         )  # fmt: skip
 
 

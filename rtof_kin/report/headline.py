@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.report.audit_results import (
     FAILED_FRAGMENTS,
     FAULT,
@@ -120,16 +121,19 @@ def _words(result: AuditResult) -> str:
 
 
 def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
-    """Sort key of failures and warnings; faults and what is said in words come before figures."""
+    """Sort key of failures and warnings; faults and what is said in words come before figures. That sides may
+    be exchanged for a moment, as in most recordings with a real detector, comes last.
+    """
     fails = result.grade is Grade.FAIL
     limit = result.fail if fails else result.warn
     named = fails and result.section in ("inputs", ROOM)  # they are in the order of cause
+    usual = result.note == FaultKind.SIDES_IN_DOUBT.value
     return (
         named,
         result.name in (FAILED_FRAGMENTS, UNOBSERVED_FRAGMENTS),
         fails,
-        result.name in ("", FAULT),
-        0.0 if named else result.value / limit if limit > 0 and result.name != FAULT else math.inf,
+        result.name in ("", FAULT) and not usual,
+        0.0 if named or usual else result.value / limit if limit > 0 and result.name != FAULT else math.inf,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.report.audit_results import (
     FAILED_FRAGMENTS,
     ROOM_BAND,
@@ -112,3 +113,13 @@ def test_a_contradicted_position_in_the_room_does_not_fail_the_angles_but_leads(
     declared = headline([FOCAL, LENS]).line
     assert declared.startswith("fail: the focal length is too short")
     assert "position in the room fails: the lens is higher" in declared
+
+
+def test_sides_that_may_be_exchanged_for_a_moment_lead_before_nothing() -> None:
+    note = FaultKind.SIDES_IN_DOUBT.value
+    sides = AuditResult("streams", FAULT.name, "keypoints of legs", 0.5, "s", 0.15, note=note, at=6.6)
+    other = AuditResult.warning("streams", "motion", "the sensors are 52 ± 6 ms late; corrected")
+    unseen = AuditResult("streams", "share of frames unseen", "LeftForeArm", 12.0, "%", 10.0, 90.0)
+    assert "52 ± 6 ms late" in headline((sides, other)).text
+    assert headline((sides, unseen)).text.startswith("LeftForeArm")
+    assert "may be exchanged" in headline((sides,)).text
