@@ -195,7 +195,7 @@ def frozen_sensor(recording: Recording, after: float, draws: Draws) -> Recording
     s = imus.names.index(given.sensors[_one(recording, draws)[0]])
     R, f, first = imus.R_inertial_sensor.copy(), imus.f_sensor.copy(), round(after * len(imus))
     noise = draws.rng.standard_normal((2, len(imus) - first, 3))
-    R[first:, s] = R[first, s] @ so3.exp(np.radians(0.2) * noise[0])
+    R[first:, s] = R[first, s] @ so3.exp(np.radians(0.03) * noise[0])
     f[first:, s] = f[first, s] + 0.03 * noise[1]
     return _with_imus(recording, R_inertial_sensor=R, f_sensor=f)
 

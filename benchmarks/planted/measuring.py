@@ -122,6 +122,9 @@ def judged(
     row = _said(headline(audit(result)).line, fault, draws)
     if fault is None:
         row["image"] = _reprojection(result)
+        if result.motion.confidence is not None:  # rather large bands always cover
+            variance = np.trace(result.motion.confidence.position_covariance, axis1=-2, axis2=-1)
+            row["world_sigma_mm"] = 1000 * float(np.sqrt(np.nanmean(variance)))
     clocks = [truth]
     if fault is not None and fault.sensor_clock is not None:
         clocks.append(replace(truth, times=fault.sensor_clock(truth.times, size)))

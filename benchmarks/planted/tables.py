@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +16,7 @@ from benchmarks.planted.measuring import ERRORS, Row
 
 COVERED = 0.9
 """Share in the 95 % bands from which what is not named is no silent error."""
+_UNVERIFIED = re.compile(r"position in the room (?!fails)[^;]*")
 _WORDS = 90  # characters of a first line
 
 
@@ -26,6 +28,12 @@ def false_alarm(row: Row) -> bool:
 def silent(row: Row) -> bool:
     """Whether a fault is neither named nor within the bands that its definition asks for."""
     return not row["named"] and not covered(row)
+
+
+def unverified(row: Row) -> bool:
+    """Whether a fault that is not named is within its bands, and the line says that it is not verified."""
+    said = _UNVERIFIED.search(row["line"])
+    return not row["named"] and covered(row) and said is not None and FAULTS[row["fault"]].names(said.group())
 
 
 def covered(row: Row) -> bool:
@@ -49,6 +57,7 @@ def totals(rows: Sequence[Row]) -> dict[str, Any]:
         "faults": len(wrong), "right": len(right),
         "named": _mean([row["named"] for row in wrong]),
         "named_interval": _interval(sum(row["named"] for row in wrong), len(wrong)),
+        "named or said to be unverified": _mean([row["named"] or unverified(row) for row in wrong]),
         "named or within bands": _mean([not silent(row) for row in wrong]),
         "false alarms": alarms, "false_alarm_interval": _interval(alarms, len(right)),
         "coverage under unnamed": _mean(bands),
@@ -78,6 +87,8 @@ def markdown(rows: Sequence[Row], how: str) -> str:
     lines = [
         "# Planted faults", "", how, "",
         f"- named in the first line: **{t['named']:.0%}** of {t['faults']} ({low:.0%} to {high:.0%})",
+        f"- named, or within the band that the line says is not verified because of it: "
+        f"{t['named or said to be unverified']:.0%}",
         f"- named or within their bands: {t['named or within bands']:.0%}",
         f"- false alarms in right recordings: **{t['false alarms']}** of {t['right']} "
         f"({least:.1%} to {most:.1%})",
@@ -138,8 +149,10 @@ def _typical(rows: Sequence[Row]) -> str:
 
 def _of_right(rows: Sequence[Row]) -> list[str]:
     lines = [
-        "| | n | false alarms | world | relative | angles | " + " | ".join(ERRORS.values()) + " |",
-        "|---" * (6 + len(ERRORS)) + "|",
+        "| | n | false alarms | world | relative | angles | "
+        + " | ".join(ERRORS.values())
+        + " | world stated mm |",
+        "|---" * (7 + len(ERRORS)) + "|",
     ]
     alarms = []
     for name in RIGHT:
@@ -151,7 +164,8 @@ def _of_right(rows: Sequence[Row]) -> list[str]:
             told = [row for row in own if "inside" in row]
             shares = [f"{np.nanmean([r['inside'][b] for r in told]):.0%}" for b in told[0]["inside"]]
             errors = [f"{np.mean([r[e] for r in told]):.1f}" for e in ERRORS]
-            cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors]
+            sigma = f"{np.mean([r.get('world_sigma_mm', np.nan) for r in told]):.0f}"
+            cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors, sigma]
             lines.append("| " + " | ".join(cells) + " |")
             alarms += [f"- {name}, {r['motion']}, {sensors} sensors: {r['line'][:200]}" for r in wrong]
     image = np.array([row["image"] for row in rows if row["fault"] in RIGHT and "image" in row])
