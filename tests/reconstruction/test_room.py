@@ -86,7 +86,7 @@ def test_a_camera_turned_against_the_sensors_is_named_in_the_first_line() -> Non
     R = camera.R_camera_world @ so3.about_axis("z", np.radians(20.0))
     turned = replace(camera, R_camera_world=R, t_camera_world=-R @ camera.center_world)
     found = headline(audit(reconstruct(with_camera(demo(), turned))))
-    assert found.line.startswith("fail: the camera's heading is probably wrong by")
+    assert found.line.startswith("fail: all sensors' headings are off by about 20 deg against the camera")
 
 
 def test_displacements_are_those_of_another_camera() -> None:
