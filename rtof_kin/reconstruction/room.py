@@ -29,7 +29,6 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -60,12 +59,8 @@ TURN: Final = np.radians([2.4, 3.0, 1.8])
 """[rad] Standard deviations (3,) of the turn between image and sensors with the true camera."""
 _SEEN_PITCH: Final = 0.5
 """Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet."""
-MOST_TURNED: Final = 3.0
-"""Standard deviations from which the camera or the sensors are declared wrongly; correct recordings of others
-reach 2.4."""
 _LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
 """Factor on changes of scale: those at the upper end of a band of a logarithm."""
-DIRECTION: Final = "turn of the image against the sensors"
 _MENTIONED, _BESIDE = 0.5, 0.2
 """Share of the position's other errors from which an open quantity is named; and of the largest one's from
 which others are named beside it."""
@@ -159,8 +154,8 @@ def unseen_room(recording: Recording) -> Room:
 
 def look_at_room(
     room: Room, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture
-) -> tuple[Room, Check]:
-    """Return what the evidence leaves open, and a check of the camera's direction.
+) -> Room:
+    """Return what the evidence leaves open.
 
     Args:
         room: before it. scene: of the recording. keypoints: as used. poses: solved, at their times.
@@ -188,7 +183,7 @@ def look_at_room(
     S = np.sqrt(room.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
     C = S @ np.linalg.solve(np.eye(8) + S @ (J.T * weight) @ J @ S, S)
     m = C @ (J.T * weight) @ np.nan_to_num(value)
-    return replace(room, moment=C + np.outer(m, m)), _check_direction(turn, spread)
+    return replace(room, moment=C + np.outer(m, m))
 
 
 def _turn(scene: Scene, picture: Picture) -> Array:
@@ -198,20 +193,3 @@ def _turn(scene: Scene, picture: Picture) -> Array:
     p, times = picture.lifted.p_world_joint, picture.keypoints.times
     lifted = PoseSequence(times, p, np.broadcast_to(np.eye(3), (*p.shape, 3)), scene.skeleton.names)
     return turn_of_image(picture.bone_imus, scene.skeleton, picture.keypoints.camera, lifted)
-
-
-def _check_direction(turn: Array, spread: Array) -> Check:
-    """Check the camera's direction against that of the sensors."""
-    name, what = DIRECTION, "camera and sensors"
-    if not np.isfinite(turn).all():
-        return Check.unknown(name, what, "standard deviations", "no person was lifted, or without sensors")
-    off = turn / spread
-    worst = int(np.abs(off).argmax())
-    word = ("tilt", "heading", "roll")[worst]
-    deg = abs(float(np.degrees(turn[worst])))
-    return Check(
-        name, what, float(abs(off[worst])), MOST_TURNED, "standard deviations",
-        f"The body in the image is turned by {deg:.0f} degrees against its sensors; compare R_camera_world, "
-        "the principal point and the sensors' references",
-        cause=f"the camera's {word} is probably wrong by {deg:.0f} degrees, or that of all sensors",
-    )  # fmt: skip
