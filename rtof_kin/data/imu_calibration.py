@@ -38,6 +38,8 @@ class ImuCalibration:
     """(S, 3, 3) from the segment's link frame to sensor axes."""
     p_bone_sensor: Array
     """(S, 3) lever arm: position of the sensor in the link frame, m."""
+    mounting_sd_deg: Array | None = None
+    """(S,) standard deviation of R_sensor_bone about each axis, deg; NaN, or None for all: not stated."""
 
     def __post_init__(self) -> None:
         S = len(self.sensors)
@@ -59,6 +61,15 @@ class ImuCalibration:
                 raise CalibrationError(
                     f"calibration of {name}: its lever arm is not finite or longer than 1 m; give metres"
                 )
+        if self.mounting_sd_deg is None:
+            return
+        freeze(self, "calibration", mounting_sd_deg=(S,))
+        for name, sd in zip(self.sensors, self.mounting_sd_deg, strict=True):
+            if not (0 <= sd <= 180 or np.isnan(sd)):
+                raise CalibrationError(
+                    f"calibration of {name}: mounting_sd_deg is {sd:g}, no standard deviation of an angle; "
+                    "give degrees, or leave it out"
+                )
 
     def select(self, sensors: tuple[str, ...]) -> Self:
         """Return the calibration of sensors in the order given.
@@ -77,6 +88,7 @@ class ImuCalibration:
             R_world_inertial=self.R_world_inertial[index],
             R_sensor_bone=self.R_sensor_bone[index],
             p_bone_sensor=self.p_bone_sensor[index],
+            mounting_sd_deg=None if self.mounting_sd_deg is None else self.mounting_sd_deg[index],
         )
 
     def apply(self, imus: ImuSequence) -> BoneImuSequence:

@@ -5,6 +5,7 @@
     lever_arm_m = [0.03, 0.225, 0.012]   # the sensor's position in the bone's frame
     R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # or quat_wxyz_world_inertial
     R_sensor_bone = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]     # or quat_wxyz_sensor_bone
+    mounting_sd_deg = 6.0                # standard deviation of R_sensor_bone about each axis, where known
 
 `joint` and `lever_arm_m` default to those of the skeleton table's sensor of that name. The rotations are
 those of `rtof_kin.data.imu_calibration`.
@@ -70,7 +71,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
     """
     if len(sensors) == 0:
         return None
-    joints, levers, R_world_inertial, R_sensor_bone = [], [], [], []
+    joints, levers, R_world_inertial, R_sensor_bone, stated = [], [], [], [], []
     for name in sensors.keys():  # noqa: SIM118 - a Section is no mapping
         own = sensors.table(name)
         usual_joint, usual_lever = skeleton.sensors.get(name, (None, None))
@@ -82,6 +83,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
         levers.append(usual_lever if usual else own.array("lever_arm_m", (3,)))
         R_world_inertial.append(_rotation(own, "world_inertial"))
         R_sensor_bone.append(_rotation(own, "sensor_bone"))
+        stated.append(own.optional_number("mounting_sd_deg"))
         own.close()
     try:
         return ImuCalibration(
@@ -90,6 +92,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
             R_world_inertial=np.array(R_world_inertial),
             R_sensor_bone=np.array(R_sensor_bone),
             p_bone_sensor=np.array(levers),
+            mounting_sd_deg=None if set(stated) == {None} else np.array(stated, dtype=np.float64),
         )
     except (CalibrationError, InvalidInputError) as error:
         raise FileFormatError(sensors.path, str(error)) from error
@@ -111,7 +114,7 @@ def _rotation(section: Section, frames: str) -> Array:
 
 def calibration_table(calibration: ImuCalibration) -> dict[str, Any]:
     """Return the tables of the sensors, by name, which `calibration_of` reads back to the same bits."""
-    return {
+    tables: dict[str, Any] = {
         name: {
             "joint": calibration.joints[s],
             "lever_arm_m": calibration.p_bone_sensor[s].tolist(),
@@ -120,3 +123,7 @@ def calibration_table(calibration: ImuCalibration) -> dict[str, Any]:
         }
         for s, name in enumerate(calibration.sensors)
     }
+    if calibration.mounting_sd_deg is not None:
+        for own, sd in zip(tables.values(), calibration.mounting_sd_deg, strict=True):
+            own |= {} if np.isnan(sd) else {"mounting_sd_deg": float(sd)}
+    return tables

@@ -118,7 +118,10 @@ class Fault:
             R_sensor_bone[s] = R_sensor_bone[s] @ change.R_bone_new
             if change.R_world_new is not None:
                 R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
-        return ImuCalibration(calibration.sensors, tuple(joints), R_world_inertial, R_sensor_bone, levers)
+        return replace(
+            calibration, joints=tuple(joints), R_world_inertial=R_world_inertial,
+            R_sensor_bone=R_sensor_bone, p_bone_sensor=levers,
+        )  # fmt: skip
 
     def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
         """Return the motions under the corrected calibration."""

@@ -79,10 +79,8 @@ def check_camera_evidence(
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
     scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
-    room, direction = look_at_room(unseen_room(recording), scene, video, poses, picture)
-    return _ordered(
-        recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses), direction)
-    ), room
+    room = look_at_room(unseen_room(recording), scene, video, poses, picture)
+    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), room
 
 
 def check_camera_alone(

@@ -29,7 +29,7 @@ from rtof_kin.vision.outlier_rejection import side_pairs
 Undo = Callable[[KeypointSequence], KeypointSequence]
 STEP, PIECE, PIECES = 0.1, 48, 2
 """[s] between the frames of an excerpt, frames of a piece, and number of pieces."""
-LEAST_GAIN, LEAST_GAIN_SENSED = 0.5, 0.35
+LEAST_GAIN, LEAST_GAIN_SENSED = 1.1, 0.35
 """Least gain of a hypothesis to be reported, without and with sensors; correct recordings stay below
 (benchmarks/results/planted.md)."""
 LEAST_GAIN_OF_SIZE = 0.1

@@ -276,6 +276,5 @@ def _lively_slices(keypoints: KeypointSequence) -> Iterator[Array]:
     last = np.searchsorted(times, times + _SLICE_SECONDS, "right") - 1
     moved = so_far[last] - so_far
     for part in np.array_split(np.flatnonzero(times <= times[-1] - _SLICE_SECONDS), _SLICES):
-        first = part[np.argmax(moved[part])]
-        if moved[first] > 0:
+        if len(part) and moved[first := part[np.argmax(moved[part])]] > 0:
             yield times[first : last[first] + 1]

@@ -27,7 +27,7 @@ from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.room import DIRECTION, Room, unseen_room
+from rtof_kin.reconstruction.room import Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
 from rtof_kin.reconstruction.sensor_checks import (
     check_sensor_evidence,
@@ -248,14 +248,7 @@ def _checked(
         return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
     if clocks.foreign:  # at the right rate of the video they may belong to it
         return (*sensors, *camera), room
-    if wrong := next((check for check in sensors if check.failed), None):
-        camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
     return (*clocks.checks, *sensors, *camera), room
-
-
-def _unless(check: Check, why: str) -> Check:
-    """The check, but unknown where wrong sensors would explain it."""
-    return replace(check, value=float("nan"), advice=why) if check.name == DIRECTION else check
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:

@@ -204,8 +204,8 @@ def cleaned(
         faults += tuple(replace(fault, what=f"{fault.what} of view {i}") for fault in of_view)
     if views:
         recording = replace(recording, views=tuple(views))
-    recording = replace(recording, keypoints=keypoints, imus=imus) if faults else recording
-    return recording, (*faults, *missing_data(recording))
+    faults += tuple(missing_data(recording))
+    return (replace(recording, keypoints=keypoints, imus=imus) if faults else recording), faults
 
 
 def missing_data(recording: Recording) -> Iterator[StreamFault]:

@@ -25,7 +25,7 @@ from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
 _SURE_DEG: Final = 4.0
-"""[deg] Largest standard deviation of a hinge's zero without a warning: mountings by a known pose."""
+"""[deg] Largest standard deviation of a hinge's zero without a warning."""
 
 
 def quality_warnings(
@@ -101,40 +101,63 @@ def with_covariances(
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
     if solution.spread is not None:
         inflated = inflated.plus(solution.spread)
-    if prepared.calibration is not None:
-        inflated = _with_places(inflated, prepared.calibration.place_variances(prepared.skeleton))
+    inflated = _with_mountings(inflated, mounting_variances(prepared))
     wide, room = room.added(inflated, motion.poses)
     return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), room
 
 
-def _with_places(confidence: Confidence, variances: Mapping[str, float]) -> Confidence:
-    """Covariances of orientations with the constant error of mountings that were estimated with a detector.
+def mounting_variances(prepared: Prepared) -> dict[str, float]:
+    """Return the variance, rad^2, about each axis of how a used sensor sits on its segment, by segment.
+
+    It is the larger of what the recording states and what a self-calibration leaves of the detector's place
+    errors: the video that refines a mounting has the errors of the one that it was found by.
+
+    Args:
+        prepared: what was solved.
+    """
+    given, found, sensors = prepared.recording.calibration, prepared.calibration, prepared.bone_imus
+    variances = {} if found is None else found.place_variances(prepared.skeleton)
+    if sensors is not None and given is not None and given.mounting_sd_deg is not None:
+        known = np.asarray(np.isfinite(sensors.R_world_bone).any(axis=(0, 2, 3)))
+        used = [joint for joint, measured in zip(sensors.joints, known, strict=True) if measured]
+        for joint, sd in zip(given.joints, np.radians(given.mounting_sd_deg).tolist(), strict=True):
+            if joint in used and sd > 0:
+                variances[joint] = max(variances.get(joint, 0.0), sd**2)
+    return variances
+
+
+def _with_mountings(confidence: Confidence, variances: Mapping[str, float]) -> Confidence:
+    """Covariances of orientations with the constant error of mountings.
 
     Args:
         variances: of the segments' orientations, by joint, rad^2.
     """
+    if not variances:
+        return confidence
     added = np.array([sum(variances.get(name, 0.0) for name in pair) for pair in confidence.pairs])
     turns = confidence.turn_covariance + added[:, None, None] * np.eye(3)
     return replace(confidence, turn_covariance=turns)
 
 
 def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
-    """Return that the zero of flexion is uncertain where the mounting of its sensors was estimated with the
-    video and no known pose.
+    """Return that the zero of flexion is uncertain where the mounting of its sensors was estimated.
 
     Args:
         prepared: what was solved.
     """
-    if prepared.calibration is None:
-        return ()
-    skeleton, variances = prepared.skeleton, prepared.calibration.place_variances(prepared.skeleton)
-    pairs = [(skeleton.names[skeleton.parents[j]], skeleton.names[j]) for j in hinges(skeleton)]
-    worst = max((sum(variances.get(name, 0.0) for name in pair) for pair in pairs), default=0.0)
-    sigma = float(np.degrees(np.sqrt(worst)))
-    if sigma < _SURE_DEG:
+    skeleton, variances, wide = prepared.skeleton, mounting_variances(prepared), dict[str, float]()
+    for j in hinges(skeleton):
+        pair = skeleton.names[skeleton.parents[j]], skeleton.names[j]
+        sigma = float(np.degrees(np.sqrt(sum(variances.get(name, 0.0) for name in pair))))
+        angles = [dof.clinical for dof in skeleton.table.joints[j].dofs]
+        (name,) = (angle.split()[-2] for angle in angles if angle.endswith("flexion"))
+        if sigma >= _SURE_DEG:
+            wide[name] = max(wide.get(name, 0.0), BAND_95 * sigma)
+    if not wide:
         return ()
     return (
-        f"the zero of knee and elbow flexion is not known to better than +-{BAND_95 * sigma:.0f} deg: how "
-        "the sensors sit on the limbs was estimated from this video, and no pose with a known angle "
-        "(standing, T-pose or N-pose) fixed it; changes of an angle within the recording are not affected",
+        f"the zero of {' and '.join(wide)} flexion is not known to better than "
+        f"{' and '.join(f'+-{band:.0f}' for band in wide.values())} deg: how the sensors sit on the limbs "
+        "was estimated from the video, or in a pose held by eye, and not measured at a known angle; "
+        "changes of an angle within the recording are not affected",
     )

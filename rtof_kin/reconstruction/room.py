@@ -29,7 +29,6 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -42,8 +41,8 @@ from rtof_kin.recording.recording import Recording
 FOCAL, SIZE, RIGHT, DOWN, PITCH, HEADING, ROLL, HEIGHT = range(8)
 _DEG: Final = float(np.radians(1.0))
 _NAMES: Final = (
-    "the focal length is", "the size of the body is", "the principal point is", "the principal point is",
-    "the camera's tilt is", "the camera's heading is", "the camera's roll is", "the camera's height is",
+    "the focal length", "the size of the body", "the principal point", "the principal point",
+    "the camera's tilt", "the camera's heading", "the camera's roll", "the height of camera or floor",
 )  # fmt: skip
 _STATED: Final = "state the accuracy of its calibration"
 _REMEDIES: Final = (
@@ -60,14 +59,11 @@ TURN: Final = np.radians([2.4, 3.0, 1.8])
 """[rad] Standard deviations (3,) of the turn between image and sensors with the true camera."""
 _SEEN_PITCH: Final = 0.5
 """Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet."""
-MOST_TURNED: Final = 3.0
-"""Standard deviations from which the camera or the sensors are declared wrongly; correct recordings of others
-reach 2.4."""
 _LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
 """Factor on changes of scale: those at the upper end of a band of a logarithm."""
-DIRECTION: Final = "turn of the image against the sensors"
-_MENTIONED: Final = 0.5
-"""Share of the position's other errors from which an open quantity is named."""
+_MENTIONED, _BESIDE = 0.5, 0.2
+"""Share of the position's other errors from which an open quantity is named; and of the largest one's from
+which others are named beside it."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +89,15 @@ class Room:
         own = float(np.nanmean(np.trace(confidence.position_covariance[:, 0], axis1=-2, axis2=-1)))
         open_ = np.nanmean((d[:, 0] ** 2).sum(axis=1), axis=0) * (np.diag(self.moment) + self.elsewhere**2)
         worst = int(open_.argmax())
+        named = dict.fromkeys(_NAMES[i] for i in np.argsort(-open_) if open_[i] > _BESIDE**2 * open_[worst])
         more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
         remedy = _REMEDIES[worst]
         if self.camera.uncertainty is not None:
             remedy = remedy.replace(_STATED, "calibrate it with a chessboard")
-        words = f"{_NAMES[worst]} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
+        what = " and ".join(filter(None, (", ".join([*named][:-1]), [*named][-1])))
+        verb = "is" if len(named) == 1 else "are"
+        words = f"{what} {verb} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
 
@@ -155,8 +154,8 @@ def unseen_room(recording: Recording) -> Room:
 
 def look_at_room(
     room: Room, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture
-) -> tuple[Room, Check]:
-    """Return what the evidence leaves open, and a check of the camera's direction.
+) -> Room:
+    """Return what the evidence leaves open.
 
     Args:
         room: before it. scene: of the recording. keypoints: as used. poses: solved, at their times.
@@ -184,7 +183,7 @@ def look_at_room(
     S = np.sqrt(room.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
     C = S @ np.linalg.solve(np.eye(8) + S @ (J.T * weight) @ J @ S, S)
     m = C @ (J.T * weight) @ np.nan_to_num(value)
-    return replace(room, moment=C + np.outer(m, m)), _check_direction(turn, spread)
+    return replace(room, moment=C + np.outer(m, m))
 
 
 def _turn(scene: Scene, picture: Picture) -> Array:
@@ -194,20 +193,3 @@ def _turn(scene: Scene, picture: Picture) -> Array:
     p, times = picture.lifted.p_world_joint, picture.keypoints.times
     lifted = PoseSequence(times, p, np.broadcast_to(np.eye(3), (*p.shape, 3)), scene.skeleton.names)
     return turn_of_image(picture.bone_imus, scene.skeleton, picture.keypoints.camera, lifted)
-
-
-def _check_direction(turn: Array, spread: Array) -> Check:
-    """Check the camera's direction against that of the sensors."""
-    name, what = DIRECTION, "camera and sensors"
-    if not np.isfinite(turn).all():
-        return Check.unknown(name, what, "standard deviations", "no person was lifted, or without sensors")
-    off = turn / spread
-    worst = int(np.abs(off).argmax())
-    word = ("tilt", "heading", "roll")[worst]
-    deg = abs(float(np.degrees(turn[worst])))
-    return Check(
-        name, what, float(abs(off[worst])), MOST_TURNED, "standard deviations",
-        f"The body in the image is turned by {deg:.0f} degrees against its sensors; compare R_camera_world, "
-        "the principal point and the sensors' references",
-        cause=f"the camera's {word} is probably wrong by {deg:.0f} degrees, or that of all sensors",
-    )  # fmt: skip

@@ -30,9 +30,10 @@ _TILT_DEG, _TILT_DEG_S = 1.7, 7.0
 """[deg] and [deg s]: largest tilt of the mean acceleration over a duration, less the change of velocity."""
 _APART = 1.0
 """[m/s^2] Median distance of the sensors' mean accelerations from a shared one."""
-_VIEW_DEG, _HEADING_DEG, _SIGMAS, _VAGUE_DEG = 7.0, 10.0, 2.5, 15.0
-"""[deg] Largest rotation of all sensors against the image about horizontal axes and about the vertical;
-standard deviations that it must exceed too; and the standard deviation of one that is not observed."""
+_ROLL_DEG, _PITCH_DEG, _HEADING_DEG, _SIGMAS, _VAGUE_DEG = 7.0, 12.0, 10.0, 2.5, 15.0
+"""[deg] Largest rotation of all sensors against the image about the line of sight, up or down (a lifted body
+leans more than it rolls) and about the vertical; standard deviations that it must exceed too; and the
+standard deviation of one that is not observed."""
 _FEWEST, _SCALE = 5, 0.3
 """Sensors whose errors average out, and standard deviation of the logarithm of the body's size."""
 _AGREEING: Final = 1.4
@@ -51,7 +52,7 @@ _STILL_DEG, _STILL_WINDOW, _STILL_CUTOFF_HZ = 1.5, 2.0, 3.0
 _STILL_LIMIT: Final = 2.0
 """[m/s^2] RMS acceleration of a joint by the neighbouring sensor, or of the sensor itself, while the sensor
 does not turn."""
-_TWIST_DEG, _TWIST_ARM_DEG = 24.0, 40.0
+_TWIST_DEG, _TWIST_ARM_DEG = 30.0, 40.0
 """[deg] Largest median rotation of a sensor about its bone against the motion; of arms more, as forearms
 turn in themselves."""
 
@@ -117,11 +118,12 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
     level = np.array([*w[:2], 0.0]) / max(tilt, 1e-9)
     spreads = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]]))
     about_view = float(w @ camera.R_camera_world[2])
-    how = "about its line of sight" if abs(about_view) > tilt / 2 else "up or down"
+    rolled = abs(about_view) > tilt / 2
+    how = "about its line of sight" if rolled else "up or down"
     checks = []
     whose = "the camera" if upright else "the camera, or all sensors' references,"
     for name, subject, value, spread, least, cause, advice in (
-        (VIEW, "camera", tilt, float(spreads[0]), _VIEW_DEG,
+        (VIEW, "camera", tilt, float(spreads[0]), _ROLL_DEG if rolled else _PITCH_DEG,
          f"{whose} is probably turned by about {tilt:.0f} deg {how}",
          "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
          "calibrate the camera again, or hold it level"),

@@ -77,7 +77,7 @@ class SensorAlignment:
     sigma_heading: float
     """[rad]"""
     sigma_mounting: float
-    """[rad] Largest of the three axes."""
+    """[rad] Root mean square of the three axes, the detector's place errors included."""
     doubt: str = ""
     """What may be wrong and what to do, in a sentence; empty where sure."""
 
@@ -162,6 +162,8 @@ def align_sensors(
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
         calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, priors)
     sensors = _judged(calibration, starts, refined)
+    stated = np.degrees([sensor.sigma_mounting for sensor in sensors]).round(1)
+    calibration = replace(calibration, mounting_sd_deg=stated)
     warnings += _doubts(sensors)
     return Alignment(calibration, sensors, shared is not None, warnings, refined)
 
@@ -295,10 +297,12 @@ def _judged(
         zip(calibration.sensors, calibration.joints, starts, strict=True)
     ):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
-        sigma, mounting = start.sigma, float(np.hypot(_SWING, _TWIST))
+        sigma, axes = start.sigma, np.array([_SWING, _SWING, _TWIST])
         if refined is not None and joint in refined.of_kind("heading"):
             sigma = float(refined["heading", joint].sigma[0])
-            mounting = float(refined["mounting", joint].sigma.max())
+        if refined is not None and joint in refined.of_kind("mounting"):
+            axes = refined["mounting", joint].sigma
+        mounting = float(np.sqrt(np.mean(axes**2)))
         doubt = ""
         if start.margin < _MARGIN:
             doubt = (

@@ -170,5 +170,5 @@ def _corrections(
         yield replace(calibration, joints=new, R_sensor_bone=turned, p_bone_sensor=levers)
     if set(new) == set(calibration.joints):  # the samples are filed under each other's names
         order = [calibration.joints.index(joint) for joint in new]
-        R_world, R_sensor = calibration.R_world_inertial[order], calibration.R_sensor_bone[order]
-        yield ImuCalibration(calibration.sensors, new, R_world, R_sensor, calibration.p_bone_sensor[order])
+        others = calibration.select(tuple(calibration.sensors[i] for i in order))
+        yield replace(others, sensors=calibration.sensors)

@@ -275,11 +275,12 @@ def _fields(
     sensors: dict[str, Tables] = {}
     for sensor in found.sensors:
         own = tables[sensor.sensor]
-        sd = [round(float(np.degrees(value)), 1) for value in (sensor.sigma_heading, sensor.sigma_mounting)]
+        sd = round(float(np.degrees(sensor.sigma_heading)), 1)
         sensors[sensor.sensor] = {
             "joint": places[sensor.sensor],
             "lever_arm_m": Field(own["lever_arm_m"], Origin.ASSUMED, "the usual place on this segment"),
-            "R_world_inertial": Field(own["R_world_inertial"], Origin.FOUND, f"heading ± {sd[0]:g} degrees"),
-            "R_sensor_bone": Field(own["R_sensor_bone"], Origin.FOUND, f"mounting ± {sd[1]:g} degrees"),
+            "R_world_inertial": Field(own["R_world_inertial"], Origin.FOUND, f"heading ± {sd:g} degrees"),
+            "R_sensor_bone": Field(own["R_sensor_bone"], Origin.FOUND, "mounting, by the video"),
+            "mounting_sd_deg": Field(own["mounting_sd_deg"], Origin.FOUND, "about each axis"),
         }
     return fields | {"sensors": sensors}

@@ -83,6 +83,9 @@ def _sensors(
             "lever_arm_m": Field(own["lever_arm_m"], Origin.ASSUMED, "the usual place on this segment"),
             "R_world_inertial": Field(own["R_world_inertial"], Origin.FOUND, "heading"),
             "R_sensor_bone": Field(own["R_sensor_bone"], Origin.FOUND, f"mounting {off}, by the pose"),
+            "mounting_sd_deg": Field(
+                round(report.expected_deg / np.sqrt(3), 1), Origin.ASSUMED, f"about each axis, {off} in all"
+            ),
         }
     usual = float(np.mean([report.expected_deg for report in found.sensors]))
     summary = f"mounting of {len(sensors)} sensors, ± {usual:.0f} degrees, by the pose"

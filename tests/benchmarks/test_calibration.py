@@ -56,7 +56,8 @@ def test_the_true_calibration_removes_planted_errors(chosen: tuple[str, ...]) ->
     back = found.apply(wrong_recording)
     assert right.truth is not None
     seen = found.moved(back.video, right.truth)
-    np.testing.assert_allclose(seen.times, right.video.times, atol=1e-9)
+    drift = "clock drift" in chosen  # stays with the sensors
+    np.testing.assert_allclose(seen.times, right.video.times, atol=2e-3 if drift else 1e-9)
     np.testing.assert_allclose(seen.uv_px, right.video.uv_px, atol=3.0 if "place" in chosen else 1e-6)
     np.testing.assert_allclose(back.video.camera.K, right.video.camera.K, rtol=1e-12)
     np.testing.assert_allclose(
@@ -64,11 +65,13 @@ def test_the_true_calibration_removes_planted_errors(chosen: tuple[str, ...]) ->
     )
     np.testing.assert_allclose(back.joint_offsets, right.joint_offsets, atol=1e-12)
     assert right.imus is not None
-    ours, theirs = (one.bone_imus(times=right.imus.times) for one in (back, right))
+    ours, theirs = back.bone_imus(times=seen.times), right.bone_imus(times=right.video.times)
     assert ours is not None
     assert theirs is not None
     np.testing.assert_allclose(ours.p_bone_sensor, theirs.p_bone_sensor, atol=1e-12)
-    np.testing.assert_allclose(ours.R_world_bone, theirs.R_world_bone, atol=1e-4)
+    known = np.isfinite(ours.R_world_bone + theirs.R_world_bone).all(axis=(1, 2, 3))
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(ours.R_world_bone[known], theirs.R_world_bone[known], atol=1e-4)
 
 
 @pytest.mark.parametrize("name", list(ERRORS))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,18 @@ def test_written_calibration_is_read_back_to_the_same_bits(tmp_path: Path, skele
     assert (back.sensors, back.joints) == (calibration().sensors, calibration().joints)
     for field in ("R_world_inertial", "R_sensor_bone", "p_bone_sensor"):
         np.testing.assert_array_equal(getattr(back, field), getattr(calibration(), field))
+    assert back.mounting_sd_deg is None
+    assert "mounting_sd_deg" not in path.read_text()
+
+
+def test_standard_deviation_of_a_mounting_is_kept_for_the_sensors_that_state_it(
+    tmp_path: Path, skeleton: SkeletonModel
+) -> None:
+    path, stated = tmp_path / "calibration.toml", replace(calibration(), mounting_sd_deg=[6.1, np.nan])
+    write_imu_calibration_toml(path, stated)
+    assert path.read_text().count("mounting_sd_deg = 6.1") == 1
+    back = read_imu_calibration_toml(path, skeleton).select(('odd "name"', "00B42D"))
+    np.testing.assert_array_equal(back.mounting_sd_deg, [np.nan, 6.1])
 
 
 def test_existing_file_is_kept_unless_overwritten(tmp_path: Path) -> None:
@@ -70,6 +83,7 @@ def test_known_sensor_has_default_segment_and_position(tmp_path: Path, skeleton:
         (ONE.replace("[1, 0, 0, 0]", "[2, 0, 0, 0]"), FileFormatError, "has norm 2, not 1"),
         (ONE.replace("[0, 0, 1]]", "[0, 0, 2]]"), FileFormatError, "R_sensor_bone is not a rotation"),
         (ONE.replace("[1, 0, 0, 0]", "[nan, 0, 0, 0]"), FileFormatError, "not finite"),
+        (ONE + "mounting_sd_deg = -1", FileFormatError, "of L_UpArm: mounting_sd_deg is -1, no standard"),
         (ONE + "[camera]", UnknownNameError, "unknown field .* 'camera'"),
         ("sensors = 3", FileFormatError, "not a table"),
         ("= [", FileFormatError, "not readable as TOML"),

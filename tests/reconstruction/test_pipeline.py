@@ -293,7 +293,7 @@ def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -
     wide = case.run("rtof", calibration=free)
     known = replace(free, quantities=tuple(replace(q, sigma_prior=0.035 * ones) for q in free.quantities))
     usual = case.run("rtof", calibration=known)
-    (said,) = [text for text in wide.warnings if text.startswith("the zero of knee and elbow flexion")]
+    (said,) = [text for text in wide.warnings if text.startswith("the zero of knee flexion")]
     assert "+-1" in said  # 10 to 19 deg
     assert not any("zero of knee" in text for text in usual.warnings)
     assert wide.motion.confidence is not None
@@ -302,3 +302,26 @@ def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -
         c.turn("LeftUpLeg", "LeftLeg")[:, 1, 1] for c in (wide.motion.confidence, usual.motion.confidence)
     ]
     assert np.degrees(np.sqrt(knees[0].mean() - knees[1].mean())) > 5
+
+
+def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_once(case: Case) -> None:
+    given, legs = case.recording.calibration, ("LeftUpLeg", "LeftLeg")
+    assert given is not None
+    sd = np.array([9.0 if joint in legs else np.nan for joint in given.joints])
+    stated = case.changed(calibration=replace(given, mounting_sd_deg=sd))
+    found = SelfCalibration(tuple(
+        Quantity("mounting", name, np.full(3, 1e-6), np.full(3, 0.03), np.full(3, 0.4), 0.95)
+        for name in legs
+    ))  # fmt: skip
+
+    def knee_variance(result: Reconstruction) -> float:
+        assert result.motion.confidence is not None
+        return float(result.motion.confidence.turn(*legs)[:, 1, 1].mean())
+
+    usual, wide = case.run("rtof"), stated.run("rtof")
+    np.testing.assert_array_equal(usual.motion.q, wide.motion.q)
+    for result in (wide, stated.run("rtof", calibration=found)):  # its 5 degrees are part of the 9
+        more = np.degrees(np.sqrt(knee_variance(result) - knee_variance(usual)))
+        assert more == pytest.approx(9 * np.sqrt(2), abs=0.3)
+        (said,) = [text for text in result.warnings if text.startswith("the zero of ")]
+        assert "knee flexion is not known to better than +-25 deg" in said

@@ -43,6 +43,9 @@ def test_a_still_pose_gives_the_planted_mounting(
     assert recording.height == 1.72
     assert recording.calibration is not None
     assert worn.errors_deg(recording.calibration).max() < 2.0
+    stated = recording.calibration.mounting_sd_deg
+    assert stated is not None
+    assert ((stated > 5) & (stated < 10)).all()  # 10 degrees in all for a pose held by eye
 
 
 def test_unnamed_sensors_without_a_video_need_a_map(files: tuple[Path, Path], tmp_path: Path) -> None:

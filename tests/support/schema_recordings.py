@@ -34,6 +34,7 @@ SENSORS = """
     lever_arm_m = [0.05, 0.0, -0.16]
     R_world_inertial = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
     quat_wxyz_sensor_bone = [1, 0, 0, 0]
+    mounting_sd_deg = 6.0
 """
 JOINTS = SkeletonModel.default().names
 OFFSETS = "\n".join(f"{name} = [0.01, 0.02, 0.2]" for name in JOINTS[1:])
