@@ -164,7 +164,7 @@ def _of_right(rows: Sequence[Row]) -> list[str]:
             told = [row for row in own if "inside" in row]
             shares = [f"{np.nanmean([r['inside'][b] for r in told]):.0%}" for b in told[0]["inside"]]
             errors = [f"{np.mean([r[e] for r in told]):.1f}" for e in ERRORS]
-            sigma = f"{np.mean([r.get('world_sigma_mm', np.nan) for r in told]):.0f}"
+            sigma = f"{_mean([r['world_sigma_mm'] for r in told if 'world_sigma_mm' in r]):.0f}"
             cells = [f"{name}, {sensors} sensors", str(len(own)), str(len(wrong)), *shares, *errors, sigma]
             lines.append("| " + " | ".join(cells) + " |")
             alarms += [f"- {name}, {r['motion']}, {sensors} sensors: {r['line'][:200]}" for r in wrong]
