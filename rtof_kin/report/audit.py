@@ -172,8 +172,8 @@ def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
          "once (forearms: 1.5 times) and twice the solver's standard deviation",
          "soft tissue artefact or mounting"),
         ("acceleration residual", "acceleration", 1.0, "m/s2",
-         2 * _MODEL.sigma_acceleration, 4 * _MODEL.sigma_acceleration,
-         "twice and four times the solver's standard deviation per axis",
+         2 * _MODEL.sigma_acceleration, 8 * _MODEL.sigma_acceleration,
+         "twice and eight times (right recordings of fast motion reach seven) the solver's standard deviation per axis",
          "synchronisation, impacts, lever arm, or a loose sensor"),
     )  # fmt: skip
     for s, joint in enumerate(imus.joints):
