@@ -173,7 +173,7 @@ def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
          "soft tissue artefact or mounting"),
         ("acceleration residual", "acceleration", 1.0, "m/s2",
          2 * _MODEL.sigma_acceleration, 8 * _MODEL.sigma_acceleration,
-         "twice and eight times (right recordings of fast motion reach seven) the solver's standard deviation per axis",
+         "twice and eight times the solver's standard deviation per axis; fast motions reach seven",
          "synchronisation, impacts, lever arm, or a loose sensor"),
     )  # fmt: skip
     for s, joint in enumerate(imus.joints):
