@@ -25,7 +25,7 @@ from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
-from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
+from rtof_kin.reconstruction.quality import check_legs, quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.room import DIRECTION, Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
@@ -36,7 +36,7 @@ from rtof_kin.reconstruction.sensor_checks import (
 )
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.setup_causes import RATE
+from rtof_kin.reconstruction.setup_causes import HEADING, RATE, VIEW
 from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -250,7 +250,11 @@ def _checked(
         return (*sensors, *camera), room
     if wrong := next((check for check in sensors if check.failed), None):
         camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
-    return (*clocks.checks, *sensors, *camera), room
+    found, legs = (*clocks.checks, *sensors, *camera), check_legs(prepared, poses)
+    wrong = next((c for c in found if c.failed and (c in sensors or c.name in OF_PICTURE)), None)
+    if legs.failed and wrong and wrong.name not in (VIEW, HEADING):
+        legs = replace(legs, value=float("nan"), advice=f"first {wrong.cause}")
+    return (legs, *found) if legs.failed else (*found, legs), room
 
 
 def _unless(check: Check, why: str) -> Check:

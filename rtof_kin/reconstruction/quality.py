@@ -11,6 +11,7 @@ import numpy as np
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.plausibility import Check
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
@@ -22,10 +23,39 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution, misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
+from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit, leg_spread, residual_statistics
 
 _SURE_DEG: Final = 4.0
 """[deg] Largest standard deviation of a hinge's zero without a warning: mountings by a known pose."""
+
+_LEGS_MM: Final = 90.0
+"""[mm] Largest misfit of the legs without an alarm: 0 of RIGHTS right recordings of people whom nothing was
+fitted on reach it."""
+_TOGETHER: Final = 0.7
+"""Misfit of the shanks relative to that of the thighs, beyond which sensors explain both."""
+
+
+def check_legs(prepared: Prepared, poses: PoseSequence) -> Check:
+    """Check that the keypoints of knees and feet, as a whole, fit those of the hips, the bones and the sensors.
+
+    Args:
+        prepared: what was solved. poses: the solution.
+    """
+    misfit = leg_misfit(prepared.keypoints, prepared.skeleton.motion(poses))
+    sizes, shanks = (np.linalg.norm(each, axis=-1) for each in (misfit.thighs, misfit.shanks))
+    worst, sensed = int(sizes.argmax()), prepared.bone_imus is not None
+    name, value = "distance of the legs' keypoints from the body's place", 1000 * float(sizes[worst])
+    if not value:
+        return Check.unknown(name, "keypoints", "mm", "hips or knees are not seen")
+    if sensed and value > _LEGS_MM and shanks[worst] > _TOGETHER * sizes[worst]:
+        return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
+    px = value * misfit.px_per_m / 1000
+    return Check(
+        name, "keypoints", value, _LEGS_MM, "mm",
+        "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out",
+        cause=f"the keypoints of the legs are off by about {px:.0f} px at {poses.times[worst]:.1f} s: they do "
+        f"not fit the hips{', the bones and the sensors' if sensed else ' and the bones'}",
+    )  # fmt: skip
 
 
 def quality_warnings(
@@ -99,8 +129,10 @@ def with_covariances(
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
-    if solution.spread is not None:
-        inflated = inflated.plus(solution.spread)
+    legs = leg_spread(inflated, leg_misfit(prepared.keypoints, motion), motion, sensors)
+    for spread in (solution.spread, legs):
+        if spread is not None:
+            inflated = inflated.plus(spread)
     if prepared.calibration is not None:
         inflated = _with_places(inflated, prepared.calibration.place_variances(prepared.skeleton))
     wide, room = room.added(inflated, motion.poses)
