@@ -19,7 +19,7 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
-from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
+from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS, check_camera_evidence, explained
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
@@ -222,6 +222,8 @@ def _result(
     checks, room = tuple[Check, ...](), unseen_room(declared.recording)
     if settings.checks:
         checks, room = _checked(declared, job, prepared, poses, suspect, clocks)
+        if solution is not None and not clocks.foreign:
+            checks = _with_legs(checks, check_legs(prepared, poses))
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
     motion, room = with_covariances(skeleton.motion(poses), prepared, solution, others, room)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
@@ -250,11 +252,18 @@ def _checked(
         return (*sensors, *camera), room
     if wrong := next((check for check in sensors if check.failed), None):
         camera = tuple(_unless(check, f"first {wrong.cause}") for check in camera)
-    found, legs = (*clocks.checks, *sensors, *camera), check_legs(prepared, poses)
-    wrong = next((c for c in found if c.failed and (c in sensors or c.name in OF_PICTURE)), None)
-    if legs.failed and wrong and wrong.name not in (VIEW, HEADING):
+    return (*clocks.checks, *sensors, *camera), room
+
+
+def _with_legs(checks: tuple[Check, ...], legs: Check) -> tuple[Check, ...]:
+    """The checks with that of the legs' keypoints: before those of directions that it would mislead, and
+    unknown where another cause is likelier.
+    """
+    others = (c for c in checks if c.name not in (VIEW, HEADING) and not c.name.startswith(ROOM_CHECKS))
+    wrong = next((check for check in others if check.failed), None)
+    if legs.failed and wrong is not None:
         legs = replace(legs, value=float("nan"), advice=f"first {wrong.cause}")
-    return (legs, *found) if legs.failed else (*found, legs), room
+    return (legs, *checks) if legs.failed else (*checks, legs)
 
 
 def _unless(check: Check, why: str) -> Check:

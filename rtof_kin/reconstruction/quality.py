@@ -28,15 +28,15 @@ from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit, leg_sprea
 _SURE_DEG: Final = 4.0
 """[deg] Largest standard deviation of a hinge's zero without a warning: mountings by a known pose."""
 
-_LEGS_MM: Final = 90.0
-"""[mm] Largest misfit of the legs without an alarm: 0 of RIGHTS right recordings of people whom nothing was
-fitted on reach it."""
-_TOGETHER: Final = 0.7
-"""Misfit of the shanks relative to that of the thighs, beyond which sensors explain both."""
+_LEGS_MM, _SENSED_LEGS_MM = 75.0, 100.0
+"""[mm] Largest misfit of the legs without an alarm, without and with sensors; right recordings of people whom
+nothing was fitted on stay below."""
+_TOGETHER: Final = 0.6
+"""Misfit of the shanks relative to that of the thighs, from which wrong sensors explain both."""
 
 
 def check_legs(prepared: Prepared, poses: PoseSequence) -> Check:
-    """Check that the keypoints of knees and feet, as a whole, fit those of the hips, the bones and the sensors.
+    """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
 
     Args:
         prepared: what was solved. poses: the solution.
@@ -47,14 +47,16 @@ def check_legs(prepared: Prepared, poses: PoseSequence) -> Check:
     name, value = "distance of the legs' keypoints from the body's place", 1000 * float(sizes[worst])
     if not value:
         return Check.unknown(name, "keypoints", "mm", "hips or knees are not seen")
-    if sensed and value > _LEGS_MM and shanks[worst] > _TOGETHER * sizes[worst]:
+    limit = _SENSED_LEGS_MM if sensed else _LEGS_MM
+    if sensed and value > limit and shanks[worst] > _TOGETHER * sizes[worst]:
         return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
-    px = value * misfit.px_per_m / 1000
+    px, t = value * misfit.px_per_m / 1000, poses.times[worst]
+    bones = ", the bones and the sensors" if sensed else " and the bones"
     return Check(
-        name, "keypoints", value, _LEGS_MM, "mm",
+        name, "keypoints", value, limit, "mm",
         "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out",
-        cause=f"the keypoints of the legs are off by about {px:.0f} px at {poses.times[worst]:.1f} s: they do "
-        f"not fit the hips{', the bones and the sensors' if sensed else ' and the bones'}",
+        cause=f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: "
+        f"they do not fit the hips{bones}",
     )  # fmt: skip
 
 
@@ -129,7 +131,8 @@ def with_covariances(
     apart = disagreement(motion.poses, start, solution.confidence.pairs)
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
-    legs = leg_spread(inflated, leg_misfit(prepared.keypoints, motion), motion, sensors)
+    kept = {*sensors} - {fault.what for fault in prepared.rejected}
+    legs = leg_spread(inflated, leg_misfit(prepared.keypoints, motion), motion, kept)
     for spread in (solution.spread, legs):
         if spread is not None:
             inflated = inflated.plus(spread)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +15,7 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.energy.frame_energy import TORSO
-from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, ResidualStatistics
+from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA, ResidualStatistics, unsided
 from rtof_kin.vision.image_points import image_points, measurements
 
 _LAG: Final = 1 / 15
@@ -29,13 +29,13 @@ _OUTLIER: Final = 3.0
 _FEWEST: Final = 100
 """Residuals that an estimate needs."""
 _MEAN_S, _NEAR_S, _KNOWN = 1.0, 4.0, 0.2
-"""[s] over which residuals of the legs are averaged, [s] before and after for which the largest average counts,
-and the share of frames that an average needs."""
+"""[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
+counts, and the share of frames that an average needs."""
 _USUAL_M: Final = 0.05
 """[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed."""
 _LEGS, _SENSED_LEGS, _REST, _TURNS = 2.5, 0.7, 0.3, 0.5
-"""Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh, of
-all other joints; and of turns relative to those of the knee. Of those recordings with displaced legs."""
+"""Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh,
+of all other joints; and of turns relative to the knee's. Of six of those recordings with displaced legs."""
 
 
 def residual_statistics(
@@ -125,13 +125,13 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
 
 
 def leg_spread(
-    confidence: Confidence, misfit: LegMisfit, motion: MotionSequence, sensors: Sequence[str] = ()
+    confidence: Confidence, misfit: LegMisfit, motion: MotionSequence, sensors: Collection[str] = ()
 ) -> Confidence | None:
     """Return the covariances that a misfit of the legs adds, isotropic; None where it is usual.
 
     Args:
         confidence: gives names, pairs and times. misfit: at these times. motion: of it.
-        sensors: joints whose segments carry one.
+        sensors: joints whose segments carry one that is used.
     """
     excess = misfit.excess(motion.poses.rate_hz)
     if not excess.any():
@@ -139,12 +139,11 @@ def leg_spread(
     skeleton = motion.skeleton
 
     def factor(name: str) -> float:
-        side = name[: -len(name.removeprefix("Left").removeprefix("Right"))]
-        if name.removeprefix(side) not in ("UpLeg", "Leg", "Foot") or not side:
-            return 0.0
-        return _SENSED_LEGS if f"{side}UpLeg" in sensors else _LEGS
+        if unsided(name) not in ("UpLeg", "Leg", "Foot"):
+            return _REST
+        return _SENSED_LEGS if name.replace(unsided(name), "UpLeg") in sensors else _LEGS
 
-    joints = [_REST if name.endswith("UpLeg") else factor(name) or _REST for name in confidence.names]
+    joints = [_REST if name.endswith("UpLeg") else factor(name) for name in confidence.names]
     length = skeleton.bone_lengths
     turns = [
         max((_TURNS * factor(name) / length[name.replace("UpLeg", "Leg")]
