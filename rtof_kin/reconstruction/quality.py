@@ -42,13 +42,12 @@ def check_legs(prepared: Prepared, poses: PoseSequence) -> Check:
         prepared: what was solved. poses: the solution.
     """
     misfit = leg_misfit(prepared.keypoints, prepared.skeleton.motion(poses))
-    sizes, shanks = (np.linalg.norm(each, axis=-1) for each in (misfit.thighs, misfit.shanks))
-    worst, sensed = int(sizes.argmax()), prepared.bone_imus is not None
-    name, value = "distance of the legs' keypoints from the body's place", 1000 * float(sizes[worst])
+    worst, sensed = int(misfit.thighs.argmax()), prepared.bone_imus is not None
+    name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
     if not value:
         return Check.unknown(name, "keypoints", "mm", "hips or knees are not seen")
     limit = _SENSED_LEGS_MM if sensed else _LEGS_MM
-    if sensed and value > limit and shanks[worst] > _TOGETHER * sizes[worst]:
+    if sensed and value > limit and 1000 * misfit.shanks[worst] > _TOGETHER * value:
         return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
     px, t = value * misfit.px_per_m / 1000, poses.times[worst]
     bones = ", the bones and the sensors" if sensed else " and the bones"

@@ -28,10 +28,10 @@ _OUTLIER: Final = 3.0
 """[sigma] at which residuals are clipped."""
 _FEWEST: Final = 100
 """Residuals that an estimate needs."""
-_MEAN_S, _NEAR_S, _KNOWN = 1.0, 4.0, 0.2
+_MEAN_S, _NEAR_S, _KNOWN = 2.0, 4.0, 0.2
 """[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
 counts, and the share of frames that an average needs."""
-_USUAL_M: Final = 0.05
+_USUAL_M: Final = 0.045
 """[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed."""
 _LEGS, _SENSED_LEGS, _REST, _TURNS = 2.5, 0.7, 0.3, 0.5
 """Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh,
@@ -80,22 +80,22 @@ def autocorrelation(residuals_px: Array, times: Array) -> float | None:
 
 @dataclass(frozen=True)
 class LegMisfit:
-    """Mean residuals of the legs' points in the image, both sides together, over a second; 0 where unseen.
+    """Mean residuals of the legs' points in the image, as far as both sides agree; 0 where unseen.
 
     A detector that is wrong about the legs as a whole, with confidence, leaves little residual at knees and
     feet, which the motion follows; bones cannot follow everywhere, and hips are pulled off their own points.
     """
 
     thighs: Array
-    """(T, 2) m, of the knees less those of the hips."""
+    """(T,) m, of the knees less those of the hips."""
     shanks: Array
-    """(T, 2) m, of the ankles less those of the knees."""
+    """(T,) m, of the ankles less those of the knees."""
     px_per_m: float
     """Size of the person in the image."""
 
     def excess(self, rate_hz: float) -> Array:
         """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame."""
-        near = maximum_filter1d(np.linalg.norm(self.thighs, axis=-1), 2 * round(_NEAR_S * rate_hz) + 1)
+        near = maximum_filter1d(self.thighs, 2 * round(_NEAR_S * rate_hz) + 1)
         return np.asarray(np.sqrt(np.maximum(near**2 - _USUAL_M**2, 0.0)))
 
 
@@ -110,18 +110,22 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
     anchors, width = [motion.skeleton.names[j] for j in points.anchors], round(_MEAN_S * poses.rate_hz) | 1
 
     def of(joint: str) -> Array:
-        own = residuals[:, [i for i, name in enumerate(anchors) if name in (f"Left{joint}", f"Right{joint}")]]
-        known = np.isfinite(own)
+        at = [i for i, name in enumerate(anchors) if name == joint]
+        own = residuals[:, at]
+        known = np.isfinite(own) * keypoints.confidence[:, at, None]
         total, share = (
             uniform_filter1d(values, width, axis=0, mode="nearest").sum(axis=1)
-            for values in (np.where(known, own, 0.0), known.astype(float))
+            for values in (known * np.nan_to_num(own), known)
         )
         return np.where(share > _KNOWN, total / np.maximum(share, _KNOWN), np.nan)
 
-    hips, knees, ankles = of("UpLeg"), of("Leg"), of("Foot")
+    def shared(upper: str, lower: str) -> Array:
+        left, right = (of(f"{side}{lower}") - of(f"{side}{upper}") for side in ("Left", "Right"))
+        return np.sqrt(np.maximum(np.nan_to_num(np.sum(left * right, axis=-1)), 0.0))
+
     seen = np.isfinite(scale)
     px_per_m = 1 / float(np.median(scale[seen])) if seen.any() else np.nan
-    return LegMisfit(np.nan_to_num(knees - hips), np.nan_to_num(ankles - knees), px_per_m)
+    return LegMisfit(shared("UpLeg", "Leg"), shared("Leg", "Foot"), px_per_m)
 
 
 def leg_spread(
