@@ -121,7 +121,7 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
 
     def shared(upper: str, lower: str) -> Array:
         left, right = (of(f"{side}{lower}") - of(f"{side}{upper}") for side in ("Left", "Right"))
-        return np.sqrt(np.maximum(np.nan_to_num(np.sum(left * right, axis=-1)), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.nan_to_num(np.sum(left * right, axis=-1)), 0.0)))
 
     seen = np.isfinite(scale)
     px_per_m = 1 / float(np.median(scale[seen])) if seen.any() else np.nan
