@@ -310,8 +310,8 @@ def test_keypoints_of_the_legs_that_are_off_are_named_first_and_in_their_bands()
     right = Case(truth, planted.recording(truth))
     video, feet = right.recording.video, ("LeftLeg", "RightLeg", "LeftFoot", "RightFoot")
     uv = video.uv_px.copy()
-    uv[:, [i for i, name in enumerate(video.names) if name.endswith(("Toe", "Heel"))], 0] += 150.0
-    uv[:, [video.names.index(name) for name in feet], 0] += 150.0
+    uv[:, [i for i, name in enumerate(video.names) if name.endswith(("Toe", "Heel"))], 0] += 200.0
+    uv[:, [video.names.index(name) for name in feet], 0] += 200.0
     off = right.changed(keypoints=replace(video, uv_px=uv)).run("rto")
     assert not [check for check in right.run("rto").checks if check.failed]
     failed = [check for check in off.checks if check.failed]
