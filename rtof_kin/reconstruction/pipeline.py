@@ -19,13 +19,13 @@ from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
-from rtof_kin.reconstruction.camera_checks import check_camera_evidence, explained
+from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS, check_camera_evidence, explained
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.image_checks import OF_PICTURE
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
-from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
+from rtof_kin.reconstruction.quality import check_legs, quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.room import Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
@@ -36,7 +36,7 @@ from rtof_kin.reconstruction.sensor_checks import (
 )
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.setup_causes import RATE
+from rtof_kin.reconstruction.setup_causes import HEADING, RATE, VIEW
 from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
@@ -222,6 +222,8 @@ def _result(
     checks, room = tuple[Check, ...](), unseen_room(declared.recording)
     if settings.checks:
         checks, room = _checked(declared, job, prepared, poses, suspect, clocks)
+        if solution is not None and not clocks.foreign:
+            checks = _with_legs(checks, check_legs(prepared, poses))
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
     motion, room = with_covariances(skeleton.motion(poses), prepared, solution, others, room)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
@@ -249,6 +251,17 @@ def _checked(
     if clocks.foreign:  # at the right rate of the video they may belong to it
         return (*sensors, *camera), room
     return (*clocks.checks, *sensors, *camera), room
+
+
+def _with_legs(checks: tuple[Check, ...], legs: Check) -> tuple[Check, ...]:
+    """The checks with that of the legs' keypoints: before those of directions that it would mislead, and
+    unknown where another cause is likelier.
+    """
+    others = (c for c in checks if c.name not in (VIEW, HEADING) and not c.name.startswith(ROOM_CHECKS))
+    wrong = next((check for check in others if check.failed), None)
+    if legs.failed and wrong is not None:
+        legs = replace(legs, value=float("nan"), advice=f"first {wrong.cause}")
+    return (legs, *checks) if legs.failed else (*checks, legs)
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:

@@ -18,6 +18,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
+from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
@@ -325,3 +326,22 @@ def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_onc
         assert more == pytest.approx(9 * np.sqrt(2), abs=0.3)
         (said,) = [text for text in result.warnings if text.startswith("the zero of ")]
         assert "knee flexion is not known to better than +-25 deg" in said
+
+
+def test_keypoints_of_the_legs_that_are_off_are_named_first_and_in_their_bands() -> None:
+    truth = planted.human(BODY, FRAMES)
+    right = Case(truth, planted.recording(truth))
+    video, feet = right.recording.video, ("LeftLeg", "RightLeg", "LeftFoot", "RightFoot")
+    uv = video.uv_px.copy()
+    uv[:, [i for i, name in enumerate(video.names) if name.endswith(("Toe", "Heel"))], 0] += 200.0
+    uv[:, [video.names.index(name) for name in feet], 0] += 200.0
+    off = right.changed(keypoints=replace(video, uv_px=uv)).run("rto")
+    assert not [check for check in right.run("rto").checks if check.failed]
+    failed = [check for check in off.checks if check.failed]
+    assert failed[0].cause.startswith("the keypoints of the legs are off by ")
+    stated = off.motion.confidence
+    assert stated is not None
+    p, q = off.motion.poses.p_world_joint, truth.poses.p_world_joint
+    error = ((p - p[:, :1]) - (q - q[:, :1]))[:, BODY.index(*feet)]
+    sigma = np.sqrt(np.diagonal(stated.relative_covariance, axis1=-2, axis2=-1))[:, BODY.index(*feet)]
+    assert np.mean(np.abs(error) <= BAND_95 * sigma) > 0.9

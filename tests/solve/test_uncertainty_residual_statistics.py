@@ -11,9 +11,15 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
-from rtof_kin.solve.uncertainty.residual_statistics import autocorrelation, residual_statistics
+from rtof_kin.solve.uncertainty.residual_statistics import (
+    autocorrelation,
+    leg_misfit,
+    leg_spread,
+    residual_statistics,
+)
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -76,3 +82,37 @@ def test_torso_sigma_is_that_of_pelvis_and_upper_trunk() -> None:
     sigma[:30] = np.nan
     lifted = replace(MOTION.poses, sigma_rad=sigma)
     assert residual_statistics(keypoints(errors(6)), MOTION, lifted).torso_sigma == pytest.approx(0.2)
+
+
+def legs_off(px: float, frames: slice = slice(None)) -> Array:
+    off = np.zeros((240, 21, 2))
+    off[frames, BODY.index("LeftLeg", "RightLeg", "LeftFoot", "RightFoot"), 0] = px
+    return off
+
+
+def test_legs_that_are_off_together_misfit_the_hips_and_no_other_error_does() -> None:
+    size = leg_misfit(keypoints(legs_off(60.0)), MOTION).thighs
+    metres = 60.0 / 1250.0 * np.median(CAMERA.to_camera(MOTION.poses.p_world_joint)[..., 2])
+    assert size.mean() == pytest.approx(metres, rel=0.1)
+    one = legs_off(60.0) * np.char.startswith(BODY.names, "Left")[:, None]
+    for other in (one, np.full((240, 21, 2), 60.0), errors(7), np.full((240, 21, 2), np.nan)):
+        found = leg_misfit(keypoints(other), MOTION)
+        assert not found.excess(60.0).any()
+        assert found.shanks.max() < 0.02
+
+
+def test_bands_grow_where_the_legs_misfit_and_less_with_sensors_on_the_thighs() -> None:
+    pairs = ((WORLD, "Hips"), ("LeftUpLeg", "LeftLeg"))
+    zero = np.zeros((240, 21, 3, 3))
+    none = Confidence(MOTION.times, BODY.names, zero, zero, pairs, np.zeros((240, 2, 3, 3)))
+    assert leg_spread(none, leg_misfit(keypoints(errors(8)), MOTION), MOTION) is None
+    misfit = leg_misfit(keypoints(legs_off(60.0)), MOTION)
+    wide, sensed = (leg_spread(none, misfit, MOTION, on) for on in ((), ("LeftUpLeg", "LeftLeg")))
+    assert wide is not None
+    assert sensed is not None
+    knee, arm = BODY.index("LeftLeg", "LeftArm")
+    assert 3 * sensed.relative_sigma[0, knee] < wide.relative_sigma[0, knee]
+    assert 3 * wide.relative_sigma[0, arm] < wide.relative_sigma[0, knee]
+    assert not wide.relative_sigma[:, 0].any()
+    assert np.degrees(np.sqrt(wide.turn("LeftUpLeg", "LeftLeg")[0, 0, 0])) > 10.0
+    assert not sensed.turn("LeftUpLeg", "LeftLeg").any()
