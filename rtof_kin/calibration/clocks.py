@@ -25,7 +25,7 @@ from rtof_kin.inertial.orientation import log_with_orientation
 
 SURE: Final = 4.0
 """[nats] Least margin of an offset that is not in doubt; see `ClockEstimate.margin`."""
-_RIVAL: Final = 0.5
+REPEATED: Final = 0.5
 """[1] Gain of another offset, relative to the best one, from which the motion repeats itself."""
 _AGREEING: Final = 0.2
 """[1] Least part of the image's motion that the sensors explain; of another motion up to 0.2 in 20 s."""
@@ -59,7 +59,8 @@ class ClockEstimate:
     drift: float
     """[s/s] 0 where the recording is too short to tell."""
     sigma: float
-    """[s] Standard deviation of the offset."""
+    """[s] Standard deviation of the offset; of one in doubt by `find_clock`, the way to the furthest of the
+    next best."""
     margin: float
     """[nats] of the best offset to the next one, per independent sensor and with allowance for correlated
     errors."""
@@ -130,11 +131,14 @@ def find_clock(
     worn = np.flatnonzero(scan.segments >= 0)
     segments = scan.segments[worn]
     line = _line(seen.of(segments), sensed.of(worn), scan.best)
+    doubt = _doubt(scan, around, reach)
+    others = [abs(offset - scan.best) for offset, _ in scan.peaks[1:]]
     return replace(
         line,
+        sigma=max([line.sigma, *others]) if doubt else line.sigma,
         margin=scan.margin,
-        doubt=_doubt(scan, around, reach),
-        candidates=scan.rivals(_RIVAL),
+        doubt=doubt,
+        candidates=scan.rivals(REPEATED),
         explained=scan.explained,
         joints={log.names[s]: carriers[j] for s, j in zip(worn, segments, strict=True)},
     )
@@ -188,7 +192,7 @@ def small_offset(seen: Turning, sensed: Turning) -> ClockEstimate:
     middle = sum(_common(seen, sensed, offset)) / 2
     line = ClockEstimate(
         offset, 0.0, sigma, scan.margin, _doubt(scan, 0.0, REACH, _SURE_NEAR), np.inf, middle - offset,
-        scan.rivals(_RIVAL), explained=scan.explained,
+        scan.rivals(REPEATED), explained=scan.explained,
     )  # fmt: skip
     around = replace(line, offset=0.0, middle=middle)
     for _ in range(3):  # of a large drift, only the windows near the middle are found at first
@@ -276,12 +280,12 @@ def _doubt(scan: Scan, around: float, reach: float, sure: float = SURE) -> str:
             f"image and sensors move differently at every offset within {reach:g} s of {around:g} s: check "
             "that they are of the same person and time and which sensor is where, or search further (reach)"
         )
-    rivals = [f"{offset:+.2f} s" for offset in scan.rivals(_RIVAL)]
+    rivals = [f"{offset:+.2f} s" for offset in scan.rivals(REPEATED)]
     if rivals:
         return (
             f"the motion repeats itself: offsets of {', '.join(rivals)} explain it nearly as well as "
-            f"{scan.best:+.2f} s; give the start times of video and sensors (around, reach), or record a "
-            "turn or an arm raise"
+            f"{scan.best:+.2f} s; give the start times of video and sensors (around, reach), or begin with "
+            "a stamp, a turn or an arm raise"
         )
     if scan.margin < sure:
         return (

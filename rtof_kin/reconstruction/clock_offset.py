@@ -15,7 +15,7 @@ import numpy as np
 
 from rtof_kin.body.metrics import at_times
 from rtof_kin.calibration.clock_scan import Scan
-from rtof_kin.calibration.clocks import ClockEstimate, small_offset
+from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration
 from rtof_kin.calibration.turning import Turning, image_turning, joined, turning_of
@@ -30,7 +30,8 @@ from rtof_kin.recording.recording import Recording
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
 DAYS_APART: Final = "video and sensors are of different days"
-"""Beginning of a note of a recording that was set up so."""
+CLOCK_DOUBT: Final = "when the sensors began is in doubt"
+"""Beginnings of notes of a recording that was set up so."""
 _SIGMAS: Final = 3.0
 _LEAST: Final = 0.01
 """Standard deviations and [s] from which an offset is corrected."""
@@ -48,7 +49,7 @@ _EXPLAINED: Final = (0.05, 0.1)
 sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
 (benchmarks/results/clock_offsets.md)."""
 _ANYWHERE: Final = (0.15, 0.2)
-"""[1] The same on any segments at offsets up to `_ELSEWHERE`, where `_EXPLAINED` is not reached."""
+"""[1] The same at offsets up to `_ELSEWHERE` or on other segments, by which a wrong start or map is named."""
 _ELSEWHERE: Final = 6.0
 """[s] Offsets at which sensors may be that belong to the video."""
 _MOVING: Final = 0.15
@@ -70,6 +71,8 @@ class ClockOffset:
     """[s] Time stamp of the constant of the delay."""
     uncertain_drift: float = 0.0
     """[s/s] Drift that is likely, but not sure."""
+    repeats: float = 0.0
+    """[s] Time after which the motion repeats itself, where the sensors may be a repetition off; else 0."""
 
     @property
     def foreign(self) -> bool:
@@ -101,14 +104,22 @@ class ClockOffset:
             sigma = float(np.hypot(sigma, SIGMA_DETECTOR))
         rate = self.uncertain_drift or float(np.append(self.delay.sigma, 0.0)[1])
         later = np.hypot(sigma, rate * (poses.times - self.middle))
-        return (replace(at_times(poses, poses.times + later), times=poses.times),)
+        shifted = (replace(at_times(poses, poses.times + later), times=poses.times),)
+        return (*shifted, self._repeated(poses)) if self.repeats else shifted
+
+    def _repeated(self, poses: PoseSequence) -> PoseSequence:
+        """Return the motion of the next repetition, of the last one at the end, at the same place."""
+        ahead, back = (at_times(poses, poses.times + by) for by in (self.repeats, -self.repeats))
+        within = (ahead.times >= poses.times[0]) & (ahead.times <= poses.times[-1])
+        p = np.where(within[:, None, None], ahead.p_world_joint, back.p_world_joint)
+        R = np.where(within[:, None, None, None], ahead.R_world_bone, back.R_world_bone)
+        return replace(poses, p_world_joint=p + (poses.p_world_joint - p)[:, :1], R_world_bone=R)
 
 
 def _noted(recording: Recording) -> tuple[str, ...]:
-    """Return the notes of a recording by which its sensors may be of another day."""
-    return tuple(
-        line[line.index(DAYS_APART) :] for line in recording.notes.splitlines() if DAYS_APART in line
-    )
+    """Return the notes of a recording by which its sensors may be of another day, or their clock off."""
+    lines, about = recording.notes.splitlines(), (DAYS_APART, CLOCK_DOUBT)
+    return tuple(line[line.index(note) :] for note in about for line in lines if note in line)
 
 
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
@@ -143,7 +154,12 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
         unsure = found.likely_drift
     seconds = float(jobs[-1].recording.video.times[-1] - jobs[0].recording.video.times[0])
     warnings = (*noted, *_sentences(delay, applied, found, seconds, len(columns)))
-    return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
+    doubt = next((note for note in noted if note.startswith(CLOCK_DOUBT)), "")
+    if not doubt:
+        return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
+    others = Scan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
+    stride = min(others, key=abs, default=0.0)
+    return ClockOffset(replace(delay, doubt=doubt), applied, (check,), warnings, middle, unsure, stride)
 
 
 def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Quantity:
@@ -187,27 +203,33 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
 def _check_belonging(
     job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate
 ) -> Check:
-    """Check that the sensors, on whatever segment and at whatever offset, move as the image shows."""
+    """Check that the sensors move as the image shows where and when they are declared."""
     S = len(columns)
-    least, explained, speed = _EXPLAINED[S >= _FEW], found.explained, np.nanmean(sensed.w_world**2)
+    least, explained = _EXPLAINED[S >= _FEW], found.explained
+    cause = "the sensors do not belong to this video"
+    advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
     if explained < least:
         imus, calibration = job.recording.imus, job.recording.calibration
         assert imus is not None
         assert calibration is not None
         form = check_form(imus, calibration.select(imus.names).R_world_inertial)
-        if speed < _MOVING**2 or any(check.failed for check in form):
+        if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
             return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
-        carriers = {joint for joint, _ in job.subject.sensors.values()} | {
-            job.subject.names[j] for j in columns
-        }
-        anywhere = seen.of(job.subject.index(*sorted(carriers)))
-        least = _ANYWHERE[S >= _FEW]
-        explained = max(explained, Scan.of(anywhere, sensed, 0.0, _ELSEWHERE, known=False).explained)
+        carriers = {joint for joint, _ in job.subject.sensors.values()}
+        carriers |= {job.subject.names[j] for j in columns}
+        anywhere = list(job.subject.index(*sorted(carriers)))
+        for segments, known in ((columns, True), (anywhere, False)):
+            scan = Scan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            if scan.explained >= _ANYWHERE[S >= _FEW]:
+                when = f"{abs(scan.best):.1f} s {'later' if scan.best > 0 else 'earlier'} than declared"
+                other = f"began {when}" if known else "are on other segments"
+                cause += f", or they {other}"
+                advice = f"They would turn as the limbs in the video if they {other}"
+                break
     return Check(
         NAME, "sensors", (1 - explained) / max(explained, 1e-3), (1 - least) / least, "times",
-        f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video; "
-        "they are left out. Give the sensors' file of this take, or check the rates of video and sensors",
-        cause="the sensors do not belong to this video",
+        f"{advice}; they are left out. Give the sensors' file of this take, or check the rates of video and "
+        "sensors, start_s and which sensor is where", cause=cause,
     )  # fmt: skip
 
 

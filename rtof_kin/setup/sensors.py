@@ -26,7 +26,7 @@ from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment, segments_of
-from rtof_kin.reconstruction.clock_offset import DAYS_APART
+from rtof_kin.reconstruction.clock_offset import CLOCK_DOUBT, DAYS_APART
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.alignment import Alignment, align_sensors
 from rtof_kin.setup.assignment import assign_sensors
@@ -98,7 +98,7 @@ def set_up_sensors(
             "files of this take, or leave them out and use the camera alone"
         )
     _check_overlap(clock.apply(log), keypoints.times)
-    doubts = [apart, *still, clock.doubt]
+    doubts = [apart, *still, f"{CLOCK_DOUBT}: {clock.doubt}" if clock.doubt else ""]
     if places is None or told is None:
         places, unsure = _assigned(clock.apply(log), take)
         told = {name: str(field.value) for name, field in places.items()}
@@ -238,7 +238,9 @@ def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], ta
     again = find_clock(
         take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART
     )
-    return replace(again, doubt=clock.doubt)
+    return replace(
+        again, doubt=clock.doubt, sigma=clock.sigma if clock.doubt else min(clock.sigma, again.sigma)
+    )
 
 
 def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
@@ -246,7 +248,8 @@ def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
     delay = found.delay
     if delay is None:
         return clock
-    return replace(clock, offset=clock.offset + float(delay.value[0]), sigma=float(delay.sigma[0]))
+    sigma = clock.sigma if clock.doubt else float(delay.sigma[0])
+    return replace(clock, offset=clock.offset + float(delay.value[0]), sigma=sigma)
 
 
 def _drifted(log: SensorLog, clock: ClockEstimate) -> SensorLog:
@@ -260,15 +263,19 @@ def _fields(
 ) -> dict[str, Field | Tables]:
     """Return the table ``[imus]``."""
     start = clock.offset - clock.drift * clock.middle
+    sigma = f"± {clock.sigma:.1f} s" if clock.doubt else f"± {1000 * clock.sigma:.0f} ms"
+    origin, why = (
+        (Origin.ASSUMED, "other offsets fit too") if clock.doubt else (Origin.FOUND, "by their motion")
+    )
     drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {IMUS}" if clock.drift else ""
     fields: dict[str, Field | Tables] = {
         "file": Field(IMUS),
         "names": Field(list(imus.names)),
         "start_s": Field(
-            round(start, 5), Origin.FOUND,
-            f"± {1000 * clock.sigma:.0f} ms, by their motion; {IMUS} is on the sensors' clock{drift}",
-            f"the sensors began {abs(start):.3f} s {'after' if start >= 0 else 'before'} the video, "
-            f"± {1000 * clock.sigma:.0f} ms",
+            round(start, 5), origin,
+            f"{sigma}, {why}; {IMUS} is on the sensors' clock{drift}",
+            f"the sensors began {abs(start):.{1 if clock.doubt else 3}f} s "
+            f"{'after' if start >= 0 else 'before'} the video, {sigma}{f', {why}' if clock.doubt else ''}",
         ),
     }  # fmt: skip
     tables = calibration_table(found.calibration)

@@ -77,6 +77,7 @@ def test_equal_strides_are_in_doubt_and_name_the_other_offsets() -> None:
     found = find_clock(poses, keypoints, log, skeleton(), joints(calibration))
     assert "repeats itself" in found.doubt
     assert found.candidates
+    assert found.sigma >= max(abs(offset - found.offset) for offset in found.candidates) - 0.05
 
 
 def test_sensors_of_another_motion_are_in_doubt() -> None:

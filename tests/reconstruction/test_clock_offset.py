@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import planted
 import pytest
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.reconstruction import clock_offset
-from rtof_kin.reconstruction.clock_offset import DAYS_APART, ClockOffset, find_offset
+from rtof_kin.reconstruction.clock_offset import CLOCK_DOUBT, DAYS_APART, ClockOffset, find_offset
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
@@ -122,3 +124,26 @@ def test_the_uncertainty_of_the_clocks_widens_what_moves(demo: Recording) -> Non
 def test_a_recording_without_sensors_has_no_clocks_to_compare(demo: Recording) -> None:
     assert found(replace(demo.between(5.0, 8.0), imus=None, calibration=None)) == ClockOffset()
     assert find_offset([]) == ClockOffset()
+
+
+def test_sensors_that_began_seconds_off_are_left_out_and_the_first_line_says_when(demo: Recording) -> None:
+    wrong = find_offset([Job.of(late(demo.between(1.0, 8.0), 1.5), None, None, None, None)])
+    (check,) = wrong.checks
+    assert wrong.foreign
+    assert "or they began 1.5 s earlier than declared" in check.cause
+    assert "start_s" in check.advice
+
+
+def test_a_doubtful_start_of_the_sensors_is_said_again(demo: Recording) -> None:
+    noted = replace(demo.between(5.0, 9.0), notes=f"doubtful: {CLOCK_DOUBT}: the motion repeats itself")
+    assert found(noted).warnings[0] == f"{CLOCK_DOUBT}: the motion repeats itself"
+
+
+def test_bands_are_as_wide_as_strides_differ_where_the_stride_is_in_doubt() -> None:
+    motion, _ = planted.walking(SkeletonModel.default(), 6.0)
+    poses = motion.poses
+    delay = Quantity("delay", "video", *np.array([[0.0], [0.01], [0.29]]), 0.96)
+    same, other = (ClockOffset(delay, repeats=s).apart(poses)[-1] for s in (1.2, 0.9))
+    assert np.abs(same.p_world_joint - poses.p_world_joint).max() < 0.01  # all strides are alike
+    assert np.abs(other.p_world_joint - poses.p_world_joint).max() > 0.2
+    assert np.isfinite(other.p_world_joint).all()

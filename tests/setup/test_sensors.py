@@ -165,6 +165,19 @@ def test_sensors_that_fit_but_state_another_day_are_doubted_first(
     )
 
 
+def test_a_clock_in_doubt_claims_no_milliseconds(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
+    doubtful = ClockEstimate(-3.0, 0.0, 2.4, 0.1, "the motion repeats itself", explained=0.6)
+    monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: doubtful)
+    found = take.set_up(take.log, take.map)
+    start = found.fields["start_s"]
+    assert isinstance(start, Field)
+    assert (start.origin, start.summary) == (
+        sensors.Origin.ASSUMED, "the sensors began 3.0 s before the video, ± 2.4 s, other offsets fit too"
+    )  # fmt: skip
+    assert " ms" not in start.note
+    assert found.doubts[0] == "when the sensors began is in doubt: the motion repeats itself"
+
+
 def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     early = ClockEstimate(-20.0, 0.0, 0.005, 10.0)
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: early)
