@@ -116,7 +116,7 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     for name, subject, share, warn, fail, note in shares:
         yield AuditResult("streams", name, subject, 100 * float(share), "%", warn, fail, _USER, note)
     seconds = statistics.frames / first.motion.poses.rate_hz
-    most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.5 * seconds}  # as the shares above
+    most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.4 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
             "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,

@@ -115,9 +115,9 @@ def test_a_wrong_acceleration_fails_at_its_sensor(good: Reconstruction) -> None:
     imus = good.bone_imus
     assert imus is not None
     a = imus.a_world.copy()
-    a[:, 0] += [0.0, 0.0, 9.81]
+    a[:, 0] += [0.0, 0.0, -2 * 9.81]  # of the opposite sign
     found = of(replace(good, bone_imus=replace(imus, a_world=a)), "sensors", imus.joints[0], "acceleration")
-    assert (found.value, found.grade) == (pytest.approx(9.81, abs=0.5), Grade.FAIL)
+    assert (found.value, found.grade) == (pytest.approx(2 * 9.81, abs=0.5), Grade.FAIL)
 
 
 def test_faults_and_warnings_are_results(good: Reconstruction) -> None:

@@ -31,8 +31,9 @@ _FEWEST: Final = 100
 _MEAN_S, _NEAR_S, _KNOWN = 2.0, 4.0, 0.2
 """[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
 counts, and the share of frames that an average needs."""
-_USUAL_M: Final = 0.045
-"""[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed."""
+_USUAL_M, _USUAL_ALONE_M = 0.045, 0.1
+"""[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed, with sensors
+on the thighs and without."""
 _LEGS, _SENSED_LEGS, _REST, _TURNS = 2.5, 0.7, 0.3, 0.5
 """Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh,
 of all other joints; and of turns relative to the knee's. Of six of those recordings with displaced legs."""
@@ -93,10 +94,15 @@ class LegMisfit:
     px_per_m: float
     """Size of the person in the image."""
 
-    def excess(self, rate_hz: float) -> Array:
-        """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame."""
+    def excess(self, rate_hz: float, sensed: bool = True) -> Array:
+        """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame.
+
+        Args:
+            rate_hz: of the frames. sensed: the thighs carry sensors.
+        """
+        usual = _USUAL_M if sensed else _USUAL_ALONE_M
         near = maximum_filter1d(self.thighs, 2 * round(_NEAR_S * rate_hz) + 1)
-        return np.asarray(np.sqrt(np.maximum(near**2 - _USUAL_M**2, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(near**2 - usual**2, 0.0)))
 
 
 def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit:
@@ -137,7 +143,7 @@ def leg_spread(
         confidence: gives names, pairs and times. misfit: at these times. motion: of it.
         sensors: joints whose segments carry one that is used.
     """
-    excess = misfit.excess(motion.poses.rate_hz)
+    excess = misfit.excess(motion.poses.rate_hz, bool({"LeftUpLeg", "RightUpLeg"} & {*sensors}))
     if not excess.any():
         return None
     skeleton = motion.skeleton
