@@ -32,8 +32,8 @@ _MEAN_S, _NEAR_S, _KNOWN = 2.0, 4.0, 0.2
 """[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
 counts, and the share of frames that an average needs."""
 _USUAL_M, _USUAL_ALONE_M = 0.045, 0.1
-"""[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed, with sensors
-on the thighs and without."""
+"""[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed, with
+sensors on the thighs and without."""
 _LEGS, _SENSED_LEGS, _REST, _TURNS = 2.5, 0.7, 0.3, 0.5
 """Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh,
 of all other joints; and of turns relative to the knee's. Of six of those recordings with displaced legs."""
