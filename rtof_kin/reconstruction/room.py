@@ -85,6 +85,8 @@ class Room:
             confidence: of the motion, with the declared camera. poses: of the motion.
         """
         d = displacements(self.camera, poses.p_world_joint)
+        if not np.isfinite(confidence.position_covariance[:, 0]).any() or not np.isfinite(d[:, 0]).any():
+            return confidence, self  # nothing is known of the position anyway
         d[..., [FOCAL, SIZE]] *= _LONGEST
         own = float(np.nanmean(np.trace(confidence.position_covariance[:, 0], axis1=-2, axis2=-1)))
         open_ = np.nanmean((d[:, 0] ** 2).sum(axis=1), axis=0) * (np.diag(self.moment) + self.elsewhere**2)
