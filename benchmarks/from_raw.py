@@ -113,7 +113,7 @@ def rows_of(name: str, clip: MocapClip, camera: int, sensors: str) -> Iterator[R
     recording, found = simulated(clip, camera, sensors, rng)
     truth, true = recording.truth, recording.video.camera
     assert truth is not None
-    mode = "rto" if recording.imus is None else "rtof"
+    mode = recording.usual_mode
     about: Row = {"motion": name, "camera": camera, "sensors": sensors}
     height = recording.skeleton.height * (1 + 0.01 * rng.standard_normal())
     usual = SkeletonModel.default().with_height(height).joint_offsets

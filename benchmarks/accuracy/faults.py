@@ -36,7 +36,8 @@ def with_long_bones(recording: Recording, rng: Generator) -> Recording:
     return replace(recording, joint_offsets=recording.joint_offsets * 1.03)
 
 
-def _with_camera(recording: Recording, **changes: Any) -> Recording:
+def with_changed_camera(recording: Recording, **changes: Any) -> Recording:
+    """The first camera with other fields."""
     camera = replace(recording.video.camera, **changes)
     return replace(recording, keypoints=replace(recording.video, camera=camera))
 
@@ -46,14 +47,14 @@ def with_wrong_focal_length(recording: Recording, rng: Generator) -> Recording:
     camera = recording.video.camera
     K = camera.K * np.array([[1.02], [1.02], [1.0]])
     K[:, 2] = camera.K[:, 2]
-    return _with_camera(recording, K=K)
+    return with_changed_camera(recording, K=K)
 
 
 def with_tilted_camera(recording: Recording, rng: Generator) -> Recording:
     """A camera that is believed to look 1 deg lower or higher, from the place where it is."""
     camera = recording.video.camera
     R = so3.about_axis("x", np.radians(1.0)) @ camera.R_camera_world
-    return _with_camera(recording, R_camera_world=R, t_camera_world=-R @ camera.center_world)
+    return with_changed_camera(recording, R_camera_world=R, t_camera_world=-R @ camera.center_world)
 
 
 def with_wrong_heading(recording: Recording, rng: Generator) -> Recording:

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
+from benchmarks.accuracy.faults import with_changed_camera
 from benchmarks.accuracy.video_faults import LEGS
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -76,22 +77,17 @@ class Fault:
 # --- camera, floor and body ------------------------------------------------------------------------
 
 
-def _with_camera(recording: Recording, **changes: Any) -> Recording:
-    video = recording.video
-    return replace(recording, keypoints=replace(video, camera=replace(video.camera, **changes)))
-
-
 def focal(recording: Recording, factor: float, draws: Draws) -> Recording:
     """A focal length that is wrong by a factor."""
     K = recording.video.camera.K
-    return _with_camera(recording, K=K * [[factor, factor, 1], [factor, factor, 1], [1, 1, 1]])
+    return with_changed_camera(recording, K=K * [[factor, factor, 1], [factor, factor, 1], [1, 1, 1]])
 
 
 def principal_point(recording: Recording, px: float, draws: Draws) -> Recording:
     """A principal point that is off in a direction that is drawn."""
     K, angle = recording.video.camera.K.copy(), draws.rng.uniform(0, 2 * np.pi)
     K[:2, 2] += px * np.array([np.cos(angle), np.sin(angle)])
-    return _with_camera(recording, K=K)
+    return with_changed_camera(recording, K=K)
 
 
 def _turned_camera(axis: str, of_world: bool = False) -> Plant:
@@ -101,7 +97,7 @@ def _turned_camera(axis: str, of_world: bool = False) -> Plant:
         camera = recording.video.camera
         turn = so3.about_axis(axis, np.radians(draws.sign() * degrees))
         R = camera.R_camera_world @ turn if of_world else turn @ camera.R_camera_world
-        return _with_camera(recording, R_camera_world=R, t_camera_world=-R @ camera.center_world)
+        return with_changed_camera(recording, R_camera_world=R, t_camera_world=-R @ camera.center_world)
 
     return plant
 
@@ -110,7 +106,7 @@ def camera_height(recording: Recording, metres: float, draws: Draws) -> Recordin
     """A camera that stands higher or lower over the floor."""
     camera = recording.video.camera
     centre = camera.center_world + np.array([0.0, 0.0, draws.sign() * metres])
-    return _with_camera(recording, t_camera_world=-camera.R_camera_world @ centre)
+    return with_changed_camera(recording, t_camera_world=-camera.R_camera_world @ centre)
 
 
 def floor(recording: Recording, metres: float, draws: Draws) -> Recording:
@@ -142,13 +138,14 @@ def _imus(recording: Recording) -> ImuSequence:
     return recording.imus
 
 
-def _with_imus(recording: Recording, **changes: Any) -> Recording:
+def with_imus(recording: Recording, **changes: Any) -> Recording:
+    """The sensors with other fields."""
     return replace(recording, imus=replace(_imus(recording), **changes))
 
 
 def late(recording: Recording, seconds: float, draws: Draws) -> Recording:
     """The sensors' stamps are late."""
-    return _with_imus(recording, times=_late(_imus(recording).times, seconds))
+    return with_imus(recording, times=_late(_imus(recording).times, seconds))
 
 
 def _late(times: Array, seconds: float) -> Array:
@@ -157,7 +154,7 @@ def _late(times: Array, seconds: float) -> Array:
 
 def drift(recording: Recording, share: float, draws: Draws) -> Recording:
     """The sensors' clock runs too fast."""
-    return _with_imus(recording, times=_drifting(_imus(recording).times, share))
+    return with_imus(recording, times=_drifting(_imus(recording).times, share))
 
 
 def _drifting(times: Array, share: float) -> Array:
@@ -197,7 +194,7 @@ def frozen_sensor(recording: Recording, after: float, draws: Draws) -> Recording
     noise = draws.rng.standard_normal((2, len(imus) - first, 3))
     R[first:, s] = R[first, s] @ so3.exp(np.radians(0.03) * noise[0])
     f[first:, s] = f[first, s] + 0.03 * noise[1]
-    return _with_imus(recording, R_inertial_sensor=R, f_sensor=f)
+    return with_imus(recording, R_inertial_sensor=R, f_sensor=f)
 
 
 def _turned_references(horizontal: bool) -> Plant:

@@ -12,7 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.planted.faults import Fault
+from benchmarks.accuracy.faults import with_changed_camera
+from benchmarks.planted.faults import Fault, with_imus
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -41,9 +42,9 @@ def camera(**changes: Callable[[Any], Any]) -> Plant:
     """A mistake in fields of the camera."""
 
     def plant(recording: Recording) -> Recording:
-        video = recording.video
-        fields = {name: change(getattr(video.camera, name)) for name, change in changes.items()}
-        return replace(recording, keypoints=replace(video, camera=replace(video.camera, **fields)))
+        given = recording.video.camera
+        fields = {name: change(getattr(given, name)) for name, change in changes.items()}
+        return with_changed_camera(recording, **fields)
 
     return plant
 
@@ -103,11 +104,6 @@ OF_CAMERA: Final[dict[str, Gross]] = {
 }
 
 
-def _with_imus(recording: Recording, **changed: Any) -> Recording:
-    assert recording.imus is not None
-    return replace(recording, imus=replace(recording.imus, **changed))
-
-
 def _flipped(imus: ImuSequence) -> dict[str, Any]:
     return {"f_sensor": -imus.f_sensor}
 
@@ -143,7 +139,7 @@ def _frozen(share: float, sensors: slice) -> Callable[[ImuSequence], dict[str, A
 def _samples(change: Callable[[ImuSequence], dict[str, Any]]) -> Plant:
     def plant(recording: Recording) -> Recording:
         assert recording.imus is not None
-        return _with_imus(recording, **change(recording.imus))
+        return with_imus(recording, **change(recording.imus))
 
     return plant
 
@@ -153,7 +149,7 @@ def _late(seconds: float) -> Plant:
 
     def plant(recording: Recording) -> Recording:
         assert recording.imus is not None
-        return _with_imus(recording, times=recording.imus.times + seconds)
+        return with_imus(recording, times=recording.imus.times + seconds)
 
     return plant
 
@@ -180,7 +176,7 @@ def _samples_swapped(left: str, right: str) -> Plant:
             a, b = (recording.imus.names.index(recording.calibration.sensors[s]) for s in (a, b))
             order[a], order[b] = b, a
         R, f = recording.imus.R_inertial_sensor[:, order], recording.imus.f_sensor[:, order]
-        return _with_imus(recording, R_inertial_sensor=R, f_sensor=f)
+        return with_imus(recording, R_inertial_sensor=R, f_sensor=f)
 
     return plant
 

@@ -31,7 +31,6 @@ from rtof_kin.body.metrics import at_times, evaluate
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import PoseSequence
@@ -116,7 +115,7 @@ def judged(
     """
     truth = planted.truth
     assert truth is not None
-    mode: Mode = "rto" if planted.imus is None else "rtof"
+    mode = planted.usual_mode
     with without_warnings():
         result = reconstruct(replace(planted, truth=None), mode=mode, calibrate=calibrate and mode == "rtof")
     row = _said(headline(audit(result)).line, fault, draws)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import logging
 import math
 import os
@@ -29,7 +28,7 @@ from rich.progress import (
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.core.errors import plain
+from rtof_kin.core.errors import nearest, plain
 from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ class Parser(argparse.ArgumentParser):
             message: what is wrong.
         """
         wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        close = difflib.get_close_matches(wrong[1], re.findall("'(.*?)'", wrong[2]), 1) if wrong else []
+        close = nearest([wrong[1]], re.findall("'(.*?)'", wrong[2])) if wrong else []
         if close:
             message = f"{message.partition(' (choose')[0]}; did you mean {close[0]}?"
         self.exit(2, f"error: {message} ({self.prog} --help has all options)\n")

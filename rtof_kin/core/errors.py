@@ -45,9 +45,18 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
     Args:
         unknown: names that are not valid. known: names that are, whatever their case.
     """
+    near = nearest(unknown, known)
+    return f" Did you mean {', '.join(map(repr, near))}?" if near else ""
+
+
+def nearest(unknown: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Return the nearest valid name of each that is not valid, where one is near.
+
+    Args:
+        unknown: names that are not valid. known: names that are, whatever their case.
+    """
     lower = {name.lower(): name for name in known}
-    near = [match for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
-    return f" Did you mean {', '.join(repr(lower[match]) for match in near)}?" if near else ""
+    return [lower[match] for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
 
 
 def line_of(path: str | Path, word: str, field: str = "") -> int | None:

@@ -11,7 +11,6 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
@@ -105,8 +104,7 @@ def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -
     camera, joints, floor = None, tuple[str, ...](), None
     if (folder / INDEX).exists():
         recording = Recording.load(folder)
-        mode: Mode = "imu" if recording.keypoints is None else "rto" if recording.imus is None else "rtof"
-        motion = reconstruct(recording, mode=mode, lifter=lifter, progress=progress).motion
+        motion = reconstruct(recording, lifter=lifter, progress=progress).motion
         camera = None if recording.keypoints is None else recording.keypoints.camera
         joints = () if recording.calibration is None else recording.calibration.joints
         floor = recording.floor_height

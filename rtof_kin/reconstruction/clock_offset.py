@@ -23,9 +23,9 @@ from rtof_kin.core.errors import CalibrationError, RtofError
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.inertial.recorded_form import check_form
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.self_calibration import calibrated
+from rtof_kin.reconstruction.sensor_checks import check_sensor_form
 from rtof_kin.recording.recording import Recording
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
@@ -209,10 +209,7 @@ def _check_belonging(
     cause = "the sensors do not belong to this video"
     advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
     if explained < least:
-        imus, calibration = job.recording.imus, job.recording.calibration
-        assert imus is not None
-        assert calibration is not None
-        form = check_form(imus, calibration.select(imus.names).R_world_inertial)
+        form = check_sensor_form(job.recording)
         if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
             return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
         carriers = {joint for joint, _ in job.subject.sensors.values()}

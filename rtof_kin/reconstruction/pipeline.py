@@ -42,6 +42,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
+from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit
 
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
@@ -219,13 +220,15 @@ def _result(
     warnings += quality_warnings(prepared, solution, settings)
     disagree = any(fault.kind is FaultKind.DISAGREES for fault in prepared.faults)
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
+    motion = skeleton.motion(poses)
+    legs = None if solution is None else leg_misfit(prepared.keypoints, motion)
     checks, room = tuple[Check, ...](), unseen_room(declared.recording)
     if settings.checks:
         checks, room = _checked(declared, job, prepared, poses, suspect, clocks)
-        if solution is not None and not clocks.foreign:
-            checks = _with_legs(checks, check_legs(prepared, poses))
+        if legs is not None and not clocks.foreign:
+            checks = _with_legs(checks, check_legs(legs, poses.times, prepared.bone_imus is not None))
     _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
-    motion, room = with_covariances(skeleton.motion(poses), prepared, solution, others, room)
+    motion, room = with_covariances(motion, prepared, solution, others, room, legs)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")

@@ -23,7 +23,7 @@ from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution, misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit, leg_spread, residual_statistics
+from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit, leg_spread, residual_statistics
 
 _SURE_DEG: Final = 4.0
 """[deg] Largest standard deviation of a hinge's zero without a warning."""
@@ -35,20 +35,19 @@ _TOGETHER: Final = 0.6
 """Misfit of the shanks relative to that of the thighs, from which wrong sensors explain both."""
 
 
-def check_legs(prepared: Prepared, poses: PoseSequence) -> Check:
+def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
     """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
 
     Args:
-        prepared: what was solved. poses: the solution.
+        misfit: of the solution, at times (T,), s. sensed: it used sensors.
     """
-    misfit = leg_misfit(prepared.keypoints, prepared.skeleton.motion(poses))
-    worst, sensed = int(misfit.thighs.argmax()), prepared.bone_imus is not None
+    worst = int(misfit.thighs.argmax())
     name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
     if not value:
         return Check.unknown(name, "keypoints", "mm", "hips or knees are not seen")
     if sensed and value > _LEGS_MM and 1000 * misfit.shanks[worst] > _TOGETHER * value:
         return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
-    px, t = value * misfit.px_per_m / 1000, poses.times[worst]
+    px, t = value * misfit.px_per_m / 1000, times[worst]
     bones = ", the bones and the sensors" if sensed else " and the bones"
     return Check(
         name, "keypoints", value, _LEGS_MM, "mm",
@@ -112,14 +111,15 @@ def misfit_warnings(
 
 def with_covariances(
     motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None,
-    others: Iterable[PoseSequence], room: Room,
+    others: Iterable[PoseSequence], room: Room, misfit: LegMisfit | None = None,
 ) -> tuple[MotionSequence, Room]:  # fmt: skip
     """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:
         motion: of the solution. prepared: what was solved. solution: None in modes that do not optimise.
-        others: poses with cameras one standard deviation off, of a camera that is not calibrated.
+        others: poses with the clocks, or a camera that is not calibrated, one standard deviation off.
         room: what is open of positions in world; it comes back with that in words.
+        misfit: of the legs.
     """
     if solution is None or solution.confidence is None:
         return motion, room
@@ -130,7 +130,7 @@ def with_covariances(
     p_camera_joint = motion.poses.p_world_joint - prepared.keypoints.camera.center_world
     inflated = CovarianceInflation.shipped().apply(solution.confidence, statistics, apart, p_camera_joint)
     kept = {*sensors} - {fault.what for fault in prepared.rejected}
-    legs = leg_spread(inflated, leg_misfit(prepared.keypoints, motion), motion, kept)
+    legs = None if misfit is None else leg_spread(inflated, misfit, motion, kept)
     for spread in (solution.spread, legs):
         if spread is not None:
             inflated = inflated.plus(spread)

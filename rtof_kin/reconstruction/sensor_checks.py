@@ -18,6 +18,7 @@ from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
 from rtof_kin.core.plausibility import Check
+from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.keypoints import KeypointSequence
@@ -106,7 +107,8 @@ def check_sensor_evidence(
     clocks = check_clocks(seen, native, lifted, skeleton)
     if clocks.failed:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    shared = _measured(recording, prepared, poses, skeleton, images, tilt, view_suspect)
+    still, camera = check_still(native, skeleton), recording.video.camera
+    shared = _measured([still, tilt], prepared, poses, skeleton, images, camera, view_suspect)
     form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
     if wrong:
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
@@ -129,15 +131,13 @@ def check_sensor_evidence(
 
 
 def _measured(
-    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
-    images: BoneImages | None, tilt: Check, view_suspect: bool,
+    found: list[Check], prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    images: BoneImages | None, camera: Camera, view_suspect: bool,
 ) -> list[Check]:  # fmt: skip
-    """Check what is measured of the sensors: what all share, then single ones."""
-    assert recording.imus is not None
-    assert recording.calibration is not None
-    found = [check_still(recording.calibration.apply(recording.imus), skeleton), tilt]
-    if images is not None and not view_suspect and not any(check.failed for check in found):
-        found += check_turned(images, recording.video.camera, tilt.passed)
+    """Checks of a still sensor and of the vertical, with what is measured beside them in the image."""
+    still, tilt = found
+    if images is not None and not view_suspect and not (still.failed or tilt.failed):
+        found += check_turned(images, camera, tilt.passed)
     if prepared.bone_imus is not None and not view_suspect:
         found.append(check_twist(poses, prepared.bone_imus, skeleton))
     return found

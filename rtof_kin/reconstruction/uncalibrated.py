@@ -105,11 +105,11 @@ def _spread(values: Array) -> float:
 def with_camera_uncertainty(
     confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]
 ) -> Confidence:
-    """Return covariances with those of the camera's unknowns added.
+    """Return covariances with those of a camera's, or the clocks', unknowns added.
 
     Args:
         confidence: with the camera given. poses: the motion.
-        others: solved with cameras one standard deviation off (`CameraEstimate.deviations`).
+        others: with cameras (`CameraEstimate.deviations`) or clocks one standard deviation off.
     """
     for other in others:
         apart = disagreement(poses, other, confidence.pairs)

@@ -57,13 +57,13 @@ def make_sensor_recording(
         "schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name),
         "subject": subject_table(settings), "imus": _sensors(found, imus.names, places, first),
     }  # fmt: skip
-    texts = findings_of(tables, list(found.warnings))
+    findings = findings_of(tables, list(found.warnings))
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         write_imus(fresh / IMUS, replace(imus, times=imus.times - first))
-        for file, text in texts_of(texts, tables, sources, settings).items():
+        for file, text in texts_of(findings, tables, sources, settings).items():
             write_text(fresh / file, text)
         Recording.load(fresh)
-    return texts
+    return findings
 
 
 def _sensors(

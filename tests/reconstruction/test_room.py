@@ -39,7 +39,7 @@ def focal(factor: float) -> Callable[[Recording], Recording]:
     def plant(recording: Recording) -> Recording:
         camera = recording.video.camera
         K = camera.K * [[factor, factor, 1], [factor, factor, 1], [1, 1, 1]]
-        return replace(recording, keypoints=replace(recording.video, camera=replace(camera, K=K)))
+        return with_camera(recording, replace(camera, K=K))
 
     return plant
 

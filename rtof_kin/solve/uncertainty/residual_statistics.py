@@ -116,6 +116,7 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
     anchors, width = [motion.skeleton.names[j] for j in points.anchors], round(_MEAN_S * poses.rate_hz) | 1
 
     def of(joint: str) -> Array:
+        """Return the mean residual (T, 2) of a joint's points, m; NaN where too few are seen."""
         at = [i for i, name in enumerate(anchors) if name == joint]
         own = residuals[:, at]
         known = np.isfinite(own) * keypoints.confidence[:, at, None]
