@@ -90,9 +90,7 @@ def recorded(clip: MocapClip, seed: int) -> tuple[Recording, PoseSequence]:
     own = seed * 1_000_003 + zlib.crc32(clip.name.encode())
     settings = replace(SimulationSettings.realistic(), sensors=EVERY)
     camera = standard_cameras(clip.poses, own)[own % 4]
-    recording = simulate(
-        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own, name=clip.name
-    )
+    recording = simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own, name=clip.name)
     keypoints = evenly_spaced(recording.video)
     return recording, lift(keypoints, recording.skeleton).poses
 
@@ -109,9 +107,11 @@ def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
     recording, poses = recorded(clip, seed)
     skeleton = recording.skeleton
     about = {
-        "recording": clip.name, "rig": clip.rig, "walk": bool(clip.category),
+        "recording": clip.name,
+        "rig": clip.rig,
+        "walk": bool(clip.category),
         "seconds": round(len(clip.poses) / 60),
-    }  # fmt: skip
+    }
     for number, some in SETS.items():
         order = np.random.default_rng(zlib.crc32(f"{clip.name}{number}".encode())).permutation(len(some))
         sensors = tuple(some[i] for i in order)
@@ -123,34 +123,29 @@ def judge(clip: MocapClip, seed: int) -> Iterator[dict[str, Any]]:
             found = assign_sensors(log, skeleton, poses if image else None, candidates=candidates)
             for name, joint in zip(log.names, truth, strict=True):
                 yield {
-                    **about, "sensors": int(number), "image": image, "told": told, "truth": joint,
-                    "found": found.joints[name], "probability": found.probabilities[name],
+                    **about,
+                    "sensors": int(number),
+                    "image": image,
+                    "told": told,
+                    "truth": joint,
+                    "found": found.joints[name],
+                    "probability": found.probabilities[name],
                     "doubt": bool(found.doubt),
-                }  # fmt: skip
+                }
         if number == "10":
             for image in (True, False):
                 yield from planted(about | {"image": image}, log, truth, skeleton, poses if image else None)
 
 
 def planted(
-    about: dict[str, Any],
-    log: SensorLog,
-    truth: list[str],
-    skeleton: SkeletonModel,
-    poses: PoseSequence | None,
+    about: dict[str, Any], log: SensorLog, truth: list[str], skeleton: SkeletonModel, poses: PoseSequence | None
 ) -> Iterator[dict[str, Any]]:
     """A row for each planted error of the map: whether sensors are named, and whether rightly."""
     for fault, other in (REAL_FAULTS if about.get("real") else FAULTS).items():
         joints = dict(zip(log.names, (other.get(joint, joint) for joint in truth), strict=True))
         found = check_assignment(log, joints, skeleton, poses)
         right = found.joints == dict(zip(log.names, truth, strict=True))
-        yield {
-            **about,
-            "fault": fault,
-            "named": bool(found.wrong),
-            "right": right,
-            "doubt": bool(found.doubt),
-        }
+        yield {**about, "fault": fault, "named": bool(found.wrong), "right": right, "doubt": bool(found.doubt)}
 
 
 def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
@@ -170,10 +165,14 @@ def real_trials(folder: Path) -> Iterator[dict[str, Any]]:
             found = assign_sensors(log, skeleton, candidates=candidates)
             for sensor, joint in truth.items():
                 yield {
-                    **about, "sensors": len(truth), "told": told, "truth": joint,
-                    "found": found.joints[sensor], "probability": found.probabilities[sensor],
+                    **about,
+                    "sensors": len(truth),
+                    "told": told,
+                    "truth": joint,
+                    "found": found.joints[sensor],
+                    "probability": found.probabilities[sensor],
                     "doubt": bool(found.doubt),
-                }  # fmt: skip
+                }
 
 
 def _read(folder: Path, facts: dict[str, Any]) -> SensorLog | None:
@@ -242,11 +241,17 @@ def _shares(rows: list[dict[str, Any]]) -> list[str]:
             sure = [g for g in groups if not g[0]["doubt"]]
             certain = [r for r in own if r["probability"] >= 0.95]
             cells = [
-                "yes" if image else "no", str(number), str(len(groups)), _percent([_right(r) for r in own]),
-                _percent([_right_but_side(r) for r in own]), _percent([all(map(_right, g)) for g in groups]),
-                f"{100 * len(sure) / max(len(groups), 1):.0f}", _percent([all(map(_right, g)) for g in sure]),
-                f"{100 * len(certain) / max(len(own), 1):.0f}", _percent([_right(r) for r in certain]),
-            ]  # fmt: skip
+                "yes" if image else "no",
+                str(number),
+                str(len(groups)),
+                _percent([_right(r) for r in own]),
+                _percent([_right_but_side(r) for r in own]),
+                _percent([all(map(_right, g)) for g in groups]),
+                f"{100 * len(sure) / max(len(groups), 1):.0f}",
+                _percent([all(map(_right, g)) for g in sure]),
+                f"{100 * len(certain) / max(len(own), 1):.0f}",
+                _percent([_right(r) for r in certain]),
+            ]
             out.append("| " + " | ".join(cells) + " |")
     return out
 
@@ -257,17 +262,12 @@ def _by_rig(rows: list[dict[str, Any]]) -> list[str]:
         for image in (True, False):
             own = [r for r in rows if r["rig"] == rig and r["image"] == image]
             count = len({r["recording"] for r in own})
-            out.append(
-                f"| {rig} | {'yes' if image else 'no'} | {count} | {_percent([_right(r) for r in own])} |"
-            )
+            out.append(f"| {rig} | {'yes' if image else 'no'} | {count} | {_percent([_right(r) for r in own])} |")
     return out
 
 
 def _reliability(rows: list[dict[str, Any]]) -> list[str]:
-    out = [
-        "| stated | with image: sensors | mean stated % | right % | "
-        "without: sensors | mean stated % | right % |"
-    ]
+    out = ["| stated | with image: sensors | mean stated % | right % | without: sensors | mean stated % | right % |"]
     out.append("|---" * 7 + "|")
     for low, high in pairwise(BINS):
         cells = [f"{100 * low:.0f} to {min(100 * high, 100):.0f} %"]
@@ -287,9 +287,13 @@ def _faults(rows: list[dict[str, Any]]) -> list[str]:
             own = [r for r in rows if r["fault"] == fault and r["image"] == image]
             alone = [r["doubt"] and not r["named"] for r in own]
             cells = [
-                fault, "yes" if image else "no", str(len(own)), _percent([r["named"] for r in own]),
-                _percent([r["right"] for r in own]), _percent(alone),
-            ]  # fmt: skip
+                fault,
+                "yes" if image else "no",
+                str(len(own)),
+                _percent([r["named"] for r in own]),
+                _percent([r["right"] for r in own]),
+                _percent(alone),
+            ]
             out.append("| " + " | ".join(cells) + " |")
     return out
 
@@ -301,10 +305,14 @@ def _real(rows: list[dict[str, Any]]) -> list[str]:
         first, wrong = group[0], [r for r in group if not _right(r)]
         named = [f"{r['truth']} as {r['found']} ({100 * r['probability']:.0f} %)" for r in wrong]
         cells = [
-            first["recording"], "yes" if first["told"] else "no", str(len(group)),
-            str(len(group) - len(wrong)), str(sum(map(_right_but_side, group))),
-            ", ".join(named) or "-", "yes" if first["doubt"] else "no",
-        ]  # fmt: skip
+            first["recording"],
+            "yes" if first["told"] else "no",
+            str(len(group)),
+            str(len(group) - len(wrong)),
+            str(sum(map(_right_but_side, group))),
+            ", ".join(named) or "-",
+            "yes" if first["doubt"] else "no",
+        ]
         out.append("| " + " | ".join(cells) + " |")
     return out
 

@@ -100,11 +100,14 @@ def by_pose(clip: MocapClip, pose: str, error_deg: float) -> list[dict[str, Any]
     ]
     for kind, (imus, options) in ways.items():
         found = calibrate_by_pose(imus, take.joints, pose, skeleton, **options)
-        rows.append({
-            "kind": kind, "errors": take.errors_deg(imus, found.calibration, since),
-            "margin": found.heading_margin,
-            "sigmas_deg": [round(r.heading_sigma_deg, 1) for r in found.sensors],
-        })  # fmt: skip
+        rows.append(
+            {
+                "kind": kind,
+                "errors": take.errors_deg(imus, found.calibration, since),
+                "margin": found.heading_margin,
+                "sigmas_deg": [round(r.heading_sigma_deg, 1) for r in found.sensors],
+            }
+        )
     about = {"motion": clip.name, "pose": pose, "pose_error_deg": error_deg}
     return [{**about, **row} for row in rows]
 
@@ -118,9 +121,11 @@ def table(rows: list[dict[str, Any]]) -> str:
             cells = []
             for error in POSE_ERRORS_DEG:
                 own = [
-                    e for row in rows for e in row["errors"]
+                    e
+                    for row in rows
+                    for e in row["errors"]
                     if (row["kind"], row["pose"], row["pose_error_deg"]) == (kind, pose, error)
-                ]  # fmt: skip
+                ]
                 cells.append(f"{np.mean(own):.1f} ({np.percentile(own, 90):.0f})" if own else "")
             if any(cells):
                 lines.append(f"| {kind} | {pose} | {' | '.join(cells)} |")

@@ -157,9 +157,10 @@ def table(found: dict[str, dict[bool, dict[str, float]]]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration_cost", description=__doc__,
+        prog="python -m benchmarks.calibration_cost",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--code", type=Path, help="folder of another version of the package, before this one")
     parser.add_argument("--runs", type=int, default=3, help="of every kind")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "calibration_cost.md")

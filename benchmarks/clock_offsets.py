@@ -19,10 +19,16 @@ from rtof_kin.reconstruction.job import Job
 from rtof_kin.recording.recording import Recording
 
 PLANTED = {
-    "right": (0.0, 0.0), "50 ms late": (0.05, 0.0), "50 ms early": (-0.05, 0.0), "120 ms late": (0.12, 0.0),
-    "120 ms early": (-0.12, 0.0), "200 ms late": (0.2, 0.0), "400 ms late": (0.4, 0.0),
-    "1 % fast": (0.0, 0.01), "another take": (0.0, 0.0),
-}  # fmt: skip
+    "right": (0.0, 0.0),
+    "50 ms late": (0.05, 0.0),
+    "50 ms early": (-0.05, 0.0),
+    "120 ms late": (0.12, 0.0),
+    "120 ms early": (-0.12, 0.0),
+    "200 ms late": (0.2, 0.0),
+    "400 ms late": (0.4, 0.0),
+    "1 % fast": (0.0, 0.01),
+    "another take": (0.0, 0.0),
+}
 """[s] by which the sensors are late in the middle, and their drift."""
 
 
@@ -30,9 +36,7 @@ def planted(recording: Recording, late: float, drift: float) -> Recording:
     """The recording with sensors on a wrong clock."""
     assert recording.imus is not None
     times = recording.imus.times
-    return replace(
-        recording, imus=replace(recording.imus, times=times + late + drift * (times - times.mean()))
-    )
+    return replace(recording, imus=replace(recording.imus, times=times + late + drift * (times - times.mean())))
 
 
 def rows(recordings: list[Recording]) -> list[dict[str, float | str | bool]]:
@@ -48,11 +52,17 @@ def rows(recordings: list[Recording]) -> list[dict[str, float | str | bool]]:
             own = planted(recording, late, drift)
             found = find_offset([Job.of(own, None, None, None, None)])
             at = 0.0 if found.applied is None or found.delay is None else float(found.delay.value[0])
-            out.append({
-                "planted": name, "motion": recording.name, "moved_ms": 1e3 * at, "late_ms": 1e3 * late,
-                "corrected": found.applied is not None, "named": bool(found.warnings) or found.foreign,
-                "left out": found.foreign,
-            })  # fmt: skip
+            out.append(
+                {
+                    "planted": name,
+                    "motion": recording.name,
+                    "moved_ms": 1e3 * at,
+                    "late_ms": 1e3 * late,
+                    "corrected": found.applied is not None,
+                    "named": bool(found.warnings) or found.foreign,
+                    "left out": found.foreign,
+                }
+            )
     return out
 
 

@@ -153,9 +153,7 @@ def session(
     return Session(name, poses, skeleton, block, log, calibration)
 
 
-def joined(
-    rng: Generator, motions: Sequence[PoseSequence], skeleton: SkeletonModel
-) -> tuple[PoseSequence, list[int]]:
+def joined(rng: Generator, motions: Sequence[PoseSequence], skeleton: SkeletonModel) -> tuple[PoseSequence, list[int]]:
     """Motions one after the other, each facing anywhere, with pauses between; and where each begins."""
     R_parts, p_parts, firsts, count = list[Array](), list[Array](), list[int](), 0
     for poses in motions:
@@ -270,9 +268,14 @@ def clock_row(rng: Generator, own: Session, video: Video, known: bool, log: Sens
     """What is found of a planted clock; sensors of another person if `log` is given."""
     moved, offset, drift = planted(rng, own.log if log is None else log, video.start)
     about = {
-        "session": own.name, "start": video.start, "seconds": round(float(video.truth.times[-1])),
-        "sensors": len(own.log.streams), "known": known, "turns": video.turns, "other log": log is not None,
-    }  # fmt: skip
+        "session": own.name,
+        "start": video.start,
+        "seconds": round(float(video.truth.times[-1])),
+        "sensors": len(own.log.streams),
+        "known": known,
+        "turns": video.turns,
+        "other log": log is not None,
+    }
     joints = own.joints if known else None
     try:
         found = find_clock(video.poses, video.keypoints, moved, own.skeleton, joints, reach=REACH + 1)
@@ -280,10 +283,15 @@ def clock_row(rng: Generator, own: Session, video: Video, known: bool, log: Sens
         return about | {"doubt": str(error)}, None
     truth = offset + drift * found.middle
     row = about | {
-        "offset": offset, "drift_ppm": 1e6 * drift, "error_ms": 1e3 * (found.offset - truth),
-        "sigma_ms": 1e3 * found.sigma, "margin": found.margin, "doubt": found.doubt,
-        "drift_error_ppm": 1e6 * (found.drift - drift), "drift_sigma_ppm": 1e6 * found.sigma_drift,
-    }  # fmt: skip
+        "offset": offset,
+        "drift_ppm": 1e6 * drift,
+        "error_ms": 1e3 * (found.offset - truth),
+        "sigma_ms": 1e3 * found.sigma,
+        "margin": found.margin,
+        "doubt": found.doubt,
+        "drift_error_ppm": 1e6 * (found.drift - drift),
+        "drift_sigma_ppm": 1e6 * found.sigma_drift,
+    }
     return row, found.apply(moved)
 
 
@@ -296,11 +304,18 @@ def heading_rows(own: Session, video: Video, log: SensorLog, clock: dict[str, An
     for s, sensor in enumerate(found.sensors):
         off = float(wrapped(sensor.heading - so3.heading(truth.R_world_inertial[s])))
         mounting = so3.angle_between(found.calibration.R_sensor_bone[s], truth.R_sensor_bone[s])
-        rows.append({
-            "session": own.name, "start": video.start, "turns": video.turns, "joint": sensor.joint,
-            "error_deg": float(np.degrees(off)), "sigma_deg": float(np.degrees(sensor.sigma_heading)),
-            "mounting_error_deg": float(np.degrees(mounting)), "doubt": sensor.doubt,
-        })  # fmt: skip
+        rows.append(
+            {
+                "session": own.name,
+                "start": video.start,
+                "turns": video.turns,
+                "joint": sensor.joint,
+                "error_deg": float(np.degrees(off)),
+                "sigma_deg": float(np.degrees(sensor.sigma_heading)),
+                "mounting_error_deg": float(np.degrees(mounting)),
+                "doubt": sensor.doubt,
+            }
+        )
     return rows
 
 
@@ -356,9 +371,7 @@ def clock_groups(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, list[dic
 
 def text_of(result: dict[str, list[dict[str, Any]]]) -> str:
     """Tables."""
-    lines = [
-        "| clocks | videos | sure | of these within 10 ms | RMS ms | stated ms | wrong |", "|---" * 7 + "|",
-    ]  # fmt: skip
+    lines = ["| clocks | videos | sure | of these within 10 ms | RMS ms | stated ms | wrong |", "|---" * 7 + "|"]
     for name, rows in clock_groups(result["clocks"]):
         sure = [r for r in rows if not r["doubt"]]
         off = np.array([r["error_ms"] for r in sure])
@@ -366,35 +379,42 @@ def text_of(result: dict[str, list[dict[str, Any]]]) -> str:
         wrong = len(sure) if name == "other log" else len(off) - len(near)
         figures = (
             f"{np.mean(np.abs(off) <= 10):.0%} | {np.sqrt(np.mean(near**2)):.1f} | {np.mean(stated):.1f}"
-            if len(near) and name != "other log" else "- | - | -"
-        )  # fmt: skip
+            if len(near) and name != "other log"
+            else "- | - | -"
+        )
         lines.append(f"| {name} | {len(rows)} | {len(sure)} | {figures} | {wrong} |")
     long = [r for r in result["clocks"] if r["seconds"] > VIDEO and "drift_error_ppm" in r]
     off, stated = (np.array([r[k] for r in long]) for k in ("drift_error_ppm", "drift_sigma_ppm"))
-    lines += ["", f"Drift in 5 minutes: RMS error {np.sqrt(np.mean(off**2)):.0f} ppm, "
-              f"stated {np.mean(stated):.0f} ppm."]  # fmt: skip
+    lines += [
+        "",
+        f"Drift in 5 minutes: RMS error {np.sqrt(np.mean(off**2)):.0f} ppm, stated {np.mean(stated):.0f} ppm.",
+    ]
     both = [r for r in result["clocks"] if "refined_ms" in r and not r["doubt"]]
     if both:
         before, after = (np.array([r[k] for r in both]) for k in ("error_ms", "refined_ms"))
-        lines += ["", f"Of {len(both)} videos: within 10 ms {np.mean(np.abs(before) <= 10):.0%}, "
-                  f"RMS {np.sqrt(np.mean(before**2)):.1f} ms; refined {np.mean(np.abs(after) <= 10):.0%}, "
-                  f"{np.sqrt(np.mean(after**2)):.1f} ms."]  # fmt: skip
+        lines += [
+            "",
+            f"Of {len(both)} videos: within 10 ms {np.mean(np.abs(before) <= 10):.0%}, "
+            f"RMS {np.sqrt(np.mean(before**2)):.1f} ms; refined {np.mean(np.abs(after) <= 10):.0%}, "
+            f"{np.sqrt(np.mean(after**2)):.1f} ms.",
+        ]
     if result["headings"]:
         lines += ["", *_heading_lines(result["headings"])]
     return "\n".join(lines)
 
 
 def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    yield ("| headings | sensors | sure | of these within 3 deg | within 5 deg | within 2 sd | median deg | "
-           "wrong | median of all | mounting deg |")  # fmt: skip
+    yield (
+        "| headings | sensors | sure | of these within 3 deg | within 5 deg | within 2 sd | median deg | "
+        "wrong | median of all | mounting deg |"
+    )
     yield "|---" * 10 + "|"
     groups = {
-        "turn or raise": [r for r in rows if r["turns"]], "neither": [r for r in rows if not r["turns"]],
+        "turn or raise": [r for r in rows if r["turns"]],
+        "neither": [r for r in rows if not r["turns"]],
         "limbs, turn or raise": [r for r in rows if r["turns"] and r["joint"].startswith(("Left", "Right"))],
-        "trunk, turn or raise": [
-            r for r in rows if r["turns"] and not r["joint"].startswith(("Left", "Right"))
-        ],
-    }  # fmt: skip
+        "trunk, turn or raise": [r for r in rows if r["turns"] and not r["joint"].startswith(("Left", "Right"))],
+    }
     for name, group in groups.items():
         sure = [r for r in group if not r["doubt"]]
         if not sure:
@@ -412,9 +432,10 @@ def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.clocks_headings", description=__doc__,
+        prog="python -m benchmarks.clocks_headings",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--clocks-only", action="store_true", help="without headings, in two minutes")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "clocks_headings.json")

@@ -96,17 +96,19 @@ def _poses(imus: BoneImuSequence, skeleton: SkeletonModel) -> PoseSequence:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.clocks_real", description=__doc__,
+        prog="python -m benchmarks.clocks_real",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--data", type=Path, required=True, help="folder of real sensors")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "clocks_real.json")
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     lines = [
         f"| trial | seconds | clock: error ms (stated), of up to {REACH:g} s | said | headings: median deg, "
-        "largest, in doubt |", "|---" * 5 + "|",
-    ]  # fmt: skip
+        "largest, in doubt |",
+        "|---" * 5 + "|",
+    ]
     for i, own in enumerate(sessions(options.data)):
         count = min(round(SECONDS * 60), len(own.poses) - 1)
         video = filmed(own, (len(own.poses) - count) // 2, count, 30.0, i)

@@ -76,9 +76,7 @@ def scaled(clip: MocapClip, factor: float) -> MocapClip:
     return replace(clip, poses=replace(clip.poses, p_world_joint=p, R_world_bone=R))
 
 
-def outcome(
-    a: Compared, b: Compared, by: By, about: tuple[str, str], names: Sequence[str] = ()
-) -> list[Outcome]:
+def outcome(a: Compared, b: Compared, by: By, about: tuple[str, str], names: Sequence[str] = ()) -> list[Outcome]:
     """The comparison, or none where the motions do not have the axis."""
     try:
         found: Comparison = compare(a, b, by, names=names)
@@ -121,19 +119,28 @@ def false_alarms(found: Sequence[Outcome]) -> Table:
             if tests:
                 z = np.array([c.difference / c.sigma for c in tests])
                 inside = np.mean([c.interval[0] <= 0 <= c.interval[1] for c in tests])
-                sizes = np.degrees(
-                    [np.median([getattr(c, k) for c in tests]) for k in ("sigma", "detectable")]
-                )
+                sizes = np.degrees([np.median([getattr(c, k) for c in tests]) for k in ("sigma", "detectable")])
                 rms = float(np.sqrt(np.mean(z**2)))
                 figures = (f"{alarms} of {len(own)}", len(tests), 100 * inside, rms, *sizes)
                 rows.append((case, by, measure, *figures))
     return Table(
-        "false_alarms", "The same motion",
-        ("case", "by", "measure", "comparisons with a change", "tests", "0 in 95 % interval %",
-         "difference / sd, RMS", "median sd deg", "median detectable deg"),
-        (0, 0, 0, 0, 0, 1, 2, 1, 1), tuple(rows),
+        "false_alarms",
+        "The same motion",
+        (
+            "case",
+            "by",
+            "measure",
+            "comparisons with a change",
+            "tests",
+            "0 in 95 % interval %",
+            "difference / sd, RMS",
+            "median sd deg",
+            "median detectable deg",
+        ),
+        (0, 0, 0, 0, 0, 1, 2, 1, 1),
+        tuple(rows),
         ("A comparison has all its angles and both measures; at most 5 % should have a change.",),
-    )  # fmt: skip
+    )
 
 
 def power(found: Sequence[Outcome]) -> Table:
@@ -151,22 +158,31 @@ def power(found: Sequence[Outcome]) -> Table:
         others = {name for one in own for name in one.changed if not name.startswith(legs)}
         scale, names = case.split(", ")
         rows.append(
-            (scale, names, by, *(float(np.mean(sizes[m])) for m in ("mean", "range")), f"{hit} of {len(own)}",
-             ", ".join(sorted(others)))
-        )  # fmt: skip
+            (
+                scale,
+                names,
+                by,
+                *(float(np.mean(sizes[m])) for m in ("mean", "range")),
+                f"{hit} of {len(own)}",
+                ", ".join(sorted(others)),
+            )
+        )
     return Table(
-        "power", "Right knee flexion scaled",
+        "power",
+        "Right knee flexion scaled",
         ("scale", "tested", "by", "mean B - A deg", "range B - A deg", "found", "changed on other limbs"),
-        (0, 0, 0, 1, 1, 0, 0), tuple(rows),
-    )  # fmt: skip
+        (0, 0, 0, 1, 1, 0, 0),
+        tuple(rows),
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.comparison", description=__doc__,
+        prog="python -m benchmarks.comparison",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--most", type=int, help="number of motions")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "comparison.json")
@@ -178,8 +194,7 @@ def main(arguments: list[str] | None = None) -> int:
     tables = [false_alarms(same), power(changed)]
     text = "# Comparison of two motions\n\n" + "\n".join(table.markdown() for table in tables)
     rows: list[dict[str, Any]] = [
-        {"motion": one.motion, "case": one.case, "by": one.by, "changed": one.changed}
-        for one in same + changed
+        {"motion": one.motion, "case": one.case, "by": one.by, "changed": one.changed} for one in same + changed
     ]
     write_results(options.out, rows, text)
     print(text)

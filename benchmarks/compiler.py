@@ -42,9 +42,11 @@ def run(select: str, task: tuple[str, ...], cache: Path, out: Path) -> tuple[flo
     command = [sys.executable, "-c", _CODE.format(select=select), "reconstruct", DEMO, *task, "-o", str(out)]
     before, began = os.times(), time.perf_counter()
     subprocess.run(
-        [*command, "--overwrite", "--no-figures"], check=True, stdout=subprocess.DEVNULL,
+        [*command, "--overwrite", "--no-figures"],
+        check=True,
+        stdout=subprocess.DEVNULL,
         env={**os.environ, "RTOF_KIN_CACHE": str(cache)},
-    )  # fmt: skip
+    )
     after, wall = os.times(), time.perf_counter() - began
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return wall, cpu
@@ -52,9 +54,7 @@ def run(select: str, task: tuple[str, ...], cache: Path, out: Path) -> tuple[flo
 
 def main() -> None:
     """Print the table."""
-    print(
-        "| run | solver | first run [CPU s] | later runs [CPU s] | [wall s] | frames per CPU s | error [mm] |"
-    )
+    print("| run | solver | first run [CPU s] | later runs [CPU s] | [wall s] | frames per CPU s | error [mm] |")
     print("|---|---|---|---|---|---|---|", flush=True)
     for name, task in TASKS.items():
         for title, select in BUILDS.items():
@@ -64,15 +64,7 @@ def main() -> None:
                 wall, cpu = min((run(select, task, cache, out) for _ in range(2)), key=lambda times: times[1])
                 summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
             frames, error = summary["frames"], list(summary["metrics"].values())[-1]["mpjpe_mm"]
-            row = (
-                name,
-                title,
-                f"{first:.1f}",
-                f"{cpu:.1f}",
-                f"{wall:.1f}",
-                f"{frames / cpu:.0f}",
-                f"{error:.3f}",
-            )
+            row = (name, title, f"{first:.1f}", f"{cpu:.1f}", f"{wall:.1f}", f"{frames / cpu:.0f}", f"{error:.3f}")
             print(f"| {' | '.join(row)} |", flush=True)
     print(f"\n{frames} frames; {platform.machine()}, {platform.system()}, Python {platform.python_version()}")
 

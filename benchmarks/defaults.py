@@ -126,9 +126,12 @@ def solved(clip: MocapClip, camera: int, name: str, lifter: Lifter) -> Row:
     recording = harness.recorded(clip, camera, "realistic", harness.SENSOR_SETS.get(case.sensors, ()), 0)
     result = reconstruct(
         replace(recording, floor_height=0.0) if case.floor else recording,
-        mode="rtof" if recording.imus is not None else "rto", lifter=lifter,
-        settings=replace(case.settings, confidence=False), calibrate=case.calibrate, priors=case.priors,
-    )  # fmt: skip
+        mode="rtof" if recording.imus is not None else "rto",
+        lifter=lifter,
+        settings=replace(case.settings, confidence=False),
+        calibrate=case.calibrate,
+        priors=case.priors,
+    )
     assert result.metrics is not None
     return {figure: result.metrics[figure] for figure in FIGURES}
 
@@ -159,16 +162,16 @@ def faults(recording: Recording, guard: str, lifter: Lifter) -> tuple[StreamFaul
     return reconstruct(recording, lifter=lifter, settings=settings, calibrate=False).faults
 
 
-def measured(
-    clips: Sequence[MocapClip], cameras: int, switches: Sequence[str], guards: bool, file: RowFile
-) -> None:
+def measured(clips: Sequence[MocapClip], cameras: int, switches: Sequence[str], guards: bool, file: RowFile) -> None:
     """Make the rows that are missing; those of one recording come together."""
     lifter = Lifter.load()
     wanted = list(dict.fromkeys(case for name in switches for case in SWITCHES[name]))
     jobs = [
         (f"{case}/{clip.name}/{camera}", clip, camera, case)
-        for camera in range(cameras) for clip in clips for case in (*wanted, *(["guards"] if guards else []))
-    ]  # fmt: skip
+        for camera in range(cameras)
+        for clip in clips
+        for case in (*wanted, *(["guards"] if guards else []))
+    ]
     for key, clip, camera, case in track([job for job in jobs if job[0] not in file.rows], "recordings"):
         found = guarded(clip, camera, lifter) if case == "guards" else solved(clip, camera, case, lifter)
         about = {"case": case, "motion": clip.name, "rig": clip.rig, "camera": camera}
@@ -219,10 +222,15 @@ def tables(rows: Sequence[Row]) -> list[Table]:
     seen = [row for row in rows if row["case"] == "guards"]
     hours = sum(row["seconds"] for row in seen) / 3600
     lines = [
-        (guard, sum(row[guard]["alarms"] for row in seen) / hours if hours else np.nan,
-         fault, sum(row[guard]["missed"] for row in seen), len(seen))
+        (
+            guard,
+            sum(row[guard]["alarms"] for row in seen) / hours if hours else np.nan,
+            fault,
+            sum(row[guard]["missed"] for row in seen),
+            len(seen),
+        )
         for guard, (_, fault) in GUARDED.items()
-    ]  # fmt: skip
+    ]
     columns = ("guard", "false alarms per hour", "planted fault", "missed", "of")
     return [*found, Table("guards", "Guards as classifiers", columns, (0, 0, 0, 0, 0), tuple(lines))]
 
@@ -230,9 +238,8 @@ def tables(rows: Sequence[Row]) -> list[Table]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.defaults", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.defaults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--only", default=",".join([*SWITCHES, "guards"]), help="switches, and 'guards'")
     parser.add_argument("--cameras", type=int, choices=(1, 2, 3, 4), default=2)

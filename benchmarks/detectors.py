@@ -41,9 +41,7 @@ def measure(clips: list[MocapClip], adapter: LandmarkRegression) -> list[dict[st
     settings = replace(ViewSettings(), distance=(DISTANCE, DISTANCE), tilt_share=0.0)
     views, rng = Views(adapter.table, settings), np.random.default_rng(SEED)
     seen = [
-        views.see(clip.poses.p_world_joint[:, 0], clip.poses.R_world_bone, rng)
-        for clip in clips
-        for _ in range(VIEWS)
+        views.see(clip.poses.p_world_joint[:, 0], clip.poses.R_world_bone, rng) for clip in clips for _ in range(VIEWS)
     ]
     layouts = [name for name in adapter.table.layouts if name not in ("joints", "landmarks")]
     return [_row(adapter, views, seen, name, kind) for name in layouts for kind in KINDS]
@@ -137,17 +135,31 @@ def _recognised(uv: Array, confidence: Array, layout: str) -> bool:
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as Markdown."""
     columns = (
-        "layout", "2D", "plain px", "adapter px", "adapter median px", "all joints px", "given",
-        "expected RMS px", "RMS px", "recognised",
-    )  # fmt: skip
+        "layout",
+        "2D",
+        "plain px",
+        "adapter px",
+        "adapter median px",
+        "all joints px",
+        "given",
+        "expected RMS px",
+        "RMS px",
+        "recognised",
+    )
     lines = ["| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
     for row in rows:
         cells = [
-            row["layout"], row["kind"], f"{row['naive_px']:.1f}", f"{row['adapter_px']:.1f}",
-            f"{row['adapter_median_px']:.1f}", f"{row['all_joints_px']:.1f}",
-            f"{100 * row['given']:.1f} %", f"{row['expected_px']:.1f}", f"{row['rms_px']:.1f}",
+            row["layout"],
+            row["kind"],
+            f"{row['naive_px']:.1f}",
+            f"{row['adapter_px']:.1f}",
+            f"{row['adapter_median_px']:.1f}",
+            f"{row['all_joints_px']:.1f}",
+            f"{100 * row['given']:.1f} %",
+            f"{row['expected_px']:.1f}",
+            f"{row['rms_px']:.1f}",
             f"{100 * row['recognised']:.0f} %",
-        ]  # fmt: skip
+        ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 

@@ -55,9 +55,17 @@ EVERY = 12
 """Step between the frames that are compared; neighbours are correlated."""
 WRENCH = ("force x", "force y", "force up", *["moment"] * 3)
 GROUPS = {
-    "Arm": "shoulder", "ForeArm": "elbow", "UpLeg": "hip", "Leg": "knee", "Foot": "ankle", "Spine": "spine",
-    "Spine1": "spine", "Spine2": "spine", "Spine3": "spine", **{name: name for name in WRENCH[:3]},
-}  # fmt: skip
+    "Arm": "shoulder",
+    "ForeArm": "elbow",
+    "UpLeg": "hip",
+    "Leg": "knee",
+    "Foot": "ankle",
+    "Spine": "spine",
+    "Spine1": "spine",
+    "Spine2": "spine",
+    "Spine3": "spine",
+    **{name: name for name in WRENCH[:3]},
+}
 TYPICAL_SECONDS = 0.12
 """[s] where correlation times are held near, as the data say little about them."""
 ALL_FAST = 0.1
@@ -194,11 +202,16 @@ def tabulated(own: Sequence[Found]) -> list[dict[str, Any]]:
             error = np.concatenate([one.error[:, columns].ravel() for one in chosen])
             sigma = np.concatenate([one.sigma[:, columns].ravel() for one in chosen])
             stated, actual = (float(np.sqrt(np.mean(values**2))) for values in (sigma, error))
-            rows.append({
-                "of": name, "sensors": sensors, "stated": round(stated, 2), "actual": round(actual, 2),
-                "ratio": round(stated / actual, 2),
-                "inside": round(float(np.mean(np.abs(error) <= BAND_95 * sigma)), 3),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "of": name,
+                    "sensors": sensors,
+                    "stated": round(stated, 2),
+                    "actual": round(actual, 2),
+                    "ratio": round(stated / actual, 2),
+                    "inside": round(float(np.mean(np.abs(error) <= BAND_95 * sigma)), 3),
+                }
+            )
     return rows
 
 
@@ -215,9 +228,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.dynamics", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="print the constants of the validation people")
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))

@@ -49,9 +49,14 @@ REACH = 600.0
 """[s] Largest offset of the sensors' clock."""
 CASES = ("given", "given, usual bones", "raw", "raw, map")
 FIGURES = {
-    "mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "joints deg",
-    "hips_deg": "hips deg", "inside_relative": "relative inside 95 %", "inside_world": "world inside 95 %",
-}  # fmt: skip
+    "mpjpe_rr_mm": "rr mm",
+    "mpjpe_mm": "abs mm",
+    "flexion_deg": "flexion deg",
+    "angle_deg": "joints deg",
+    "hips_deg": "hips deg",
+    "inside_relative": "relative inside 95 %",
+    "inside_world": "world inside 95 %",
+}
 
 
 def simulated(clip: MocapClip, camera: int, sensors: str, rng: Generator) -> tuple[Recording, Detections]:
@@ -59,9 +64,7 @@ def simulated(clip: MocapClip, camera: int, sensors: str, rng: Generator) -> tup
     seed = zlib.crc32(clip.name.encode()) + camera
     settings = replace(SimulationSettings.realistic(), sensors=harness.SENSOR_SETS.get(sensors, ()))
     right = standard_cameras(clip.poses, seed)[camera]
-    made = simulate(
-        clip.poses, clip.joint_offsets, camera=right, settings=settings, seed=seed, name=clip.name
-    )
+    made = simulate(clip.poses, clip.joint_offsets, camera=right, settings=settings, seed=seed, name=clip.name)
     skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
     shown = clip.poses[::2]
     found = simulate_detections(rng, shown, skeleton, right, settings.keypoints)  # type: ignore[arg-type]
@@ -69,9 +72,7 @@ def simulated(clip: MocapClip, camera: int, sensors: str, rng: Generator) -> tup
     return replace(made, keypoints=keypoints, floor_height=0.0), replace(found, times=shown.times)
 
 
-def write_raw(
-    folder: Path, recording: Recording, found: Detections, rng: Generator
-) -> tuple[float, list[Path]]:
+def write_raw(folder: Path, recording: Recording, found: Detections, rng: Generator) -> tuple[float, list[Path]]:
     """Write the files of a user; return the offset of the sensors' clock and the files, the map last."""
     write_detections(folder / "keypoints.npz", found)
     imus, calibration = recording.imus, recording.calibration
@@ -91,9 +92,7 @@ def write_raw(
         columns |= {f"{name}_f{axis}": a for axis, a in zip("xyz", f[:, s].T, strict=True)}
         pairs.append(f"{name},{calibration.joints[calibration.sensors.index(imus.names[s])]}\n")
     table = np.stack(list(columns.values()), axis=1)
-    np.savetxt(
-        folder / "sensors.csv", table, delimiter=",", header=",".join(columns), comments="", fmt="%.8g"
-    )
+    np.savetxt(folder / "sensors.csv", table, delimiter=",", header=",".join(columns), comments="", fmt="%.8g")
     write_text(folder / "map.csv", "".join(pairs))
     return offset, [folder / "keypoints.npz", folder / "sensors.csv", folder / "map.csv"]
 
@@ -102,9 +101,7 @@ def moved(truth: PoseSequence, camera: Camera) -> PoseSequence:
     """The truth in the world over whose floor an uncalibrated camera stands, looking along x."""
     axis, centre = camera.R_camera_world[2], camera.center_world * [1.0, 1.0, 0.0]
     R = so3.about_axis("z", -float(np.arctan2(axis[1], axis[0])))
-    return replace(
-        truth, p_world_joint=(truth.p_world_joint - centre) @ R.T, R_world_bone=R @ truth.R_world_bone
-    )
+    return replace(truth, p_world_joint=(truth.p_world_joint - centre) @ R.T, R_world_bone=R @ truth.R_world_bone)
 
 
 def rows_of(name: str, clip: MocapClip, camera: int, sensors: str) -> Iterator[Row]:
@@ -168,27 +165,12 @@ def report(rows: Sequence[Row]) -> str:
                 means = [f"{np.mean([row[name] for row in own if name in row]):.3g}" for name in FIGURES]
                 lines.append(f"| {' | '.join([sensors, case, *means, str(len(own))])} |")
     lines += ["\n## Recordings\n"]
-    heads = [
-        "motion",
-        "camera",
-        "sensors",
-        "case",
-        "rr mm",
-        "flexion deg",
-        "used, right",
-        "clock ms",
-        "doubts",
-    ]
+    heads = ["motion", "camera", "sensors", "case", "rr mm", "flexion deg", "used, right", "clock ms", "doubts"]
     lines += [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for row in rows:
         used = f"{row['used']}, {row['right']} of {row['of']}" if "used" in row else ""
         about = [row["motion"], str(row["camera"]), row["sensors"], row["case"]]
-        figures = [
-            f"{row['mpjpe_rr_mm']:.1f}",
-            f"{row['flexion_deg']:.1f}",
-            used,
-            str(row.get("clock_ms", "")),
-        ]
+        figures = [f"{row['mpjpe_rr_mm']:.1f}", f"{row['flexion_deg']:.1f}", used, str(row.get("clock_ms", ""))]
         doubts = "" if row["case"] in CASES[:2] else str(len(row["doubts"]))
         lines.append(f"| {' | '.join([*about, *figures, doubts])} |")
     return "\n".join(lines)

@@ -81,9 +81,12 @@ def judged(corpus: Path) -> Iterator[dict[str, Any]]:
             continue
         skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
         about = {
-            "motion": clip.name, "subject": clip.subject, "part": parts.get(clip.subject, "training"),
-            "action": action, "seconds": seconds,
-        }  # fmt: skip
+            "motion": clip.name,
+            "subject": clip.subject,
+            "part": parts.get(clip.subject, "training"),
+            "action": action,
+            "seconds": seconds,
+        }
         kind = kind_of(clip, action)
         for feet in FEET:
             poses = observed(clip, skeleton, feet)
@@ -96,9 +99,12 @@ def verdict_on(poses: PoseSequence, skeleton: SkeletonModel) -> dict[str, Any]:
     """Strides and verdict of one motion."""
     gait = analyse_gait(gait_events(body_paths(poses, skeleton)))
     return {
-        "strides": len(gait.strides), "walking": len(gait.verdict.walking), "gait": gait.is_gait,
-        "on_the_spot": gait.verdict.on_the_spot, "why_not": gait.why_not,
-    }  # fmt: skip
+        "strides": len(gait.strides),
+        "walking": len(gait.verdict.walking),
+        "gait": gait.is_gait,
+        "on_the_spot": gait.verdict.on_the_spot,
+        "why_not": gait.why_not,
+    }
 
 
 def outcome(row: dict[str, Any]) -> str:

@@ -83,9 +83,7 @@ LONG_CASES = {
     "tripod": CASES["tripod"],
     "turning known exactly": CASES["turning known exactly"],
     "heading drifts by 3 deg": Case(known="as estimated", drift=GYROSCOPE),
-    "heading drifts by 3 deg, found against the sensors": Case(
-        known="as estimated", drift=GYROSCOPE, removed=True
-    ),
+    "heading drifts by 3 deg, found against the sensors": Case(known="as estimated", drift=GYROSCOPE, removed=True),
 }
 """On sessions of 20 s with sensors."""
 HEAD = f"""# Handheld camera
@@ -127,24 +125,26 @@ def solved(clip: MocapClip, number: int, sensors: str, case: Case, lifter: Lifte
     R = signals.interpolate_rotations(times, turn[:, None], shown)[:, 0]
     keypoints = filmed if case.known == "not" else still(filmed, R, case, of_errors)
     result = reconstruct(
-        replace(recording, keypoints=keypoints), mode="rtof" if recording.imus is not None else "rto",
-        lifter=lifter, settings=ReconstructionSettings(confidence=False), calibrate=False,
-    )  # fmt: skip
+        replace(recording, keypoints=keypoints),
+        mode="rtof" if recording.imus is not None else "rto",
+        lifter=lifter,
+        settings=ReconstructionSettings(confidence=False),
+        calibrate=False,
+    )
     assert result.metrics is not None
     found = {figure: float(result.metrics[figure]) for figure in FIGURES}
     return found | {"in view": 100 * float(filmed.seen.mean())}
 
 
-def still(
-    filmed: KeypointSequence, R_middle_camera: Array, case: Case, rng: np.random.Generator
-) -> KeypointSequence:
+def still(filmed: KeypointSequence, R_middle_camera: Array, case: Case, rng: np.random.Generator) -> KeypointSequence:
     """Keypoints of the camera that stands still, whose pose is known."""
     camera, times = filmed.camera, filmed.times
     motion = CameraMotion(times, R_middle_camera)
     declared = replace(
-        camera, R_camera_world=motion.R_first_still.T @ camera.R_camera_world,
+        camera,
+        R_camera_world=motion.R_first_still.T @ camera.R_camera_world,
         t_camera_world=motion.R_first_still.T @ camera.t_camera_world,
-    )  # fmt: skip
+    )
     if case.known == "as estimated":
         drift = so3.exp(case.drift * (times - times.mean())[:, None] * camera.R_camera_world[:, 2])
         noise = so3.exp(NOISE * rng.normal(size=(len(times), 3)))
@@ -162,14 +162,10 @@ def from_video(filmed: KeypointSequence, R_middle_camera: Array) -> CameraMotion
         "height_px": round(RENDERED * filmed.camera.height_px),
     }
     camera = replace(filmed.camera, K=np.diag([RENDERED, RENDERED, 1.0]) @ filmed.camera.K, **size)
-    small = replace(
-        filmed, camera=camera, times=filmed.times - filmed.times[0], uv_px=RENDERED * filmed.uv_px
-    )
+    small = replace(filmed, camera=camera, times=filmed.times - filmed.times[0], uv_px=RENDERED * filmed.uv_px)
     boxes = np.full((len(small), 4), np.nan)
     some = small.seen.any(axis=1)
-    boxes[some] = np.concatenate(
-        [np.nanmin(small.uv_px[some], axis=1), np.nanmax(small.uv_px[some], axis=1)], axis=-1
-    )
+    boxes[some] = np.concatenate([np.nanmin(small.uv_px[some], axis=1), np.nanmax(small.uv_px[some], axis=1)], axis=-1)
     guess = with_focal(camera, 1.05)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
@@ -178,21 +174,25 @@ def from_video(filmed: KeypointSequence, R_middle_camera: Array) -> CameraMotion
     return found.motion.shifted(float(filmed.times[0]))
 
 
-def measured(
-    clips: Sequence[MocapClip], cases: Mapping[str, Case], sensors: Sequence[str], file: RowFile
-) -> None:
+def measured(clips: Sequence[MocapClip], cases: Mapping[str, Case], sensors: Sequence[str], file: RowFile) -> None:
     """Make the rows that are missing; motions take turns with the cameras."""
     lifter = Lifter.load()
     jobs = [
         (f"{name}/{clip.name}/{i % 4}/{count}/{cases is LONG_CASES}", clip, i % 4, count, name)
-        for i, clip in enumerate(clips) for count in sensors for name in cases
-    ]  # fmt: skip
-    for key, clip, camera, count, name in track(
-        [job for job in jobs if job[0] not in file.rows], "recordings"
-    ):
+        for i, clip in enumerate(clips)
+        for count in sensors
+        for name in cases
+    ]
+    for key, clip, camera, count, name in track([job for job in jobs if job[0] not in file.rows], "recordings"):
         held = "rigs" if clip.rig in harness.split()["benchmark"]["rigs"] else "people"
-        about = {"case": name, "motion": clip.name, "sensors": count, "camera": camera, "held out": held,
-                 "long": cases is LONG_CASES}  # fmt: skip
+        about = {
+            "case": name,
+            "motion": clip.name,
+            "sensors": count,
+            "camera": camera,
+            "held out": held,
+            "long": cases is LONG_CASES,
+        }
         file.add(key, [about | solved(clip, camera, count, cases[name], lifter)])
 
 
@@ -201,9 +201,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
     found = []
     for long, count in dict.fromkeys((row["long"], row["sensors"]) for row in rows):
         own = [row for row in rows if (row["long"], row["sensors"]) == (long, count)]
-        tripod = {
-            (row["motion"], row["camera"]): row["mpjpe_rr_mm"] for row in own if row["case"] == "tripod"
-        }
+        tripod = {(row["motion"], row["camera"]): row["mpjpe_rr_mm"] for row in own if row["case"] == "tripod"}
         lines = []
         for name in LONG_CASES if long else CASES:
             case = [row for row in own if row["case"] == name]
@@ -214,9 +212,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
             means = [float(np.mean([row[figure] for row in case])) for figure in (*FIGURES, "in view")]
             lines.append((name, len(case), *means, float(np.mean(change)), f"{low:+.0f} to {high:+.0f}"))
         columns = ("camera", "recordings", *FIGURES.values(), "in view %", "rr change %", "95 %")
-        title = ("Sessions of 20 s, " if long else "") + (
-            f"{count} sensors" if count != "0" else "No sensors"
-        )
+        title = ("Sessions of 20 s, " if long else "") + (f"{count} sensors" if count != "0" else "No sensors")
         found.append(Table(f"sensors_{count}_{long}", title, columns, (0, 0, 1, 1, 1, 0, 0, 0), tuple(lines)))
     return found
 
@@ -224,9 +220,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.handheld", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.handheld", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--motions", help="names, with commas; default: all of the benchmark")
     parser.add_argument("--sensors", default="8,0", help="numbers of sensors, with commas")

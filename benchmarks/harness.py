@@ -37,13 +37,7 @@ from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.simulation.simulate import (
-    LIMB_SENSORS,
-    SimulationSettings,
-    low_passed,
-    simulate,
-    standard_cameras,
-)
+from rtof_kin.simulation.simulate import LIMB_SENSORS, SimulationSettings, low_passed, simulate, standard_cameras
 
 HERE = Path(__file__).parent
 KEYPOINTS = {
@@ -62,20 +56,28 @@ STILL, STARTED = "zero motion", "lift with sensors"
 MODES = (STILL, *CAMERA_MODES[:1], STARTED, *CAMERA_MODES[1:])
 """*lift with sensors* is what sf2 and rtof begin with, *lift* the image's alone."""
 COLUMNS = {
-    "mpjpe_rr_mm": ("rr mm", 1), "mpjpe_mm": ("abs mm", 1), "mpjpe_pa_mm": ("PA mm", 1),
-    "hips_deg": ("hips deg", 1), "trunk_deg": ("upper trunk deg", 1),
-    "flexion_deg": ("flexion deg", 1), "angle_deg": ("joint angle deg", 1),
-    "mpjae": ("MPJAE m/s2", 2), "mpjje": ("MPJJE m/s3", 0), "coverage": ("valid", 2),
-}  # fmt: skip
+    "mpjpe_rr_mm": ("rr mm", 1),
+    "mpjpe_mm": ("abs mm", 1),
+    "mpjpe_pa_mm": ("PA mm", 1),
+    "hips_deg": ("hips deg", 1),
+    "trunk_deg": ("upper trunk deg", 1),
+    "flexion_deg": ("flexion deg", 1),
+    "angle_deg": ("joint angle deg", 1),
+    "mpjae": ("MPJAE m/s2", 2),
+    "mpjje": ("MPJJE m/s3", 0),
+    "coverage": ("valid", 2),
+}
 """Heading and digits of each figure."""
 BANDS = {
     f"{figure}_{kind}{unit}": (f"{kind}: {heading}", 2 if not unit else 1)
     for kind in ("relative", "world")
     for figure, unit, heading in (
-        ("inside", "", "inside 95 % bands"), ("sigma", "_mm", "stated mm"), ("rms", "_mm", "actual mm"),
+        ("inside", "", "inside 95 % bands"),
+        ("sigma", "_mm", "stated mm"),
+        ("rms", "_mm", "actual mm"),
         ("rho", "", "rank correlation"),
     )
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -180,11 +182,17 @@ def run(job: Job) -> list[dict[str, Any]]:
         still = motionless(truth)
         scores[STILL] = dict(evaluate(still, truth, recording.skeleton)) | scoring.torso(still, truth)
         about = {
-            "motion": job.clip.name, "rig": job.clip.rig, "subject": job.clip.subject,
+            "motion": job.clip.name,
+            "rig": job.clip.rig,
+            "subject": job.clip.subject,
             "held out": "rigs" if job.clip.rig in split()["benchmark"]["rigs"] else "people",
-            "category": job.clip.category, "camera": job.camera, "keypoints": kind,
-            "sensors": job.sensors, "calibrate": job.calibrate, "frames": len(recording.video),
-        }  # fmt: skip
+            "category": job.clip.category,
+            "camera": job.camera,
+            "keypoints": kind,
+            "sensors": job.sensors,
+            "calibrate": job.calibrate,
+            "frames": len(recording.video),
+        }
         rows += [about | {"mode": mode} | figures for mode, figures in scores.items()]
     return rows
 
@@ -249,9 +257,8 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
 
 
 def _table(
-    name: str, title: str, rows: Sequence[dict[str, Any]], by: tuple[str, ...],
-    columns: dict[str, tuple[str, int]],
-) -> Table:  # fmt: skip
+    name: str, title: str, rows: Sequence[dict[str, Any]], by: tuple[str, ...], columns: dict[str, tuple[str, int]]
+) -> Table:
     """Rows pooled by what they have in common in some fields."""
     found: list[tuple[Cell, ...]] = []
     for key in dict.fromkeys(tuple(row[field] for field in by) for row in in_order(rows, by)):
@@ -261,9 +268,7 @@ def _table(
     headings, digits = zip(*columns.values(), strict=True)
     labels = tuple("2D" if field == "keypoints" else field for field in by)
     notes = ("Sizes of errors are root mean squares, stated and actual.",) if columns is BANDS else ()
-    return Table(
-        name, title, (*labels, *headings, "rr 95 %"), (0,) * len(by) + digits + (0,), tuple(found), notes
-    )
+    return Table(name, title, (*labels, *headings, "rr 95 %"), (0,) * len(by) + digits + (0,), tuple(found), notes)
 
 
 def in_order(rows: Iterable[dict[str, Any]], by: Sequence[str]) -> list[dict[str, Any]]:
@@ -280,11 +285,20 @@ def main(arguments: list[str] | None = None) -> int:
     if options.motions:
         clips = [clip for clip in clips if clip.name in options.motions.split(",")]
     jobs = [
-        Job(clip, camera, tuple(options.keypoints.split(",")), tuple(options.modes.split(",")),
-            options.sensors, options.calibrate == "yes", options.seed, options.lifter,
-            postures.get(clip.name))
-        for clip in clips for camera in range(options.cameras)
-    ]  # fmt: skip
+        Job(
+            clip,
+            camera,
+            tuple(options.keypoints.split(",")),
+            tuple(options.modes.split(",")),
+            options.sensors,
+            options.calibrate == "yes",
+            options.seed,
+            options.lifter,
+            postures.get(clip.name),
+        )
+        for clip in clips
+        for camera in range(options.cameras)
+    ]
     rows: list[dict[str, Any]] = []
     with Progress() as progress, ProcessPoolExecutor(options.workers) as pool:
         task = progress.add_task("motions x cameras", total=len(jobs))
@@ -310,17 +324,18 @@ def _rounded(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.harness", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.harness", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")
     parser.add_argument("--modes", default="lift,sf2,rto,rtof", help="stages to measure")
     parser.add_argument("--sensors", default="8", choices=["0", *SENSOR_SETS], help="how many IMUs")
     parser.add_argument(
-        "--posture", choices=("known", "unknown"), default="unknown",
+        "--posture",
+        choices=("known", "unknown"),
+        default="unknown",
         help="whether the T-pose of people on the re-posed rig is told",
-    )  # fmt: skip
+    )
     parser.add_argument("--calibrate", default="no", choices=("yes", "no"), help="from the recording itself")
     parser.add_argument("--cameras", type=int, default=4, help="of the four around each motion")
     parser.add_argument("--motions", help="only these, separated by commas")

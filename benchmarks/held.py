@@ -58,11 +58,12 @@ def held_wrongly(rng: Generator, R_pose: Array, skeleton: SkeletonModel, degrees
 
 
 EXERCISES = (
-    ("LeftLeg", {"LeftLeg": 1.3, "LeftUpLeg": 0.5}), ("RightLeg", {"RightLeg": 1.3, "RightUpLeg": 0.5}),
+    ("LeftLeg", {"LeftLeg": 1.3, "LeftUpLeg": 0.5}),
+    ("RightLeg", {"RightLeg": 1.3, "RightUpLeg": 0.5}),
     ("LeftForeArm", {"LeftForeArm": 1.8, "LeftArm": 0.5}),
     ("RightForeArm", {"RightForeArm": 1.8, "RightArm": 0.5}),
     ("Spine3", {"Spine": 0.3, "Spine1": 0.3, "Hips": 0.4}),
-)  # fmt: skip
+)
 """The joint a movement is named by, and how far segments flex in it, rad."""
 
 
@@ -86,9 +87,7 @@ def exercise(skeleton: SkeletonModel, rng: Generator, seconds: float) -> PoseSeq
             slow = np.sin(np.pi * phase) ** 0.5
             rotvec[own, j] += (angle * slow * np.sin(3 * np.pi * phase) ** 2)[:, None] * axes[joint]
             rotvec[own, j] += (
-                0.05
-                * slow[:, None]
-                * np.sin(2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3)))
+                0.05 * slow[:, None] * np.sin(2 * np.pi * (np.outer(phase, rng.uniform(2, 5, 3)) + rng.uniform(size=3)))
             )
     rotvec += 0.01 * np.sin(np.arange(T)[:, None, None] / rate * rng.uniform(1, 3, (J, 3)))
     local = kinematics.local_rotations(skeleton.parents, R_pose) @ so3.exp(rotvec)

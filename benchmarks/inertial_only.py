@@ -66,9 +66,7 @@ def recorded(job: Job) -> Recording:
     clip, settings = job.clip, SimulationSettings.perfect()
     settings = replace(settings, sensors=SETS[job.sensors], imu=NOISE[job.noise])
     camera = standard_cameras(clip.poses, job.seed)[0]
-    seen = simulate(
-        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=job.seed, name=clip.name
-    )
+    seen = simulate(clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=job.seed, name=clip.name)
     return replace(seen, keypoints=None)
 
 
@@ -170,8 +168,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     jobs = [
         Job(clip, count, noise, zlib.crc32(clip.name.encode()))
-        for noise in NOISE for count in SETS for clip in motions(options.corpus, options.subset)
-    ]  # fmt: skip
+        for noise in NOISE
+        for count in SETS
+        for clip in motions(options.corpus, options.subset)
+    ]
     with ProcessPoolExecutor(options.workers) as pool:
         rows = list(pool.map(run, jobs))
     found = table(rows)

@@ -62,20 +62,32 @@ def lifts(
     for k in (0, 4):
         own = [
             lifter.predict(
-                keypoints[max(frame - 30, 0) : frame + k + 1], recording.joint_offsets, bone_imus=imus,
+                keypoints[max(frame - 30, 0) : frame + k + 1],
+                recording.joint_offsets,
+                bone_imus=imus,
                 floor_height=recording.floor_height,
             )
             for frame in frames
-        ]  # fmt: skip
+        ]
         at = -1 - k
-        yield "repeated", k, stacked([
-            StreamedPose(
-                each.times[at], each.p_world_joint[at], each.sigma_m[at], each.R_world_bone[at],
-                each.sigma_rad[at],
-            )
-            if each.seen[at] else None
-            for each in own
-        ])  # fmt: skip
+        yield (
+            "repeated",
+            k,
+            stacked(
+                [
+                    StreamedPose(
+                        each.times[at],
+                        each.p_world_joint[at],
+                        each.sigma_m[at],
+                        each.R_world_bone[at],
+                        each.sigma_rad[at],
+                    )
+                    if each.seen[at]
+                    else None
+                    for each in own
+                ]
+            ),
+        )
 
 
 def streamed(
@@ -89,9 +101,8 @@ def streamed(
     """The poses of some frames with each number of later frames."""
     keypoints, wanted = recording.video, set(frames)
     stream = StreamingLifter(
-        lifter, keypoints.camera, recording.joint_offsets, recording.floor_height, names=keypoints.names,
-        flip=flip,
-    )  # fmt: skip
+        lifter, keypoints.camera, recording.joint_offsets, recording.floor_height, names=keypoints.names, flip=flip
+    )
     poses = {}
     for t, time in enumerate(keypoints.times):
         R = {} if imus is None else dict(zip(imus.joints, imus.R_world_bone[t], strict=True))
@@ -107,12 +118,11 @@ def stacked(poses: Sequence[StreamedPose | None]) -> Estimate:
     known = next(pose for pose in poses if pose is not None)
     names = ("p_world_joint", "sigma_m", "R_world_bone", "sigma_rad")
     p, sigma_m, R, sigma_rad = (
-        np.stack([
-            np.full(getattr(known, name).shape, np.nan) if pose is None else getattr(pose, name)
-            for pose in poses
-        ])
+        np.stack(
+            [np.full(getattr(known, name).shape, np.nan) if pose is None else getattr(pose, name) for pose in poses]
+        )
         for name in names
-    )  # fmt: skip
+    )
     return p, sigma_m, R, sigma_rad
 
 
@@ -125,9 +135,7 @@ def scored(estimate: Estimate, p_true: Array, R_true: Array, names: tuple[str, .
     row["rr_mm"] = float(np.nanmean(np.linalg.norm(error - error[:, :1], axis=-1)) * 1e3)
     row["abs_mm"] = float(np.nanmean(np.linalg.norm(error, axis=-1)) * 1e3)
     angles = np.degrees(so3.angle_between(R, R_true))
-    row["hips_deg"], row["trunk_deg"] = (
-        float(np.nanmean(angles[:, names.index(n)])) for n in ("Hips", "Spine3")
-    )
+    row["hips_deg"], row["trunk_deg"] = (float(np.nanmean(angles[:, names.index(n)])) for n in ("Hips", "Spine3"))
     ray = so3.unit(p_true[:, 0] - centre)
     beside = so3.unit(np.cross(ray, [0.0, 0.0, 1.0]))
     axes = np.stack([beside, np.cross(ray, beside), ray], axis=1)
@@ -136,10 +144,12 @@ def scored(estimate: Estimate, p_true: Array, R_true: Array, names: tuple[str, .
     lifted = np.isfinite(R).all(axis=(1, 2, 3))
     turns = so3.log(np.swapaxes(R[lifted], -1, -2) @ R_true[lifted])
     pairs = (
-        (joints[..., :2], sigma_m[:, 1:, :1]), (joints[..., 2:], sigma_m[:, 1:, 1:]),
-        (root[:, :2], sigma_m[:, 0, :1]), (root[:, 2:], sigma_m[:, 0, 1:]),
+        (joints[..., :2], sigma_m[:, 1:, :1]),
+        (joints[..., 2:], sigma_m[:, 1:, 1:]),
+        (root[:, :2], sigma_m[:, 0, :1]),
+        (root[:, 2:], sigma_m[:, 0, 1:]),
         (turns, sigma_rad[lifted, :, None]),
-    )  # fmt: skip
+    )
     for name, (e, s) in zip(SIGMAS, pairs, strict=True):
         s = np.broadcast_to(s, e.shape)
         known = np.isfinite(e + s)
@@ -159,9 +169,10 @@ def rows_of(clip: MocapClip, camera: int, lifter: Lifter) -> Iterator[Row]:
     frames = range(27, len(recording.video) - max(LOOKAHEADS), EVERY)
     true = at_times(truth, recording.video.times[list(frames)])
     about: Row = {
-        "motion": clip.name, "camera": camera,
+        "motion": clip.name,
+        "camera": camera,
         "held out": "rigs" if clip.rig in split()["benchmark"]["rigs"] else "people",
-    }  # fmt: skip
+    }
     centre = recording.video.camera.center_world
     for count, imus in worn(recording):
         for later, k, estimate in lifts(lifter, recording, imus, frames):

@@ -61,12 +61,16 @@ def batch(lifter: Lifter, frames: int, repeats: int) -> dict[str, Any]:
     keypoints, imus, offsets = scene(frames)
     rows = {}
     for flip in (True, False):
-        spent = np.array([
-            timed(lambda flip=flip: lifter.predict(  # type: ignore[misc]
-                keypoints, offsets, bone_imus=imus, floor_height=0.0, flip=flip
-            ))
-            for _ in range(repeats)
-        ])  # fmt: skip
+        spent = np.array(
+            [
+                timed(
+                    lambda flip=flip: lifter.predict(  # type: ignore[misc]
+                        keypoints, offsets, bone_imus=imus, floor_height=0.0, flip=flip
+                    )
+                )
+                for _ in range(repeats)
+            ]
+        )
         names = ("clock", "processor")
         rows["mirror averaged" if flip else "single"] = {
             f"{kind}_{name}": round(frames / float(seconds))
@@ -84,12 +88,19 @@ def streaming(lifter: Lifter, frames: int) -> dict[str, Any]:
     for lookaheads in LOOKAHEADS:
         for flip in (True, False):
             stream = StreamingLifter(lifter, keypoints.camera, offsets, 0.0, lookaheads=lookaheads, flip=flip)
-            spent = 1000 * np.array([
-                timed(lambda t=t, stream=stream: stream.push(  # type: ignore[misc]
-                    keypoints.times[t], keypoints.uv_px[t], keypoints.confidence[t], sensed[t]
-                ))
-                for t in range(frames)
-            ])[frames // 10 :]  # fmt: skip
+            spent = (
+                1000
+                * np.array(
+                    [
+                        timed(
+                            lambda t=t, stream=stream: stream.push(  # type: ignore[misc]
+                                keypoints.times[t], keypoints.uv_px[t], keypoints.confidence[t], sensed[t]
+                            )
+                        )
+                        for t in range(frames)
+                    ]
+                )[frames // 10 :]
+            )
             row = {}
             for i, name in enumerate(("clock", "processor")):
                 row[f"median_{name}_ms"], row[f"p99_{name}_ms"] = np.percentile(spent[:, i], [50, 99])
@@ -143,8 +154,7 @@ def markdown(result: dict[str, Any]) -> str:
     ]
     keys = ("best_processor", "median_processor", "best_clock", "median_clock")
     lines += [
-        f"| {name} | " + " | ".join(f"{row[key]:,}" for key in keys) + " |"
-        for name, row in result["batch"].items()
+        f"| {name} | " + " | ".join(f"{row[key]:,}" for key in keys) + " |" for name, row in result["batch"].items()
     ]
     lines += [
         "",

@@ -26,9 +26,14 @@ from rtof_kin.formats.motion_writer import MotionWriter
 RATE_HZ: Final = 60
 BLOCK: Final = 3600
 POSES: Final = (
-    "p_world_joint", "R_world_bone", "provenance", "valid", "orientation_observed", "direction_observed",
+    "p_world_joint",
+    "R_world_bone",
+    "provenance",
+    "valid",
+    "orientation_observed",
+    "direction_observed",
     "sigma_rad",
-)  # fmt: skip
+)
 COMMANDS: Final = {
     "analyse": ("analyse", "--weight", "70"),
     "report": ("report", "--weight", "70"),

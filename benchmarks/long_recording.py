@@ -65,9 +65,14 @@ def _repeated(demo: Recording) -> tuple[Recording, int]:
     p = kinematics.positions(skeleton.parents, demo.joint_offsets, p_root, R)
     moving = PoseSequence(np.arange(len(at)) / RATE_HZ, p, R, poses.names)
     exact = simulate(
-        moving, demo.joint_offsets, camera=demo.keypoints.camera, seed=0, name="long",
-        settings=SimulationSettings.noiseless(), acknowledgement=demo.acknowledgement,
-    )  # fmt: skip
+        moving,
+        demo.joint_offsets,
+        camera=demo.keypoints.camera,
+        seed=0,
+        name="long",
+        settings=SimulationSettings.noiseless(),
+        acknowledgement=demo.acknowledgement,
+    )
     middle = exact.between((frames - 0.5) / RATE_HZ, (2 * frames - 0.5) / RATE_HZ)
     return middle, frames
 

@@ -167,13 +167,19 @@ def judge(clip: MocapClip) -> list[dict[str, Any]]:
             if planted is None:
                 continue
             found = diagnose_setup(planted.calibration.apply(imus), skeleton, pose=POSE, most=1)
-            rows.append({
-                "motion": clip.name, "subject": clip.subject, "sensors": sensors, "plant": plant,
-                "seconds": len(clip.poses) / 60, "found": bool(found),
-                "ratio": found[0].log_likelihood_ratio if found else None,
-                "what": found[0].what if found else "",
-                "named": bool(found) and _is_right(found[0], planted, good),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "motion": clip.name,
+                    "subject": clip.subject,
+                    "sensors": sensors,
+                    "plant": plant,
+                    "seconds": len(clip.poses) / 60,
+                    "found": bool(found),
+                    "ratio": found[0].log_likelihood_ratio if found else None,
+                    "what": found[0].what if found else "",
+                    "named": bool(found) and _is_right(found[0], planted, good),
+                }
+            )
     return rows
 
 
@@ -194,20 +200,22 @@ def summarised(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             own = [r for r in rows if r["plant"] == plant and r["sensors"] == sensors]
             if own:
                 ratios = [r["ratio"] for r in own if r["found"]]
-                out.append({
-                    "plant": plant, "sensors": sensors, "pieces": len(own),
-                    "found": float(np.mean([r["found"] for r in own])),
-                    "named": float(np.mean([r["named"] for r in own])),
-                    "ratio": round(float(np.median(ratios)), 1) if ratios else None,
-                })  # fmt: skip
+                out.append(
+                    {
+                        "plant": plant,
+                        "sensors": sensors,
+                        "pieces": len(own),
+                        "found": float(np.mean([r["found"] for r in own])),
+                        "named": float(np.mean([r["named"] for r in own])),
+                        "ratio": round(float(np.median(ratios)), 1) if ratios else None,
+                    }
+                )
     return out
 
 
 def table(summary: list[dict[str, Any]]) -> str:
     """Markdown."""
-    lines = [
-        "| planted | sensors | pieces | found | named | median ratio, nats |", "|---" * 6 + "|"
-    ]  # fmt: skip
+    lines = ["| planted | sensors | pieces | found | named | median ratio, nats |", "|---" * 6 + "|"]
     for row in summary:
         ratio = "" if row["ratio"] is None else f"{row['ratio']:.0f}"
         found, named = (f"{100 * row[key]:.0f} %" for key in ("found", "named"))
@@ -231,8 +239,11 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = f"--subset {options.subset} --most {options.most}"
     result = {
         "command": f"python -m benchmarks.mounting --corpus DIR {chosen}",
-        "seed": SEED, "least_ratio": LEAST_RATIO, "summary": summary, "rows": rows,
-    }  # fmt: skip
+        "seed": SEED,
+        "least_ratio": LEAST_RATIO,
+        "summary": summary,
+        "rows": rows,
+    }
     write_results(options.out, result, table(summary))
     print(table(summary))
     return 0

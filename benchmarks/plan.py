@@ -61,9 +61,7 @@ class Case:
 def on_our_body(clip: MocapClip) -> tuple[PoseSequence, SkeletonModel]:
     """The movement of a clip on the package's body of the same size."""
     default = SkeletonModel.default()
-    size = (
-        np.linalg.norm(clip.joint_offsets, axis=1).sum() / np.linalg.norm(default.joint_offsets, axis=1).sum()
-    )
+    size = np.linalg.norm(clip.joint_offsets, axis=1).sum() / np.linalg.norm(default.joint_offsets, axis=1).sum()
     skeleton = default.with_offsets(size * default.joint_offsets)
     source, ours = (shared_frames(skeleton.names, o) for o in (clip.joint_offsets, skeleton.joint_offsets))
     R = clip.poses.R_world_bone @ source @ np.swapaxes(ours, -1, -2)
@@ -84,13 +82,19 @@ def run(case: Case) -> list[dict[str, Any]]:
     for a, name in enumerate(found.names):
         known = found.known[:, a] & np.isfinite(off[:, a])
         if known.mean() >= 0.5 and arrays["known"][a] >= 0.5 * arrays["frames"][a]:
-            rows.append({
-                "plan": "library" if case.library else "same", "sensors": case.sensors, "angle": name,
-                "motion": clip.name, "subject": clip.subject, "rig": clip.rig,
-                "expected": float(arrays["variance"][a] / arrays["known"][a]),
-                "simulated": float(arrays["square"][a] / arrays["known"][a]),
-                "achieved": float(np.mean(off[known, a] ** 2)),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "plan": "library" if case.library else "same",
+                    "sensors": case.sensors,
+                    "angle": name,
+                    "motion": clip.name,
+                    "subject": clip.subject,
+                    "rig": clip.rig,
+                    "expected": float(arrays["variance"][a] / arrays["known"][a]),
+                    "simulated": float(arrays["square"][a] / arrays["known"][a]),
+                    "achieved": float(np.mean(off[known, a] ** 2)),
+                }
+            )
     return rows
 
 
@@ -109,9 +113,7 @@ def cases(corpus: Path, split: str) -> Iterator[Case]:
         clips = [harness.middle(clip, SECONDS) for clip in harness.test_clips(corpus)]
     else:
         rows = harness.split()[split]
-        whole = [
-            clip for clip in read_corpus(corpus, rows, output_rate_hz=120.0) if "GLITCH" not in clip.quality
-        ]
+        whole = [clip for clip in read_corpus(corpus, rows, output_rate_hz=120.0) if "GLITCH" not in clip.quality]
         clips = [harness.middle(resample_clip(low_passed(c, 10.0), 60.0), SECONDS) for c in whole][:12]
         clips += [rerigged(clip) for clip in clips[::2]]
     for i, clip in enumerate(clips):
@@ -152,18 +154,22 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             ratio = expected / achieved
             rho = float(spearmanr(expected, achieved).statistic)
             cells_of_row = (
-                plan, sensors, _distinct(own, "motion"), _distinct(own, "subject"), len(pooled), f"{rho:.2f}",
-                f"{ratio.mean():.2f}", f"{np.median(expected) / np.median(achieved):.2f}",
+                plan,
+                sensors,
+                _distinct(own, "motion"),
+                _distinct(own, "subject"),
+                len(pooled),
+                f"{rho:.2f}",
+                f"{ratio.mean():.2f}",
+                f"{np.median(expected) / np.median(achieved):.2f}",
                 f"{np.mean((ratio > 0.5) & (ratio < 2)):.2f}",
-            )  # fmt: skip
+            )
             lines.append(f"| {' | '.join(map(str, cells_of_row))} |")
             if plan == "same":
                 for name, (e, a) in pooled.items():
                     cells.setdefault(name, {})[sensors] = f"{e:.1f}, {a:.1f}"
     for name, own_cells in cells.items():
-        angles.append(
-            f"| {name.replace('_', ' ')} | " + " | ".join(own_cells.get(s, "") for s in SENSORS) + " |"
-        )
+        angles.append(f"| {name.replace('_', ' ')} | " + " | ".join(own_cells.get(s, "") for s in SENSORS) + " |")
     return "\n".join(lines + angles)
 
 
@@ -179,8 +185,7 @@ def _pooled(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, tuple[float, 
             yield (
                 name,
                 tuple(
-                    float(np.degrees(np.sqrt(np.mean([row[key] for row in own]))))
-                    for key in ("expected", "achieved")
+                    float(np.degrees(np.sqrt(np.mean([row[key] for row in own])))) for key in ("expected", "achieved")
                 ),
             )  # type: ignore[misc]
 
@@ -188,13 +193,7 @@ def _pooled(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, tuple[float, 
 def pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """A row for each plan, set of sensors and angle."""
     return [
-        {
-            "plan": plan,
-            "sensors": sensors,
-            "angle": name,
-            "expected_deg": round(e, 2),
-            "achieved_deg": round(a, 2),
-        }
+        {"plan": plan, "sensors": sensors, "angle": name, "expected_deg": round(e, 2), "achieved_deg": round(a, 2)}
         for plan in dict.fromkeys(row["plan"] for row in rows)
         for sensors in SENSORS
         for name, (e, a) in _pooled([r for r in rows if (r["plan"], r["sensors"]) == (plan, sensors)])
@@ -204,18 +203,15 @@ def pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.plan", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--split", choices=("test", "validation"), default="test")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--no-library", action="store_true", help="only the same movement")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "plan.json")
     options = parser.parse_args(arguments)
-    chosen = [
-        case for case in cases(options.corpus, options.split) if not (options.no_library and case.library)
-    ]
+    chosen = [case for case in cases(options.corpus, options.split) if not (options.no_library and case.library)]
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(options.workers) as pool:
         for found in track(pool.map(run, chosen), total=len(chosen), description="motions x sensors"):

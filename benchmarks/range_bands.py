@@ -64,9 +64,8 @@ def rows_of(clip: MocapClip, camera: int, sensors: str, seed: int) -> tuple[list
         "path_m": found.travel.path_length,
         "true_path_m": true.travel.path_length if true else None,
         "turned_deg": float(np.degrees(found.travel.turned_left - found.travel.turned_right)),
-        "true_turned_deg":
-            float(np.degrees(true.travel.turned_left - true.travel.turned_right)) if true else None,
-    }  # fmt: skip
+        "true_turned_deg": float(np.degrees(true.travel.turned_left - true.travel.turned_right)) if true else None,
+    }
 
 
 def compared(found: MotionAnalysis, true: ClinicalAngles) -> Iterator[Row]:
@@ -84,10 +83,11 @@ def compared(found: MotionAnalysis, true: ClinicalAngles) -> Iterator[Row]:
                 key: float(np.degrees(value))
                 for name, value in ends.items()
                 for key, value in (
-                    (name, getattr(row, name)), (f"true_{name}", value),
+                    (name, getattr(row, name)),
+                    (f"true_{name}", value),
                     (f"{name}_sigma", getattr(row, f"{name}_sigma")),
                 )
-            }  # fmt: skip
+            }
 
 
 def side_differences(rows: Sequence[Row]) -> list[Row]:
@@ -120,9 +120,7 @@ def coverage_line(title: str, rows: Sequence[Row], name: str = "range") -> str:
 
 
 HEAD = (
-    "| | number | inside 95 % bands, % | median error, deg | median size, deg | stated size, deg |\n"
-    + "|---" * 6
-    + "|"
+    "| | number | inside 95 % bands, % | median error, deg | median size, deg | stated size, deg |\n" + "|---" * 6 + "|"
 )
 
 
@@ -141,13 +139,17 @@ def report(rows: Sequence[Row], recordings: Sequence[Row], subset: str) -> str:
     """The tables as Markdown."""
     used = [row for row in rows if row["comparable"]]
     lines = [
-        "# Bands of ranges of motion", "",
+        "# Bands of ranges of motion",
+        "",
         f"Made by `python -m benchmarks.range_bands --corpus DIR --subset {subset}`: "
         f"{len(recordings)} recordings, realistic 2D of one of four cameras each. Ranges are those that a "
         "report compares; (all): every one with a band. Truth and estimate are of the same frames. The "
-        "stated size is the median of a normal error of that standard deviation.", "",
-        "## All angles", "", HEAD,
-    ]  # fmt: skip
+        "stated size is the median of a normal error of that standard deviation.",
+        "",
+        "## All angles",
+        "",
+        HEAD,
+    ]
     sides = side_differences(rows)
     for sensors in SENSORS:
         own, every, pairs = ([r for r in part if r["sensors"] == sensors] for part in (used, rows, sides))

@@ -62,10 +62,15 @@ USUAL = "marker-set places"
 LEFT_OUT = {USUAL: ("measured", "view"), "measured places": ("view",), "measured, views": ()}
 """Tables of ``models/detector_points.toml`` that each kind of raw points does without."""
 COLUMNS = {
-    "relative_mm": "to the hips mm", "centred_mm": "to the mean point mm", "absolute_mm": "absolute mm",
-    "own_places_mm": "own places mm", "shape_mm": "within parts mm", "own_px": "own picture px",
-    "other_px": "other pictures px", "inside": "in 95 % bands",
-}  # fmt: skip
+    "relative_mm": "to the hips mm",
+    "centred_mm": "to the mean point mm",
+    "absolute_mm": "absolute mm",
+    "own_places_mm": "own places mm",
+    "shape_mm": "within parts mm",
+    "own_px": "own picture px",
+    "other_px": "other pictures px",
+    "inside": "in 95 % bands",
+}
 NOTES = (
     "Distances of the detector's points, means over frames, points and the four cameras alone. To the hips, "
     "to the mean point: without the error of the hips' middle or of the mean of all points. Own places: the "
@@ -192,9 +197,8 @@ def measure(name: str, clip: Clip) -> list[dict[str, Any]]:
 
 
 def score(
-    clip: Clip, camera: int, points: ImagePoints, poses: PoseSequence,
-    confidence: Confidence | None,
-) -> dict[str, float | None]:  # fmt: skip
+    clip: Clip, camera: int, points: ImagePoints, poses: PoseSequence, confidence: Confidence | None
+) -> dict[str, float | None]:
     """Errors of the predicted points; see `NOTES`."""
     p, R = poses.p_world_joint, poses.R_world_bone
     at = points.positions(p, R)
@@ -209,11 +213,14 @@ def score(
     local = local[:, ever] - np.nanmean(local[:, ever], axis=0)
     off_px = np.where(clip.weight > 0, np.linalg.norm(uv - clip.uv_px, axis=-1), np.nan)
     figures = {
-        "relative_mm": _mean(relative), "centred_mm": _mean(centred), "absolute_mm": _mean(error),
-        "own_places_mm": _mean(local), "shape_mm": _shape_mm(points, found, true),
+        "relative_mm": _mean(relative),
+        "centred_mm": _mean(centred),
+        "absolute_mm": _mean(error),
+        "own_places_mm": _mean(local),
+        "shape_mm": _shape_mm(points, found, true),
         "own_px": float(np.nanmedian(off_px[camera])),
         "other_px": float(np.nanmean(np.delete(off_px, camera, axis=0))),
-    }  # fmt: skip
+    }
     if confidence is not None:
         variance = np.einsum("tjii->tji", confidence.relative_covariance)[:, list(points.anchors)]
         known = np.isfinite(relative) & (variance > 0)
@@ -244,9 +251,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         cells.append((clip, mode, *(None if None in v else float(np.mean(v)) for v in values)))
     digits = (0, 0, *(2 if figure == "inside" else 0 for figure in COLUMNS))
     title = "Single cameras against the triangulation of the detector's points"
-    return Table(
-        "real_clips", title, ("clip", "mode", *COLUMNS.values()), digits, tuple(cells), NOTES
-    ).markdown()  # fmt: skip
+    return Table("real_clips", title, ("clip", "mode", *COLUMNS.values()), digits, tuple(cells), NOTES).markdown()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

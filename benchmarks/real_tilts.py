@@ -46,9 +46,7 @@ def rows(data: Path) -> list[list[str]]:
             true, now = (np.degrees(pitch_and_roll(c)) for c in (camera, found.found))
             sigma = np.degrees(found.sigma[1:3])
             cells = [f"{t:.1f} | {n:.1f} ± {s:.1f}" for t, n, s in zip(true, now, sigma, strict=True)]
-            height = (
-                f"{camera.center_world[2]:.2f} | {found.found.center_world[2]:.2f} ± {found.sigma[3]:.2f}"
-            )
+            height = f"{camera.center_world[2]:.2f} | {found.found.center_world[2]:.2f} ± {found.sigma[3]:.2f}"
             out.append([name, view.name, *cells, height])
             print(" | ".join(out[-1]), flush=True)
     return out

@@ -78,9 +78,7 @@ def nothing(line: list[str]) -> int:
 def cost_of(table: Path) -> Cost:
     """Fit cost to the rows of a batch; lines through two or more durations, else through zero."""
     with table.open(encoding="utf-8", newline="") as stream:
-        rows = [
-            row for row in csv.DictReader(stream) if row["verdict"] != "error" and float(row["duration_s"])
-        ]
+        rows = [row for row in csv.DictReader(stream) if row["verdict"] != "error" and float(row["duration_s"])]
     if not rows:
         raise SystemExit(f"{table}: no recording with a motion")
     minutes = np.array([float(row["duration_s"]) / 60 for row in rows])
@@ -133,14 +131,21 @@ def measure_driver(folder: Path, jobs: int) -> Driver:
 
 def measure_table(folder: Path, count: int) -> TableCost:
     """Write the table and the index of so many rows."""
-    sentence = (
-        "RightHand: reprojection error, median 35.5 px (above 24 px) at 12.3 s: errors of detector, bone "
-    )
+    sentence = "RightHand: reprojection error, median 35.5 px (above 24 px) at 12.3 s: errors of detector, bone "
     row = Row(
-        "", "warn", sentence + "lengths, camera or synchronisation; more warns in sensors", frames=3600,
-        duration_s=60.0, seconds=60.123, cpu_seconds=55.456, peak_memory_mb=800.1, output_mb=40.12,
-        version="0.1.0", report="report.html", log="log/report.txt",
-    )  # fmt: skip
+        "",
+        "warn",
+        sentence + "lengths, camera or synchronisation; more warns in sensors",
+        frames=3600,
+        duration_s=60.0,
+        seconds=60.123,
+        cpu_seconds=55.456,
+        peak_memory_mb=800.1,
+        output_mb=40.12,
+        version="0.1.0",
+        report="report.html",
+        log="log/report.txt",
+    )
     place = Place(folder, Shard(), 1, 0, "")
     (folder / ".batch").mkdir(parents=True)
     names = [f"s{k // 100:05d}/take{k % 100:02d}" for k in range(count)]
@@ -153,8 +158,10 @@ def measure_table(folder: Path, count: int) -> TableCost:
     began = time.process_time()
     tables.write()
     seconds = time.process_time() - began
-    sizes = [sum(p.stat().st_size for p in folder.glob(name)) / 1e6
-             for name in ("batch.csv", "index*.html", ".batch/*.jsonl")]  # fmt: skip
+    sizes = [
+        sum(p.stat().st_size for p in folder.glob(name)) / 1e6
+        for name in ("batch.csv", "index*.html", ".batch/*.jsonl")
+    ]
     return TableCost(count, seconds, *sizes, ((peak_memory() or 0) - before) / 1e6)
 
 
@@ -174,19 +181,17 @@ def report(cost: Cost, driver: Driver, tables: list[TableCost], options: argpars
 
 
 def measured(cost: Cost, driver: Driver, tables: list[TableCost]) -> list[str]:
-    per_job = [
-        1e3 * seconds / driver.jobs for seconds in (driver.driver_cpu_s, driver.wall_s, driver.resumed_s)
-    ]
+    per_job = [1e3 * seconds / driver.jobs for seconds in (driver.driver_cpu_s, driver.wall_s, driver.resumed_s)]
+    commands = f"processor time of the commands, {cost.recordings} recordings up to {cost.longest_min:.2f} min"
+    nothing = f"driver, {driver.jobs} recordings whose command does nothing"
     rows = {
-        f"processor time of the commands, {cost.recordings} recordings up to {cost.longest_min:.2f} min":
-            f"{cost.cpu_s[0]:.1f} s + {cost.cpu_s[1]:.0f} s per recorded minute",
+        commands: f"{cost.cpu_s[0]:.1f} s + {cost.cpu_s[1]:.0f} s per recorded minute",
         "output": f"{cost.output_mb[0]:.2f} MB + {cost.output_mb[1]:.1f} MB per recorded minute",
         "most memory of a worker": f"{cost.peak_mb:.0f} MB",
-        f"driver, {driver.jobs} recordings whose command does nothing":
-            f"{per_job[0]:.2f} ms of its processor, {per_job[1]:.1f} ms in all per recording",
+        nothing: f"{per_job[0]:.2f} ms of its processor, {per_job[1]:.1f} ms in all per recording",
         "the same resumed, nothing left to do": f"{per_job[2]:.1f} ms per recording",
         "memory of the driver then": f"{driver.driver_mb:.0f} MB",
-    }  # fmt: skip
+    }
     for t in tables:
         rows[f"table and index of {t.rows} rows, each time they are written"] = (
             f"{t.seconds:.2f} s, {t.memory_mb:.0f} MB of memory; batch.csv {t.csv_mb:.1f} MB, index "
@@ -199,9 +204,15 @@ def measured(cost: Cost, driver: Driver, tables: list[TableCost]) -> list[str]:
 def computed(cost: Cost, driver: Driver, options: argparse.Namespace) -> list[str]:
     prices = f"{options.core_hour} per core-hour, {options.gb_month} per GB and month"
     columns = (
-        "recordings", "minutes each", "core-hours", "price", "output [TB]", "price per month",
-        f"days on {options.cores} cores", "hours of the driver",
-    )  # fmt: skip
+        "recordings",
+        "minutes each",
+        "core-hours",
+        "price",
+        "output [TB]",
+        "price per month",
+        f"days on {options.cores} cores",
+        "hours of the driver",
+    )
     lines = [
         "## Computed",
         "",
@@ -248,9 +259,7 @@ def limits(cost: Cost, driver: Driver, table: TableCost, minutes: float) -> list
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--measured", type=Path, metavar="CSV", help="batch.csv of recordings of yours")
     parser.add_argument("--jobs", type=int, default=10**4, help="recordings of the empty batch")
     parser.add_argument("--rows", type=int, nargs="+", default=[10**4, 10**5], help="rows of tables")

@@ -72,13 +72,10 @@ MOMENTS = (10.0, 30.0, 60.0)
 FRAMES = 50
 DELAY, HEADING, MOUNTING = 0.03, np.radians(8.0), np.radians(5.0)
 """Planted errors: a delay of either sign, the deviation of headings, the angle of mountings."""
-_CLOSED = CalibrationPriors(
-    sigma_delay=None, sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None
-)
+_CLOSED = CalibrationPriors(sigma_delay=None, sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None)
 _ALL = replace(
-    _CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0), sigma_swing=np.radians(4.0),
-    sigma_twist=np.radians(5.0),
-)  # fmt: skip
+    _CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0), sigma_swing=np.radians(4.0), sigma_twist=np.radians(5.0)
+)
 VARIANTS = {
     "delay": replace(_CLOSED, sigma_delay=0.05),
     "delay, heading": replace(_CLOSED, sigma_delay=0.05, sigma_heading=np.radians(8.0)),
@@ -133,9 +130,13 @@ def recorded(clip: MocapClip, case: Case) -> tuple[Recording, Truths]:
     own = zlib.crc32(clip.name.encode())
     settings = SimulationSettings(keypoints=detector, sensors=harness.SENSOR_SETS["8"])
     recording = simulate(
-        clip.poses, clip.joint_offsets, camera=standard_cameras(clip.poses, own)[case.camera],
-        settings=settings, seed=own + case.camera, name=clip.name,
-    )  # fmt: skip
+        clip.poses,
+        clip.joint_offsets,
+        camera=standard_cameras(clip.poses, own)[case.camera],
+        settings=settings,
+        seed=own + case.camera,
+        name=clip.name,
+    )
     rng = np.random.default_rng([own, case.camera])
     wrong: planting.Wrong = {}
     if case.case == "planted":
@@ -174,11 +175,16 @@ class StandIn:
         self.start, self.truth, self.skeleton = prepared.start, truth, prepared.skeleton
         self.data, again = (
             Observations(
-                prepared.skeleton, FRAMES, solver, prepared.guess, prepared.keypoints,
-                native.resample(self.times), places=native.joints,
+                prepared.skeleton,
+                FRAMES,
+                solver,
+                prepared.guess,
+                prepared.keypoints,
+                native.resample(self.times),
+                places=native.joints,
             )
             for _ in range(2)
-        )  # fmt: skip
+        )
         self.problem = again.problem
         self.given = CalibrationObservations.of(self.data, self.times)
         slow = low_passed(even_noise(native), solver)
@@ -205,9 +211,7 @@ class StandIn:
         data.problem.bind(values)
         s = self.settings
         annealing = Annealing(s, data.problem, data.confidence[part], data.points.sizes, values.observation)
-        solved = self._solver.solve(
-            data.start[part], s.annealing + s.max_iterations, s.tolerance, None, annealing
-        )
+        solved = self._solver.solve(data.start[part], s.annealing + s.max_iterations, s.tolerance, None, annealing)
         variance = annealing.sigma**2
         knee = s.robust_reprojection / s.largest_correlation_factor
         own = own.changed(w_visual=data.confidence[part] / variance, knee_visual=np.full((FRAMES, 1), knee))
@@ -295,9 +299,12 @@ def rows_of(corpus: Path, case: Case, lifter: Lifter) -> Iterator[Row]:
             yield row
         if (case.case, variant) in BATCH:
             batch = calibrate(
-                replace(prepared.recording, keypoints=prepared.keypoints), prepared.guess,
-                VARIANTS[variant], stand_in.settings, FRAMES,
-            )  # fmt: skip
+                replace(prepared.recording, keypoints=prepared.keypoints),
+                prepared.guess,
+                VARIANTS[variant],
+                stand_in.settings,
+                FRAMES,
+            )
             yield {**about, "how": "batch", "errors": errors(batch, truths)}
 
 
@@ -344,23 +351,25 @@ def tables(rows: list[Row]) -> list[Table]:
     headings = tuple(h for f in FIGURES.values() for h in (f, "change", "better / worse"))
     return [
         Table(
-            "remaining", "Errors of the calibration, root mean square, ms and degrees",
-            ("case", "open", "of", "before", *moments, "batch", "stated"), (0, 0, 0, 1, 1, 1, 1, 1, 1),
+            "remaining",
+            "Errors of the calibration, root mean square, ms and degrees",
+            ("case", "open", "of", "before", *moments, "batch", "stated"),
+            (0, 0, 0, 1, 1, 1, 1, 1, 1),
             tuple(remaining),
         ),
         Table(
-            "effects", "Effect from 10 to 60 s",
-            ("case", "open", "recordings", *headings), (0,) * 12, tuple(effects),
+            "effects", "Effect from 10 to 60 s", ("case", "open", "recordings", *headings), (0,) * 12, tuple(effects)
         ),
-    ]  # fmt: skip
+    ]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.sequential_calibration", description=__doc__,
+        prog="python -m benchmarks.sequential_calibration",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--sessions", default=",".join(SESSIONS), help="some, separated by commas")
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))

@@ -30,9 +30,7 @@ def measured(name: str, code: Path, recording: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "rtof_kin.cli", "study", str(recording), "-o", f"{folder}/study"]
         environment = os.environ | {"PYTHONPATH": str(code), "OMP_NUM_THREADS": "1"}
-        done = subprocess.run(
-            command, env=environment, cwd=folder, check=True, capture_output=True, text=True
-        )
+        done = subprocess.run(command, env=environment, cwd=folder, check=True, capture_output=True, text=True)
         study = json.loads((Path(folder) / "study" / "study.json").read_text(encoding="utf-8"))
     clock, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
     announced = re.search(r"(\d+) reconstructions", done.stdout)
@@ -49,8 +47,7 @@ def measured(name: str, code: Path, recording: Path) -> dict[str, Any]:
 
 def _removed(path: list[dict[str, Any]]) -> list[str]:
     return [
-        next(name for name in larger["sensors"] if name not in smaller["sensors"])
-        for larger, smaller in pairwise(path)
+        next(name for name in larger["sensors"] if name not in smaller["sensors"]) for larger, smaller in pairwise(path)
     ]
 
 

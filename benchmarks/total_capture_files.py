@@ -61,12 +61,7 @@ def take_paths(layout: str, subject: str, take: str) -> dict[str, Path]:
     folders = {
         "one": (own / take, own / take, own / take, own / take),
         "vendor": (own / take, own, Path(low), Path(low)),
-        "split": (
-            Path("vicon") / subject / take,
-            Path("vicon") / subject,
-            Path("imu") / low,
-            Path("gyro_mag") / low,
-        ),
+        "split": (Path("vicon") / subject / take, Path("vicon") / subject, Path("imu") / low, Path("gyro_mag") / low),
     }
     vicon, bvh, imu, aux = folders[layout]
     return {
@@ -131,9 +126,7 @@ def write_bvh(path: Path, poses: PoseSequence, joint_offsets: Array) -> None:
     _write(path, lines)
 
 
-def _bvh_joint(
-    lines: list[str], order: list[tuple[int, Array]], joint: int, offsets: Array, depth: int = 0
-) -> None:
+def _bvh_joint(lines: list[str], order: list[tuple[int, Array]], joint: int, offsets: Array, depth: int = 0) -> None:
     """Append a joint and all below it: lines, and its index and offset in the order of the channels."""
     order.append((joint, offsets[joint]))
     _open(lines, f"JOINT {NAMES[joint]}" if depth else f"ROOT {NAMES[joint]}", offsets[joint], depth)
@@ -193,10 +186,7 @@ def _gyroscope_and_magnetometer(imus: ImuSequence, rng: np.random.Generator) -> 
     rate_hz = 1 / np.median(np.diff(imus.times))
     w_sensor = np.concatenate([steps, steps[-1:]]) * rate_hz
     field = R_sensor_inertial @ _MAGNETIC_FIELD
-    return [
-        w_sensor + 0.01 * rng.standard_normal(w_sensor.shape),
-        field + 0.01 * rng.standard_normal(field.shape),
-    ]
+    return [w_sensor + 0.01 * rng.standard_normal(w_sensor.shape), field + 0.01 * rng.standard_normal(field.shape)]
 
 
 def write_imu_calibration(path_ref: Path, path_bone: Path, calibration: ImuCalibration) -> None:
@@ -204,10 +194,7 @@ def write_imu_calibration(path_ref: Path, path_bone: Path, calibration: ImuCalib
     R_ref = C_WORLD_TC.T @ calibration.R_world_inertial
     R_ib = M_TC_BONE @ np.swapaxes(calibration.R_sensor_bone, -1, -2)
     sensors = calibration.sensors
-    for path, R, order in (
-        (path_ref, R_ref, range(len(sensors))),
-        (path_bone, R_ib, reversed(range(len(sensors)))),
-    ):
+    for path, R, order in ((path_ref, R_ref, range(len(sensors))), (path_bone, R_ib, reversed(range(len(sensors))))):
         quat = [quat_xyzw(matrix) for matrix in R]
         lines = [f"{len(sensors)}\n"]
         lines += [f"{sensors[s]} {' '.join(f'{q:.6g}' for q in quat[s])}\n" for s in order]

@@ -31,12 +31,7 @@ TAKES = {
 """Takes of each subject."""
 TEST_TAKES = ("walking2", "acting3", "freestyle3")
 UNSEEN_SUBJECTS = ("S4", "S5")
-OTHER_SIZE = {
-    ("S1", "freestyle2"): 1.02,
-    ("S2", "rom1"): 0.985,
-    ("S2", "rom3"): 0.985,
-    ("S2", "walking1"): 1.015,
-}
+OTHER_SIZE = {("S1", "freestyle2"): 1.02, ("S2", "rom1"): 0.985, ("S2", "rom3"): 0.985, ("S2", "walking1"): 1.015}
 """Takes in which the skeleton has another size than in the subject's others."""
 CATEGORIES = {"rom": ("rom", "freestyle"), "acting": ("acting", "freestyle")}
 """Categories of the corpus for a kind of take, in the order of preference; else the one of its name."""
@@ -47,8 +42,7 @@ _OFFSETS_MM = {
     "Spine3": "0 0 -92.3  0 0 -78.5  0 0 -88.3  0 0 -88.4  0 0 -92.6",
     "Neck": "0 -34.6 -242.4  0 -29.5 -206.2  0 -33.1 -231.7  0 -33.1 -232.0  0 -34.7 -243.1",
     "Head": "0 -22.0 -125.0  0 -18.8 -106.4  0 -21.1 -119.5  0 -21.1 -119.7  0 -22.1 -125.4",
-    "RightShoulder": "29.2 -48.6 -157.6  26.4 -44.1 -142.8  29.7 -49.5 -160.4  30.3 -50.5 -163.5"
-    "  30.7 -51.2 -165.9",
+    "RightShoulder": "29.2 -48.6 -157.6  26.4 -44.1 -142.8  29.7 -49.5 -160.4  30.3 -50.5 -163.5  30.7 -51.2 -165.9",
     "RightArm": "144.9 0 0  131.3 0 0  147.6 0 0  150.4 0 0  152.6 0 0",
     "RightForeArm": "288.9 0 0  236.0 0 0  266.3 0 0  265.7 0 0  320.7 0 0",
     "RightHand": "219.6 0 0  198.1 0 0  227.7 0 0  236.5 0 0  234.3 0 0",

@@ -136,13 +136,7 @@ def _skeleton() -> SkeletonModel:
 
 
 def write_take(
-    root: Path,
-    take: StandInTake,
-    layout: str = "one",
-    *,
-    orientations: bool = True,
-    bvh: bool = True,
-    aux: bool = True,
+    root: Path, take: StandInTake, layout: str = "one", *, orientations: bool = True, bvh: bool = True, aux: bool = True
 ) -> dict[str, Path]:
     """Write the files of a take below the dataset's folder.
 
@@ -205,12 +199,7 @@ def write_detections(folder: Path, take: StandInTake, number: int, camera: Camer
 
 
 def write_dataset(
-    corpus: Path,
-    out: Path,
-    layout: str = "one",
-    seconds: float = 8.0,
-    seed: int = 0,
-    detections: Path | None = None,
+    corpus: Path, out: Path, layout: str = "one", seconds: float = 8.0, seed: int = 0, detections: Path | None = None
 ) -> Iterator[str]:
     """Write all 46 takes; yields a line about each.
 
@@ -248,9 +237,10 @@ def write_dataset(
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.total_capture_standin", description=__doc__,
+        prog="python -m benchmarks.total_capture_standin",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, required=True, help="new folder for the stand-in")
     parser.add_argument("--layout", choices=files.LAYOUTS, default="one")

@@ -17,9 +17,7 @@ _HEIGHT = 1400
 _HALF_VIEW = np.radians(57.0)
 
 
-def pan_and_shake(
-    rng: np.random.Generator, times: Array, pan_deg: float = 18.0, shake_deg: float = 4.0
-) -> Array:
+def pan_and_shake(rng: np.random.Generator, times: Array, pan_deg: float = 18.0, shake_deg: float = 4.0) -> Array:
     """Rotations (T, 3, 3) from the camera to a middle orientation: a slow pan, and a shake of 1 to 3 Hz.
 
     Args:
@@ -43,12 +41,7 @@ def _wall(seed: int) -> NDArray[np.uint8]:
 
 
 def write_turning_video(
-    path: Path,
-    R_middle_camera: Array,
-    camera: Camera,
-    rate_hz: float,
-    boxes: ArrayLike | None = None,
-    seed: int = 0,
+    path: Path, R_middle_camera: Array, camera: Camera, rate_hz: float, boxes: ArrayLike | None = None, seed: int = 0
 ) -> None:
     """Write a video of a distant wall of random texture, with a flickering box for the person.
 

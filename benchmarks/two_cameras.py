@@ -38,10 +38,13 @@ FOCAL, TILT_DEG, APART_DEG, CLOCK = (0.05, 0.10), (3.0, 5.0), (60.0, 90.0), (-60
 SHORTEST = 3.0
 """[s] of a motion."""
 FIGURES = {
-    "mpjpe_rr_mm": ("rr mm", 1), "mpjpe_mm": ("abs mm", 1), "flexion_deg": ("flexion deg", 1),
-    "inside_relative": ("rr in 95 % bands", 2), "sigma_relative_mm": ("stated rr mm", 1),
+    "mpjpe_rr_mm": ("rr mm", 1),
+    "mpjpe_mm": ("abs mm", 1),
+    "flexion_deg": ("flexion deg", 1),
+    "inside_relative": ("rr in 95 % bands", 2),
+    "sigma_relative_mm": ("stated rr mm", 1),
     "rms_relative_mm": ("actual rr mm", 1),
-}  # fmt: skip
+}
 
 
 def second_view(poses_camera: Camera, centre: Array, rng: Generator) -> Camera:
@@ -62,11 +65,15 @@ def recordings(clip: MocapClip, seed: int) -> tuple[Recording, KeypointSequence,
     second = second_view(first, (p.min(axis=(0, 1)) + p.max(axis=(0, 1))) / 2, rng)
     seen = [
         simulate(
-            clip.poses, clip.joint_offsets, camera=camera, settings=SimulationSettings.realistic(),
-            seed=own + i, name=clip.name,
+            clip.poses,
+            clip.joint_offsets,
+            camera=camera,
+            settings=SimulationSettings.realistic(),
+            seed=own + i,
+            name=clip.name,
         )
         for i, camera in enumerate((first, second))
-    ]  # fmt: skip
+    ]
     return seen[0], seen[1].video, rng
 
 
@@ -137,9 +144,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
     cells, cameras = [], []
     for sensors in (8, 0):
         own = [row for row in rows if row["sensors"] == sensors]
-        by_case = {
-            case: [r for r in own if r["case"] == case] for case in dict.fromkeys(r["case"] for r in own)
-        }
+        by_case = {case: [r for r in own if r["case"] == case] for case in dict.fromkeys(r["case"] for r in own)}
         for case, chosen in by_case.items():
             base = by_case["one, calibrated" if "calibrated" in case else "one, focal length off"]
             one, two = (np.array([row["mpjpe_rr_mm"] for row in part]) for part in (base, chosen))
@@ -149,23 +154,30 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
             cells.append((sensors, case, *values, float(ratio), f"{low:.2f}-{high:.2f}"))
         found = [row["camera"] for row in own if "camera" in row]
         names = [name for name in found[0] if name != "doubt"]
-        cameras.append((
-            sensors, *(float(np.median(np.abs([f[name] for f in found]))) for name in names),
-            float(np.mean([not f["doubt"] for f in found])),
-        ))  # fmt: skip
+        cameras.append(
+            (
+                sensors,
+                *(float(np.median(np.abs([f[name] for f in found]))) for name in names),
+                float(np.mean([not f["doubt"] for f in found])),
+            )
+        )
     motions = len({row["motion"] for row in rows})
     first = Table(
-        "two_cameras", f"Two cameras and one, {motions} motions",
+        "two_cameras",
+        f"Two cameras and one, {motions} motions",
         ("sensors", "cameras", *(heading for heading, _ in FIGURES.values()), "rr of two / one", "95 %"),
-        (0, 0, *(digits for _, digits in FIGURES.values()), 2, 0), tuple(cells),
+        (0, 0, *(digits for _, digits in FIGURES.values()), 2, 0),
+        tuple(cells),
         ("Ratios are of the mean errors, with a bootstrap interval over motions.",),
-    )  # fmt: skip
+    )
     second = Table(
-        "second_camera", "The second camera, medians of sizes of errors",
+        "second_camera",
+        "The second camera, medians of sizes of errors",
         ("sensors", "turn deg", "stated", "moved m", "stated", "focal 1", "stated", "clock ms", "sure"),
-        (0, 1, 1, 2, 2, 3, 3, 0, 2), tuple(cameras),
+        (0, 1, 1, 2, 2, 3, 3, 0, 2),
+        tuple(cameras),
         ("The clock is against the pictures' own stamps; simulated detectors are late by 17 to 50 ms.",),
-    )  # fmt: skip
+    )
     return first.markdown() + "\n" + second.markdown()
 
 

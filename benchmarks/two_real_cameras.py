@@ -89,20 +89,30 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
         means = (None if not own or None in v else float(np.mean(v)) for v in values)
         cells.append((clip, mode, len(own), *means))
         cameras += [
-            (clip, row["camera"], row["second"], *(row[name] for name in ("turn_deg", "sigma_turn_deg",
-             "moved_m", "sigma_moved_m", "clock_ms")), row["doubt"] or "-")
-            for row in own if mode == FOUND
-        ]  # fmt: skip
+            (
+                clip,
+                row["camera"],
+                row["second"],
+                *(row[name] for name in ("turn_deg", "sigma_turn_deg", "moved_m", "sigma_moved_m", "clock_ms")),
+                row["doubt"] or "-",
+            )
+            for row in own
+            if mode == FOUND
+        ]
     first = Table(
-        "two_real_cameras", "One and two real cameras against the triangulation from four",
+        "two_real_cameras",
+        "One and two real cameras against the triangulation from four",
         ("clip", "cameras", "pairs", *(COLUMNS[figure] for figure in FIGURES)),
-        (0, 0, 0, *(2 if figure == "inside" else 0 for figure in FIGURES)), tuple(cells),
-    )  # fmt: skip
+        (0, 0, 0, *(2 if figure == "inside" else 0 for figure in FIGURES)),
+        tuple(cells),
+    )
     second = Table(
-        "second_real_camera", "The second camera as found",
+        "second_real_camera",
+        "The second camera as found",
         ("clip", "first", "second", "turn deg", "stated", "moved m", "stated", "clock ms", "doubt"),
-        (0, 0, 0, 1, 1, 2, 2, 0, 0), tuple(cameras),
-    )  # fmt: skip
+        (0, 0, 0, 1, 1, 2, 2, 0, 0),
+        tuple(cameras),
+    )
     return first.markdown() + "\n" + second.markdown()
 
 

@@ -53,10 +53,16 @@ SIZE = 0.01
 """Standard deviation of the person's height."""
 CASES = ("true camera", "wrong, believed", "wrong, uncertain")
 FIGURES = {
-    "mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "joints deg",
-    "hips_deg": "hips deg", "distance_percent": "distance off %", "distance_inside": "distance inside 95 %",
-    "inside_relative": "relative inside 95 %", "inside_world": "world inside 95 %",
-}  # fmt: skip
+    "mpjpe_rr_mm": "rr mm",
+    "mpjpe_mm": "abs mm",
+    "flexion_deg": "flexion deg",
+    "angle_deg": "joints deg",
+    "hips_deg": "hips deg",
+    "distance_percent": "distance off %",
+    "distance_inside": "distance inside 95 %",
+    "inside_relative": "relative inside 95 %",
+    "inside_world": "world inside 95 %",
+}
 
 
 def clips(corpus: Path) -> Iterator[tuple[str, MocapClip]]:
@@ -81,9 +87,7 @@ def recorded(clip: MocapClip, camera: int, sensors: str) -> tuple[Recording, Rec
     true = replace(right, distortion=np.array([y[4], 0, 0, 0, 0]))
     uv = _distorted(true, right.normalise(seen.uv_px))
     offsets = made.joint_offsets * (1 + SIZE * rng.standard_normal())
-    recording = replace(
-        made, keypoints=replace(seen, uv_px=uv, camera=true), joint_offsets=offsets, floor_height=0.0
-    )
+    recording = replace(made, keypoints=replace(seen, uv_px=uv, camera=true), joint_offsets=offsets, floor_height=0.0)
     wrong = replace(recording, keypoints=replace(recording.video, camera=_uncorrected(true, y)))
     return recording, wrong, y
 
@@ -136,8 +140,7 @@ def rows_of(name: str, clip: MocapClip, camera: int, sensors: str) -> Iterator[R
         result = reconstruct(one, mode="rtof" if one.imus is not None else "rto")
         row = about | {"case": case} | figures(result, true)
         if result.camera is not None:
-            row |= {"planted": y.tolist(), "found": result.camera.value.tolist(),
-                    "sigma": result.camera.sigma.tolist()}  # fmt: skip
+            row |= {"planted": y.tolist(), "found": result.camera.value.tolist(), "sigma": result.camera.sigma.tolist()}
         yield row
 
 
@@ -145,9 +148,7 @@ def fitted(corpus: Path) -> None:
     """Print the evidence with the true camera, by sensors, and its root mean square over the recordings."""
     found: dict[str, list[Array]] = {"8": [], "none": []}
     for subject in FITTED:
-        motions = [
-            m for m in read_corpus(corpus, [subject], output_rate_hz=120.0) if "GLITCH" not in m.quality
-        ]
+        motions = [m for m in read_corpus(corpus, [subject], output_rate_hz=120.0) if "GLITCH" not in m.quality]
         whole = [resample_clip(low_passed(m, 10.0), 60.0) for m in motions]
         for camera, parts in enumerate(np.array_split(np.arange(len(whole)), 2)):
             clip = joined([whole[i] for i in parts], SECONDS, f"{subject} {camera}")
@@ -177,14 +178,29 @@ def report(rows: Sequence[Row]) -> str:
             means = [f"{np.mean([row[name] for row in own]):.3g}" for name in FIGURES]
             body.append([sensors, case, *means, str(len(own))])
     lines += ["## Errors\n", *_table(heads, body), "\n## Unknowns\n"]
-    lines += ["Root mean squares of what was planted, what remains of it and what is stated; share of the "
-              "true values inside two standard deviations.\n"]  # fmt: skip
+    lines += [
+        "Root mean squares of what was planted, what remains of it and what is stated; share of the "
+        "true values inside two standard deviations.\n"
+    ]
     heads = ["sensors", "motions", "unknown", "planted", "remaining", "stated", "inside 2 sd", "recordings"]
     found = [row for row in rows if "found" in row]
     lines += _table(heads, list(_unknowns(found)))
     lines += ["\n## Recordings\n"]
-    heads = ["motion", "camera", "sensors", "path in depth m", "focal % planted", "found", "sd",
-             "pitch deg planted", "found", "sd", "roll deg planted", "found", "sd"]  # fmt: skip
+    heads = [
+        "motion",
+        "camera",
+        "sensors",
+        "path in depth m",
+        "focal % planted",
+        "found",
+        "sd",
+        "pitch deg planted",
+        "found",
+        "sd",
+        "roll deg planted",
+        "found",
+        "sd",
+    ]
     body = []
     for row in found:
         columns = np.array([row["planted"], row["found"], row["sigma"]])[:, :3] * [100, *np.degrees([1, 1])]
@@ -205,8 +221,14 @@ def _unknowns(found: Sequence[Row]) -> Iterator[list[str]]:
             inside = np.mean(np.abs(e - y) <= 2 * s, axis=0)
             for i, name in enumerate(UNKNOWNS):
                 sizes = (units[i] * np.sqrt(np.mean(np.square(v[:, i]))) for v in (y, e - y, s))
-                yield [sensors, label, name, *(f"{size:.2g} {words[i]}".strip() for size in sizes),
-                       f"{inside[i]:.2f}", str(len(own))]  # fmt: skip
+                yield [
+                    sensors,
+                    label,
+                    name,
+                    *(f"{size:.2g} {words[i]}".strip() for size in sizes),
+                    f"{inside[i]:.2f}",
+                    str(len(own)),
+                ]
 
 
 _FAR = 8.0
@@ -222,9 +244,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.uncalibrated_camera", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument(
-        "--fit", action="store_true", help="print the evidence in recordings of training subjects"
-    )
+    parser.add_argument("--fit", action="store_true", help="print the evidence in recordings of training subjects")
     parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))
     out = harness.HERE / "results" / "uncalibrated_camera.json"
     parser.add_argument("--out", type=Path, default=out)

@@ -25,10 +25,12 @@ PYTHONS: Final = ("3.11", "3.12", "3.13", "3.14")
 GLIBC: Final = 35  # manylinux_2_35: Ubuntu 22.04
 MACOS: Final = (14, 0)
 PLATFORMS: Final = {
-    "Linux x86_64": ("linux", "x86_64"), "Linux aarch64": ("linux", "aarch64"),
-    "macOS arm64": ("darwin", "arm64"), "macOS x86_64": ("darwin", "x86_64"),
+    "Linux x86_64": ("linux", "x86_64"),
+    "Linux aarch64": ("linux", "aarch64"),
+    "macOS arm64": ("darwin", "arm64"),
+    "macOS x86_64": ("darwin", "x86_64"),
     "Windows x86_64": ("win32", "AMD64"),
-}  # fmt: skip
+}
 """Title -> values of the markers `sys_platform` and `platform_machine`."""
 NONE: Final = "(none)"
 

@@ -124,9 +124,7 @@ def box(folder: str) -> str:
     return (
         f'<rect class="k{kind}" x="{x - WIDTH / 2:.0f}" y="{y - HEIGHT / 2:.0f}" width="{WIDTH}" '
         f'height="{HEIGHT}" rx="8"/><text class="name" x="{x:.0f}" y="{y - 11:.0f}">{folder}</text>'
-        + "".join(
-            f'<text class="what" x="{x:.0f}" y="{y + 7 + 16 * i:.0f}">{t}</text>' for i, t in enumerate(lines)
-        )
+        + "".join(f'<text class="what" x="{x:.0f}" y="{y + 7 + 16 * i:.0f}">{t}</text>' for i, t in enumerate(lines))
     )
 
 
@@ -161,9 +159,5 @@ A → B: A imports B; what follows from other arrows is not drawn</text>
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["--check"]:
-        sys.exit(
-            0
-            if PICTURE.read_text(encoding="utf-8") == drawing()
-            else f"{PICTURE} is not that of today's imports"
-        )
+        sys.exit(0 if PICTURE.read_text(encoding="utf-8") == drawing() else f"{PICTURE} is not that of today's imports")
     PICTURE.write_text(drawing(), encoding="utf-8")

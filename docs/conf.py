@@ -24,14 +24,25 @@ language = "en"
 smartquotes = False
 
 extensions = [
-    "myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton",
-    "docs.extensions.commands", "docs.extensions.docstrings", "docs.extensions.mathml",
-]  # fmt: skip
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "docs.extensions.commands",
+    "docs.extensions.docstrings",
+    "docs.extensions.mathml",
+]
 root_doc = "docs/index"
 include_patterns = [
-    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "docs/**.md", "benchmarks/README.md",
-    "benchmarks/results/*.md", "models/lifter.md",
-]  # fmt: skip
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    "docs/**.md",
+    "benchmarks/README.md",
+    "benchmarks/results/*.md",
+    "models/lifter.md",
+]
 exclude_patterns = ["docs/_build"]
 
 html_theme = "furo"
@@ -87,11 +98,7 @@ def _pages_that_exist(app, docname, source):
     """Take patterns that match nothing out of the table of contents."""
     if docname == root_doc:
         folder = Path(__file__).parent
-        kept = [
-            line
-            for line in source[0].splitlines()
-            if "*" not in line or " " in line or any(folder.glob(line))
-        ]
+        kept = [line for line in source[0].splitlines() if "*" not in line or " " in line or any(folder.glob(line))]
         source[0] = "\n".join(kept)
 
 

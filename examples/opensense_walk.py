@@ -18,8 +18,7 @@ skeleton = SkeletonModel.default()
 
 log = read_sensor_log(sensors)
 joints = {
-    sensor: known_segment(place, skeleton)
-    for sensor, place in matched(read_sensor_map(places), log.names).items()
+    sensor: known_segment(place, skeleton) for sensor, place in matched(read_sensor_map(places), log.names).items()
 }
 found = calibrate_by_pose(log, joints, pose, skeleton)
 print("stood still from {:.1f} to {:.1f} s".format(*found.still), *found.warnings, sep="\nnote: ")

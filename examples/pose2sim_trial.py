@@ -95,13 +95,12 @@ def read_trial(
     poses = sorted(p for p in (folder / "pose").glob("*_json") if p.is_dir())
     if len(poses) != len(cameras) or len(poses) < 2:
         raise FileFormatError(
-            folder / "pose", f"{len(poses)} folders of detections for {len(cameras)} cameras; each "
-            "camera needs one, and two are the least"
-        )  # fmt: skip
-    seen = [
-        read_detector_file(path, camera.width_px, camera.height_px).in_pixels(
-            camera.width_px, camera.height_px
+            folder / "pose",
+            f"{len(poses)} folders of detections for {len(cameras)} cameras; each "
+            "camera needs one, and two are the least",
         )
+    seen = [
+        read_detector_file(path, camera.width_px, camera.height_px).in_pixels(camera.width_px, camera.height_px)
         for path, camera in zip(poses, cameras.values(), strict=True)
     ]
     frames = min(map(len, seen))
@@ -130,9 +129,12 @@ def read_trial(
         ", ".join(f"{who} in {n}" for n, who in zip(cameras, people, strict=True))
     )
     return Trial(
-        folder.name, tuple(views), heights[participant - 1], f"{person}, in frame {frame}",
+        folder.name,
+        tuple(views),
+        heights[participant - 1],
+        f"{person}, in frame {frame}",
         tuple(_video(folder, pose) for pose in poses),
-    )  # fmt: skip
+    )
 
 
 def _view(name: str, camera: Camera, seen: Detections, times: Array, person: int, frame: int) -> View:
@@ -162,9 +164,7 @@ def _people(
     return best
 
 
-def _matched(
-    cameras: Sequence[Camera], seen: Sequence[Detections], frame: int
-) -> list[tuple[float, tuple[int, ...]]]:
+def _matched(cameras: Sequence[Camera], seen: Sequence[Detections], frame: int) -> list[tuple[float, tuple[int, ...]]]:
     """Return (size, number in each camera) of the people of a frame, best fit first."""
     fits = []
     for people in itertools.product(*(_prominent(d, frame) for d in seen)):
@@ -240,9 +240,9 @@ def _heights(folder: Path, root: Path) -> list[float]:
     heights = given if isinstance(given, list) else [given]
     if not heights or not all(isinstance(h, float | int) and 0.4 < h < 2.6 for h in heights):
         raise FileFormatError(
-            folder / "Config.toml", f"participant_height is {given!r}, here and in the folders above; "
-            "give the height in metres by --height"
-        )  # fmt: skip
+            folder / "Config.toml",
+            f"participant_height is {given!r}, here and in the folders above; give the height in metres by --height",
+        )
     return [float(h) for h in heights]
 
 

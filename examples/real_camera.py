@@ -188,9 +188,8 @@ def score_table(estimates: Sequence[Estimate]) -> Table:
         table.add_section()
     for mode in estimates[0].scores:
         table.add_row(
-            "mean" if mode == "lift" else "", mode,
-            *(f"{_mean(estimates, mode, key):.0f}" for key in COLUMNS),
-        )  # fmt: skip
+            "mean" if mode == "lift" else "", mode, *(f"{_mean(estimates, mode, key):.0f}" for key in COLUMNS)
+        )
     return table
 
 
@@ -212,11 +211,19 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="session of Pose2Sim's demo data")
     parser.add_argument("--trial", default="S00_P00_T01_BalancingTrial", metavar="NAME", help="whose folder")
-    parser.add_argument("--participant", type=int, metavar="N", help="of several heights in Config.toml, "
-                        "the one to track, from 1; default: the tallest")  # fmt: skip
+    parser.add_argument(
+        "--participant",
+        type=int,
+        metavar="N",
+        help="of several heights in Config.toml, the one to track, from 1; default: the tallest",
+    )
     parser.add_argument("--height", type=float, metavar="M", help="m; default: of Config.toml")
-    parser.add_argument("--cameras", choices=("adjusted", "file"), default="adjusted",
-                        help="adjusted to the detections, or as in the file")  # fmt: skip
+    parser.add_argument(
+        "--cameras",
+        choices=("adjusted", "file"),
+        default="adjusted",
+        help="adjusted to the detections, or as in the file",
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("out/real_camera"), metavar="OUT")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier OUT")
     return parser

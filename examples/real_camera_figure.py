@@ -30,9 +30,7 @@ _MARGIN = 0.3
 """Margin of the image crop around the person, in body heights."""
 
 
-def draw(
-    trial: Trial, truth: Truth, estimates: Sequence[Estimate], skeleton: SkeletonModel, path: Path
-) -> None:
+def draw(trial: Trial, truth: Truth, estimates: Sequence[Estimate], skeleton: SkeletonModel, path: Path) -> None:
     """Write the figure as PNG."""
     count = len(estimates)
     figure = Figure(figsize=(3.6 * count + 0.6, 14.6), layout="constrained", dpi=110)
@@ -80,9 +78,7 @@ def _image(ax: Any, e: Estimate, video: Path | None, frame: int, skeleton: Skele
     ax.set_ylabel("v [px]")
 
 
-def _from_the_side(
-    ax: Any, e: Estimate, truth: Truth, frame: int, skeleton: SkeletonModel, first: bool
-) -> None:
+def _from_the_side(ax: Any, e: Estimate, truth: Truth, frame: int, skeleton: SkeletonModel, first: bool) -> None:
     """Draw the joints seen from the right of the camera, where depth errors are visible."""
     view, label = views(e.camera.R_camera_world)[1]
     floor = e.camera.center_world * [1.0, 1.0, 0.0]
@@ -107,9 +103,7 @@ def _from_the_side(
         ax.legend(handles=lines, loc="best", fontsize=8)
 
 
-def _in_space(
-    ax: Any, estimates: Sequence[Estimate], truth: Truth, frame: int, skeleton: SkeletonModel
-) -> None:
+def _in_space(ax: Any, estimates: Sequence[Estimate], truth: Truth, frame: int, skeleton: SkeletonModel) -> None:
     """Draw the triangulation and every camera's rto in world, with the directions to the cameras."""
     every = [truth.poses.p_world_joint[frame]]
     _bones(ax, every[0], skeleton, TRUTH, 4)

@@ -102,9 +102,7 @@ def _joints(trial: Trial, skeleton: SkeletonModel) -> tuple[Array, Array]:
     return np.stack(uv), np.stack(weight)
 
 
-def _smooth(
-    cameras: Sequence[Camera], uv: Array, weight: Array, times: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+def _smooth(cameras: Sequence[Camera], uv: Array, weight: Array, times: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return triangulated positions (T, J, 3), gaps interpolated, and which were observed (T, J)."""
     p, _ = triangulate(cameras, uv, weight)
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(p).all(axis=-1))

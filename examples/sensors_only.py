@@ -23,9 +23,7 @@ facts = tomllib.loads((Path(__file__).parent / "sensor_trials.toml").read_text(e
 log = read_sensor_log(path, **facts.get("declared", {})).select(list(facts["joints"]))
 if facts.get("vqf"):
     log = log_with_orientation(log, log.names, OrientationSettings(magnetometer=False))
-found = calibrate_by_pose(
-    log, facts["joints"], facts["pose"], SkeletonModel.default(), headings=facts["headings"]
-)
+found = calibrate_by_pose(log, facts["joints"], facts["pose"], SkeletonModel.default(), headings=facts["headings"])
 for sentence in (*log.notes, *found.warnings):
     print("note:", sentence)
 recording = Recording(trial, imus=ImuSequence.joined(log.imus()), calibration=found.calibration)

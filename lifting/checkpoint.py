@@ -62,9 +62,6 @@ def save_checkpoint(
 ) -> Path:
     """Write a lifter.
 
-    Args:
-        path: of the file. network: with its weights. description: of it. overwrite: an existing file.
-
     Raises:
         OutputExistsError, WritingError: see `save_tensors`.
     """
@@ -82,9 +79,6 @@ def save_checkpoint(
 def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
     """Write by `torch.save`, atomically.
 
-    Args:
-        content: plain values and tensors. path: of the file. overwrite: an existing file.
-
     Raises:
         OutputExistsError: it exists and must not be overwritten.
         WritingError: it cannot be written.
@@ -98,9 +92,6 @@ def save_tensors(content: dict[str, Any], path: Path, overwrite: bool) -> None:
 
 def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescription]:
     """Read a lifter, on the CPU in evaluation mode.
-
-    Args:
-        path: of the file.
 
     Raises:
         FileFormatError: missing, not a lifter, written by another version, damaged or altered.
@@ -116,9 +107,7 @@ def load_checkpoint(path: str | Path) -> tuple[TemporalNetwork, LifterDescriptio
         ):
             raise FileFormatError(path, "the weights of this lifter are not tensors; train it again")
     if _digest(text, weights, prior) != content.get("sha256"):
-        raise FileFormatError(
-            path, "the checksum does not match: the file is damaged or was altered; copy it again"
-        )
+        raise FileFormatError(path, "the checksum does not match: the file is damaged or was altered; copy it again")
     try:
         description = _description(text, {name: value.double().numpy() for name, value in prior.items()})
     except (ValueError, TypeError, KeyError, AttributeError, InvalidInputError) as error:

@@ -63,9 +63,14 @@ class Corpus:
     def __post_init__(self) -> None:
         N, J, C = len(self.p_world_root), len(self.names), len(self.subjects)
         shapes: dict[str, tuple[int, ...]] = {
-            "p_world_root": (N, 3), "R_world_bone": (N, J, 3, 3), "joint_offsets": (C, J, 3),
-            "beyond_rigid": (N, J, 3), "start": (C + 1,), "split": (C,), "parents": (J,),
-        }  # fmt: skip
+            "p_world_root": (N, 3),
+            "R_world_bone": (N, J, 3, 3),
+            "joint_offsets": (C, J, 3),
+            "beyond_rigid": (N, J, 3),
+            "start": (C + 1,),
+            "split": (C,),
+            "parents": (J,),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and np.shape(value) != shape:
@@ -107,14 +112,11 @@ class Corpus:
         """Return the joints (T, J, 3) of a clip in world, m.
 
         Args:
-            clip: its index.
             joint_offsets: (J, 3) m, of another skeleton; None for its own. `beyond_rigid` is added to both.
         """
         frames = self.frames(clip)
         offsets = self.joint_offsets[clip] if joint_offsets is None else joint_offsets
-        motion = (
-            x.astype(np.float64) for x in (offsets, self.p_world_root[frames], self.R_world_bone[frames])
-        )
+        motion = (x.astype(np.float64) for x in (offsets, self.p_world_root[frames], self.R_world_bone[frames]))
         p = kinematics.positions(self.parents, *motion)
         if self.beyond_rigid is not None:
             p += self.beyond_rigid[frames]
@@ -174,12 +176,18 @@ class Corpus:
         path = Path(path)
         quat = so3.to_quat_wxyz(self.R_world_bone.reshape(-1, 1, 3, 3))
         arrays = {
-            "joint_names": self.names, "parents": self.parents, "p_world_root": self.p_world_root,
+            "joint_names": self.names,
+            "parents": self.parents,
+            "p_world_root": self.p_world_root,
             "quat_wxyz": quat.reshape(-1, len(self.names), 4).astype(np.float32),
-            "offsets": self.joint_offsets, "start": self.start, "subjects": self.subjects,
-            "split": self.split, "rate_hz": self.rate_hz, "acknowledgement": self.acknowledgement,
+            "offsets": self.joint_offsets,
+            "start": self.start,
+            "subjects": self.subjects,
+            "split": self.split,
+            "rate_hz": self.rate_hz,
+            "acknowledgement": self.acknowledgement,
             "beyond_rigid": self.beyond_rigid,
-        }  # fmt: skip
+        }
         known = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
         write_npz(path, known, overwrite=True)
         return path
@@ -196,8 +204,7 @@ def join_clips(
     Args:
         clips: each with one of `SPLITS`; the same joints, any rate, z up, floor at z = 0, finite.
         parents: (J,) index of each joint's parent, -1 for the root.
-        rate_hz: of the corpus, Hz; clips of another rate are resampled.
-        acknowledgement: see `Corpus`.
+        rate_hz: of the corpus, Hz; clips of another rate are resampled. acknowledgement: see `Corpus`.
 
     Raises:
         InvalidInputError: no clip, or clips with different joints.
@@ -221,9 +228,18 @@ def join_clips(
     p_root, R, beyond = (np.concatenate(parts) for parts in zip(*arrays, strict=True))
     start = np.concatenate([[0], np.cumsum([len(part[0]) for part in arrays])])
     return Corpus(
-        names, parents, p_root, R, np.stack(offsets), start, tuple(subjects), tuple(splits), rate_hz,
-        beyond if np.abs(beyond).max() > RIGID_M else None, acknowledgement,
-    )  # fmt: skip
+        names,
+        parents,
+        p_root,
+        R,
+        np.stack(offsets),
+        start,
+        tuple(subjects),
+        tuple(splits),
+        rate_hz,
+        beyond if np.abs(beyond).max() > RIGID_M else None,
+        acknowledgement,
+    )
 
 
 def _at_rate(clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float) -> tuple[Array, Array, Array]:
@@ -281,7 +297,15 @@ def _from_arrays(data: Mapping[str, NDArray[Any]]) -> Corpus:
     names, subjects, split = (tuple(map(str, data[key])) for key in ("joint_names", "subjects", "split"))
     offsets, beyond = data["offsets"].astype(np.float32), data.get("beyond_rigid")
     return Corpus(
-        names, tuple(map(int, data["parents"])), p_root.astype(np.float32), R.astype(np.float32), offsets,
-        data["start"].astype(np.int64), subjects, split, float(data.get("rate_hz", RATE_HZ)),
-        None if beyond is None else beyond.astype(np.float32), str(data.get("acknowledgement", "")),
-    )  # fmt: skip
+        names,
+        tuple(map(int, data["parents"])),
+        p_root.astype(np.float32),
+        R.astype(np.float32),
+        offsets,
+        data["start"].astype(np.int64),
+        subjects,
+        split,
+        float(data.get("rate_hz", RATE_HZ)),
+        None if beyond is None else beyond.astype(np.float32),
+        str(data.get("acknowledgement", "")),
+    )

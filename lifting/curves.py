@@ -32,12 +32,7 @@ def figure_file(lifter: str | Path) -> Path:
 
 
 def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> None:
-    """Write the data, and the figure if there was a validation.
-
-    Args:
-        lifter: checkpoint beside which they are written.
-        recipe: settings, plain values. history: reports with validations.
-    """
+    """Write the data, and the figure if there was a validation."""
     text = json.dumps({"recipe": recipe, "history": history}, indent=1)
     write_text(data_file(lifter), text, overwrite=True)
     if history and can_draw():
@@ -50,11 +45,7 @@ def write_curves(lifter: str | Path, recipe: Row, history: Sequence[Row]) -> Non
 
 
 def draw(history: Sequence[Row], title: str) -> Figure:
-    """Plot the loss and the errors of each kind of 2D against the windows seen.
-
-    Args:
-        history: reports with validations. title: of the figure.
-    """
+    """Plot the loss and the errors of each kind of 2D against the windows seen."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 5))
@@ -69,9 +60,13 @@ def draw(history: Sequence[Row], title: str) -> Figure:
             known = [row for row in history if kind in row["validation"]]
             values = [row["validation"][kind][key] for row in known]
             ax.plot(
-                [row["windows"] for row in known], values, "o-", color=COLORS[i % len(COLORS)],
-                markersize=3, label=f"{kind}: {values[-1]:.1f}",
-            )  # fmt: skip
+                [row["windows"] for row in known],
+                values,
+                "o-",
+                color=COLORS[i % len(COLORS)],
+                markersize=3,
+                label=f"{kind}: {values[-1]:.1f}",
+            )
         _decorate(ax, label)
         if kinds:
             ax.legend(fontsize=8, title="2D of the validation: last", title_fontsize=8, loc="lower left")

@@ -77,16 +77,22 @@ class AugmentConfig:
 
 
 def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
-    """Return the settings of validation: motion as recorded, exact bones, virtual cameras, no sensors.
-
-    Args:
-        noise: errors of the detector.
-    """
+    """Return the settings of validation: motion as recorded, exact bones, virtual cameras, no sensors."""
     return AugmentConfig(
-        mirror=0.0, tilt=0.0, warp=(1.0, 1.0), overall_scale=0.0, bone_scale=0.0, own_skeleton=1.0,
-        recombine=0.0, hide_bones=0.0, bone_error=0.0, hide_height=1.0, noise=noise,
-        sensors=SensorConfig(none=1.0), rigs=RigConfig(share=0.0),
-    )  # fmt: skip
+        mirror=0.0,
+        tilt=0.0,
+        warp=(1.0, 1.0),
+        overall_scale=0.0,
+        bone_scale=0.0,
+        own_skeleton=1.0,
+        recombine=0.0,
+        hide_bones=0.0,
+        bone_error=0.0,
+        hide_height=1.0,
+        noise=noise,
+        sensors=SensorConfig(none=1.0),
+        rigs=RigConfig(share=0.0),
+    )
 
 
 def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentConfig:
@@ -124,21 +130,18 @@ class Batch:
 class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
 
-    def __init__(
-        self, corpus: Corpus, clips: list[int], device: torch.device, skeletons: Sequence[Offsets] = ()
-    ):
+    def __init__(self, corpus: Corpus, clips: list[int], device: torch.device, skeletons: Sequence[Offsets] = ()):
         """Prepare motion.
 
         Args:
-            corpus: the motion. clips: indices of the clips to use, at least one. device: of the tensors.
             skeletons: joint offsets (J, 3) of further bodies for every clip, m, scaled to its size.
         """
         self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
         bodies: list[Offsets | None] = [None, *skeletons]
-        self.bones = torch.stack(
-            [torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]
-        ).to(device)
+        self.bones = torch.stack([torch.cat([_bones(corpus, clip, body) for clip in clips]) for body in bodies]).to(
+            device
+        )
         self.offsets = torch.stack(
             [torch.stack([_offsets(corpus, clip, body) for clip in clips]) for body in bodies]
         ).to(device)
@@ -184,9 +187,7 @@ class MotionBank:
         """Draw a batch of windows.
 
         Args:
-            batch: number of windows. window: frames per window, odd, at the corpus' rate.
-            config: distributions.
-            generator: random numbers, on the bank's device.
+            window: frames per window, odd, at the corpus' rate. generator: random numbers, on the bank's device.
             frames: (batch,) estimated frames; random if None.
             causal: estimate the last frame of each window instead of the middle one.
         """
@@ -256,9 +257,12 @@ class MotionBank:
         root = (root - self.roots[frames][:, None]).transpose(1, 2)
         nearest = self._between(frames, offset + lag + 0.5)[0]
         return Moving(
-            bones.transpose(1, 2).contiguous(), root, self.offsets[body, self.clip[frames]],
-            self.axes[frames], self.carried[nearest].transpose(1, 2).contiguous(),
-        ), self.heading[frames]  # fmt: skip
+            bones.transpose(1, 2).contiguous(),
+            root,
+            self.offsets[body, self.clip[frames]],
+            self.axes[frames],
+            self.carried[nearest].transpose(1, 2).contiguous(),
+        ), self.heading[frames]
 
     def _vary(self, moving: Moving, frames: Tensor, offset: Tensor, config: RigConfig, draw: Draw) -> None:
         """Give some of the bodies the trunk of another rig, in place."""
@@ -275,9 +279,12 @@ class MotionBank:
         at = torch.linspace(0, 2, W, device=self.device)
         low = at.floor().long().clamp(max=1)
         moving.vary(
-            self.body, rows, torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None]),
-            self.trunk, estimated,
-        )  # fmt: skip
+            self.body,
+            rows,
+            torch.lerp(R[:, low], R[:, low + 1], (at - low)[:, None, None, None]),
+            self.trunk,
+            estimated,
+        )
 
     def _between(self, frames: Tensor, offset: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Frames (B, W) before and after, and the weight (B, W, 1, 1) of the one after."""

@@ -38,17 +38,14 @@ _ON_WEIGHTS = " Weights trained on it come under the same terms and stay with it
 
 
 def total_capture_corpus(
-    root: str | Path,
-    progress: Progress | None = None,
-    validation: Collection[Take] = TOTAL_CAPTURE_VALIDATION,
+    root: str | Path, progress: Progress | None = None, validation: Collection[Take] = TOTAL_CAPTURE_VALIDATION
 ) -> Corpus:
     """Read the paper's training takes: S1 to S3, rom1-3, walking1, walking3, freestyle1-2, acting1-2.
 
     They are cut where the reference jumps or lacks a joint, and moved to a floor at z = 0.
 
     Args:
-        root: folder of the dataset, see `rtof_kin.datasets.total_capture`.
-        progress: see `Progress`.
+        root: folder of the dataset, see `rtof_kin.datasets.total_capture`. progress: see `Progress`.
         validation: takes for the validation curve; if empty, all takes train.
 
     Raises:
@@ -74,8 +71,7 @@ def human36m_corpus(
     shoulders and spine are not rigid, so recorded joints are kept.
 
     Args:
-        root: folder with ``data_3d_h36m.npz``, see `rtof_kin.datasets.human36m`.
-        progress: see `Progress`.
+        root: folder with ``data_3d_h36m.npz``, see `rtof_kin.datasets.human36m`. progress: see `Progress`.
         validation: (subject, action without number) for the validation curve.
 
     Raises:
@@ -92,9 +88,7 @@ def human36m_corpus(
         return _pieces(Path(root), (subject, action), poses, offsets, parents)
 
     takes = [take for take in data.sequences if take[0] in human36m.SUBJECTS_TRAIN]
-    validates = {
-        (subject, name) for subject, name in takes if (subject, name.rstrip(" 0123456789")) in validation
-    }
+    validates = {(subject, name) for subject, name in takes if (subject, name.rstrip(" 0123456789")) in validation}
     clips = _clips(Path(root), takes, pieces, validates, progress)
     return join_clips(clips, parents, human36m.RATE_HZ, human36m.ACKNOWLEDGEMENT + _ON_WEIGHTS)
 
@@ -125,9 +119,7 @@ def _clips(
         raise FileFormatError(root, f"no take to train on could be read{first}")
 
 
-def _pieces(
-    root: Path, take: Take, poses: PoseSequence, offsets: Array, parents: tuple[int, ...]
-) -> list[MocapClip]:
+def _pieces(root: Path, take: Take, poses: PoseSequence, offsets: Array, parents: tuple[int, ...]) -> list[MocapClip]:
     """Stretches of a take without gaps, on a floor at z = 0; an error if none is long enough."""
     subject, name = take
     p = poses.p_world_joint

@@ -72,9 +72,6 @@ class Workers:
     def check_same(self, what: str, value: str) -> None:
         """Check that all processes have the same value.
 
-        Args:
-            what: name in the message. value: of this process.
-
         Raises:
             InvalidInputError: this process differs from the first one.
         """
@@ -96,11 +93,7 @@ class Workers:
 
 @contextmanager
 def workers(device: str) -> Iterator[Workers]:
-    """Connect the processes that ``torchrun`` started: by gloo on CPUs, by nccl with one GPU each.
-
-    Args:
-        device: 'cpu' or 'cuda'.
-    """
+    """Connect the processes that ``torchrun`` started: by gloo on CPUs, by nccl with one GPU each."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count == 1:
         yield Workers(torch.device(device))

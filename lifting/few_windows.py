@@ -39,15 +39,12 @@ _Array = NDArray[np.float32]
 class FewWindows:
     """Lifts of one person from one height of the camera."""
 
-    def __init__(
-        self, body: Body, network: TemporalNetwork, bones: Array, camera_height: float, flip: bool = True
-    ):
+    def __init__(self, body: Body, network: TemporalNetwork, bones: Array, camera_height: float, flip: bool = True):
         """Fuse the weights.
 
         Args:
-            body: of the network, with sensors. network: in evaluation mode, of the package's own model.
-            bones: (3 G,) see `Body.bones_of`, m. camera_height: over the floor, m. Both may be NaN.
-            flip: average with the mirrored scene.
+            network: in evaluation mode, of the package's own model. bones: (3 G,) see `Body.bones_of`, m.
+            camera_height: over the floor, m. Both may be NaN.
         """
         self._body, self._network = body, FoldedNetwork(body, network, flip)
         self._inputs, constants, _ = sizes(body)

@@ -28,13 +28,7 @@ class FoldedNetwork:
     """
 
     def __init__(self, body: Body, network: TemporalNetwork, flip: bool = True):
-        """Fuse the weights.
-
-        Args:
-            body: body of the network.
-            network: in evaluation mode.
-            flip: average with the mirrored scene.
-        """
+        """Fuse the weights."""
         assert network.constant is not None
         config, expand, shrink = network.config, network.expand, network.shrink
         self._width, *widths = config.filter_widths
@@ -56,8 +50,7 @@ class FoldedNetwork:
         """Return the network's output (B, outputs).
 
         Args:
-            features: (B, receptive_field, inputs).
-            constants: (B, constants).
+            features: (B, receptive_field, inputs). constants: (B, constants).
         """
         x = self._first(features, torch.addmm(self._constant[0], constants, self._constant[1])[:, None])
         for temporal, pointwise, width, which in self._blocks:

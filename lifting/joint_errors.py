@@ -30,9 +30,15 @@ NEAREST_M: Final = 0.2
 MEMORY_S: Final = (float("inf"), 0.5, 0.08)
 """Time constants of the parts of an error, s."""
 TRUNK_HEIGHT: Final = {
-    "Hips": 0.1, "Spine": 0.3, "Spine1": 0.45, "Spine2": 0.6, "Spine3": 0.75, "Neck": 1.0, "Head": 1.0,
+    "Hips": 0.1,
+    "Spine": 0.3,
+    "Spine1": 0.45,
+    "Spine2": 0.6,
+    "Spine3": 0.75,
+    "Neck": 1.0,
+    "Head": 1.0,
     "Shoulder": 1.0,
-}  # fmt: skip
+}
 """Height of a joint of the trunk between hips (0) and shoulders (1) that `rig_places` are relative to."""
 LEG_M: Final = 0.8
 """Length of a leg, m."""
@@ -139,7 +145,7 @@ def rig_places(body: Body, offsets: Tensor) -> Tensor:
     hips and shoulders, in lengths of a leg; zero for limbs.
 
     Args:
-        body: J joints. offsets: (B, J, 3) m.
+        offsets: (B, J, 3) m.
     """
     places = [torch.zeros_like(offsets[:, 0])]
     for j, parent in enumerate(body.parents[1:], start=1):
@@ -208,8 +214,7 @@ def smooth_errors(
     """Draw errors (B, 2, W, J) in the image planes of the joints, m: all but exchanges and jumps.
 
     Args:
-        body: J joints of the table. view: the bodies. amplitude: (B,) factor on what is the detector's.
-        frames: W. draw: random numbers. rate_hz: of the frames, Hz.
+        amplitude: (B,) factor on what is the detector's. rate_hz: of the frames, Hz.
     """
     B, J = draw.batch, len(body.names)
     factor, rest = table.blended(body, view)
@@ -236,7 +241,7 @@ def path_basis(frames: int, rate_hz: float, memory: float, rank: int = 8) -> Ten
     exp(-|t| / memory), approximately.
 
     Args:
-        frames: W. rate_hz: of the frames, Hz. memory: s; infinite for a constant. rank: at most.
+        rate_hz: of the frames, Hz. memory: s; infinite for a constant.
     """
     if memory == float("inf"):
         return torch.ones(frames, 1)
@@ -254,8 +259,7 @@ def jumps(body: Body, view: View, frames: int, draw: Draw, rate_hz: float) -> Te
     hidden = hidden_joints(body, view)
     per_minute = torch.stack(
         [
-            JUMPS_PER_MINUTE["arms" if limb in body.arms else "legs"]
-            * (1 + 2 * hidden[:, limb[1:]].all(dim=1))
+            JUMPS_PER_MINUTE["arms" if limb in body.arms else "legs"] * (1 + 2 * hidden[:, limb[1:]].all(dim=1))
             for limb in limbs
         ],
         dim=1,
@@ -271,9 +275,11 @@ def jumps(body: Body, view: View, frames: int, draw: Draw, rate_hz: float) -> Te
 def exchanged(body: Body, view: View, xy: Tensor, draw: Draw, rate_hz: float) -> Tensor:
     """Return detections (B, 2, W, J) in units of focal length, with sides exchanged at times."""
     groups = {
-        "legs": [j for leg in body.legs for j in leg[1:]], "arms": [j for arm in body.arms for j in arm[1:]],
-        "shoulders": [arm[0] for arm in body.arms], "hips": [leg[0] for leg in body.legs],
-    }  # fmt: skip
+        "legs": [j for leg in body.legs for j in leg[1:]],
+        "arms": [j for arm in body.arms for j in arm[1:]],
+        "shoulders": [arm[0] for arm in body.arms],
+        "hips": [leg[0] for leg in body.legs],
+    }
     at = view.joints[:, :2] / view.joints[:, 2:].clamp_min(NEAREST_M)
     apart = (at - at[..., body.mirrored]).norm(dim=1) * view.joints[:, 2]
     sin, _ = view.azimuth()

@@ -48,9 +48,7 @@ class TemporalNetwork(nn.Module):
         widths, channels = config.filter_widths, config.channels
         self.expand = Layer(widths[0] * config.inputs, channels, config.dropout)
         self.constant = nn.Linear(config.constants, channels, bias=False) if config.constants else None
-        self.temporal = nn.ModuleList(
-            Layer(width * channels, channels, config.dropout) for width in widths[1:]
-        )
+        self.temporal = nn.ModuleList(Layer(width * channels, channels, config.dropout) for width in widths[1:])
         self.pointwise = nn.ModuleList(Layer(channels, channels, config.dropout) for _ in widths[1:])
         self.shrink = nn.Linear(channels, config.outputs)
 
@@ -69,9 +67,7 @@ class TemporalNetwork(nn.Module):
             features: (B, receptive_field, inputs). constants: (B, constants).
         """
         if features.shape[1] != self.receptive_field():
-            raise ValueError(
-                f"windows of {features.shape[1]} frames; this network sees {self.receptive_field()}"
-            )
+            raise ValueError(f"windows of {features.shape[1]} frames; this network sees {self.receptive_field()}")
         first, *widths = self.config.filter_widths
         shift = self.constant(constants) if self.constant is not None else None
         x = self.expand(_fold(features, first), shift)

@@ -51,15 +51,23 @@ class Model:
 MODELS: Final = {
     RAYS: Model(
         windows.sizes,
-        TemporalNetwork, windows.encode, windows.decode,
-        windows.mirror_features, windows.mirror_output, senses=True,
+        TemporalNetwork,
+        windows.encode,
+        windows.decode,
+        windows.mirror_features,
+        windows.mirror_output,
+        senses=True,
     ),
     VIDEOPOSE3D: Model(
-        videopose3d.sizes, videopose3d.PoseAndRootNetwork,
-        videopose3d.encode, videopose3d.decode,
-        videopose3d.mirror_features, videopose3d.mirror_output, senses=False,
+        videopose3d.sizes,
+        videopose3d.PoseAndRootNetwork,
+        videopose3d.encode,
+        videopose3d.decode,
+        videopose3d.mirror_features,
+        videopose3d.mirror_output,
+        senses=False,
     ),
-}  # fmt: skip
+}
 """Models by name: the package's own, see `windows`, and the baseline, see `videopose3d`."""
 
 

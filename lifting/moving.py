@@ -53,9 +53,8 @@ class Moving:
         """Displace joints that segments start and end with in some rows (B',).
 
         Args:
-            body: J joints. rows: indices of the bodies.
             axes: (B', 3, W, 2, n) x and z axes of the segments. segments: (n,) their indices, root first.
-            shift: (B', J, 3) in the parents' frames, of the root in its own, m. estimated: frame.
+            shift: (B', J, 3) in the parents' frames, of the root in its own, m.
         """
         x, z = axes.unbind(dim=3)
         columns = torch.stack([x, cross(z, x), z])  # (3, B', 3, W, n)

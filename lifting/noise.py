@@ -69,10 +69,11 @@ class NoiseConfig:
 
 PERFECT: Final = NoiseConfig(clean=1.0, white=0.0, independent=0.0)
 TRAINING_NOISE: Final[Mapping[str, NoiseConfig]] = {
-    "mixed": NoiseConfig(), "perfect": PERFECT,
+    "mixed": NoiseConfig(),
+    "perfect": PERFECT,
     "realistic": NoiseConfig(clean=0.0, white=0.0, independent=0.0),
     "independent": NoiseConfig(clean=0.0, white=0.0, independent=1.0),
-}  # fmt: skip
+}
 """Kinds of 2D that a lifter may be trained for. perfect: no errors, for projected ground truth (5-7 mm
 better there, not usable with a detector). realistic: a real detector alone. mixed: all kinds."""
 VALIDATION_NOISE: Final = {
@@ -94,10 +95,7 @@ def add_noise(
     """Simulate detections; the first windows stay clean, then come white, independent and realistic ones.
 
     Args:
-        body: joints. config: frequencies and sizes.
-        xy: (B, 2, W, J) exact x/z and y/z in the camera.
-        seen: (B, W, J) bool.
-        draw: random numbers. rate_hz: of the windows, Hz.
+        xy: (B, 2, W, J) exact x/z and y/z in the camera. seen: (B, W, J) bool. rate_hz: of the windows, Hz.
         view: the bodies; None for joints that are not the table's, whose realistic windows are independent.
 
     Returns:
@@ -148,9 +146,7 @@ def _realistic(body: Body, config: NoiseConfig, xy: Tensor, view: View, draw: Dr
     return exchanged(body, view, xy + error / depth, draw, rate_hz)
 
 
-def _detected(
-    body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, draw: Draw, rate_hz: float
-) -> Tensor:
+def _detected(body: Body, config: NoiseConfig, xy: Tensor, seen: Tensor, draw: Draw, rate_hz: float) -> Tensor:
     """What is seen (B, W, J) of detections (B, 2, W, J)."""
     B, _, W, J = xy.shape
     seen = seen & ~runs(config.missing_share, W, J, draw, rate_hz, config.run_s)
@@ -164,8 +160,7 @@ def _detected(
 def _drift(body: Body, config: NoiseConfig, W: int, draw: Draw, rate_hz: float) -> Tensor:
     """Unit-variance Ornstein-Uhlenbeck paths (B, 2, W, J) from their leading eigenvectors."""
     slow, fast = (
-        path_basis(W, rate_hz, memory).to(draw.device)
-        for memory in (config.drift_memory, config.wrist_memory)
+        path_basis(W, rate_hz, memory).to(draw.device) for memory in (config.drift_memory, config.wrist_memory)
     )
     weights = draw.normal(draw.batch, 2, slow.shape[1], len(body.names))
     drift = torch.matmul(slow, weights)
@@ -183,15 +178,11 @@ def _joint_factors(body: Body) -> Tensor:
     return factor
 
 
-def runs(
-    share: float, W: int, n: int, draw: Draw, rate_hz: float, seconds: tuple[float, float] = (0.2, 1.0)
-) -> Tensor:
+def runs(share: float, W: int, n: int, draw: Draw, rate_hz: float, seconds: tuple[float, float] = (0.2, 1.0)) -> Tensor:
     """Draw a mask (B, W, n) of runs.
 
     Args:
-        share: of all samples that are in a run.
-        W: frames. n: channels. draw: random numbers. rate_hz: of the frames, Hz.
-        seconds: range of the length of a run, s.
+        rate_hz: of the frames, Hz. seconds: range of the length of a run, s.
     """
     low, high = (s * rate_hz for s in seconds)
     length = draw.between((low, high), draw.batch, 1, n)

@@ -90,9 +90,7 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
     """Write a lifter as ONNX.
 
     Args:
-        lifter: of the package's own model.
-        path: of the file. overwrite: an existing file.
-        flip: average with the mirrored scene: a third slower, and more accurate.
+        lifter: of the package's own model. flip: average with the mirrored scene: a third slower, and more accurate.
 
     Raises:
         InvalidInputError: the lifter is of another model.
@@ -110,11 +108,14 @@ def export_onnx(lifter: Lifter, path: str | Path, flip: bool = True, overwrite: 
             warnings.simplefilter("ignore")  # about this exporter; the newer one takes minutes
             torch.onnx.export(
                 LifterGraph(body, lifter.network, flip),
-                _example(body, lifter.receptive_field())[: len(inputs)], str(whole),
-                input_names=list(inputs), output_names=list(outputs),
+                _example(body, lifter.receptive_field())[: len(inputs)],
+                str(whole),
+                input_names=list(inputs),
+                output_names=list(outputs),
                 dynamic_axes={name: {0: "windows"} for name in (*inputs, *outputs)},
-                opset_version=OPSET, dynamo=False,
-            )  # fmt: skip
+                opset_version=OPSET,
+                dynamo=False,
+            )
         model = onnx.load(whole)
         model.doc_string = "Lifter of rtof_kin: see the metadata."
         onnx.helper.set_model_props(model, _metadata(lifter, flip))
@@ -143,15 +144,24 @@ def _metadata(lifter: Lifter, flip: bool) -> dict[str, str]:
         "rtof_kin.body.shared_frames from the joint offsets; identity for CMU's skeleton",
         "bones_rule": "position of each joint in its parent's shared frame (T-pose: x forward, y left, "
         "z up), m; of the left and the right one the mean as if left, of one in the middle with y = 0",
-        "shapes": {"rays_world": "B W J 3", "seen": "B W J", "bones": "B 3G", "camera_height": "B",
-                   "R_world_sensed": "B W S 3 3", "sensed": "B W S",
-                   "R_bone_shared": "B J 3 3", "p_root_joint": "B J 3",
-                   "p_camera_root": "B 3", "sigma_m": "B J 2 (across the ray, along it)",
-                   "R_world_bone": "B J 3 3", "sigma_rad": "B J"},
+        "shapes": {
+            "rays_world": "B W J 3",
+            "seen": "B W J",
+            "bones": "B 3G",
+            "camera_height": "B",
+            "R_world_sensed": "B W S 3 3",
+            "sensed": "B W S",
+            "R_bone_shared": "B J 3 3",
+            "p_root_joint": "B J 3",
+            "p_camera_root": "B 3",
+            "sigma_m": "B J 2 (across the ray, along it)",
+            "R_world_bone": "B J 3 3",
+            "sigma_rad": "B J",
+        },
         "unknown": "NaN in a whole row of bones or camera_height; false in seen and sensed",
         "acknowledgement": description.data,
         "sha256_of_checkpoint": lifter.sha256,
-    }  # fmt: skip
+    }
     return {key: json.dumps(value) for key, value in facts.items()}
 
 
@@ -161,8 +171,11 @@ def _example(body: Body, size: int) -> tuple[Tensor, ...]:
     rays = torch.randn(2, size, J, 3, generator=torch.Generator().manual_seed(0)) * 0.1
     rays[..., 0] += 1.0
     return (
-        rays, torch.ones(2, size, J, dtype=torch.bool),
-        torch.tensor(body.nominal_bones).expand(2, -1).clone(), torch.full((2,), 1.5),
-        torch.eye(3).expand(2, size, S, 3, 3).clone(), torch.ones(2, size, S, dtype=torch.bool),
+        rays,
+        torch.ones(2, size, J, dtype=torch.bool),
+        torch.tensor(body.nominal_bones).expand(2, -1).clone(),
+        torch.full((2,), 1.5),
+        torch.eye(3).expand(2, size, S, 3, 3).clone(),
+        torch.ones(2, size, S, dtype=torch.bool),
         torch.eye(3).expand(2, J, 3, 3).clone(),
-    )  # fmt: skip
+    )

@@ -76,9 +76,7 @@ class Lifter:
         """Take a network in evaluation mode; `load` reads one from a file.
 
         Args:
-            network: not to be changed afterwards.
-            description: see `LifterDescription`.
-            sha256: of the checkpoint, hexadecimal. name: under which it is shipped, or its file.
+            network: not to be changed afterwards. description: see `LifterDescription`.
         """
         self.network, self.description = network, description
         self.sha256, self.name = sha256, name
@@ -129,8 +127,7 @@ class Lifter:
     ) -> LiftedPoses:
         """Estimate poses in world at the keypoints' times.
 
-        Windows are resampled to the lifter's rate; before the first and after the last frame, that frame
-        is repeated.
+        Windows are resampled to the lifter's rate; before the first and after the last frame, that frame is repeated.
 
         Args:
             keypoints: landmarks of one person, taken by joint name (others are ignored, missing ones
@@ -165,22 +162,24 @@ class Lifter:
         """Estimate the poses at B times; what the model does not estimate is NaN.
 
         Args:
-            source: observations, sensors in the segments' shared frames. times: (B,) s.
-            bones: (3 G,) m, see `bones_of`. height: of the camera over the floor, m. Both may be NaN.
-            flip: average with the mirrored scene.
+            times: (B,) s. bones: (3 G,) m, see `bones_of`. height: of the camera over the floor, m. Both may be NaN.
 
         Returns:
-            Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations
-            (B, J, 3, 3) of the segments' shared frames; their sigma (B, J), rad; whether enough joints were
-            seen (B,).
+            Positions (B, J, 3) from the optical centre, m; their sigma (B, J, 2), m; orientations (B, J, 3, 3) of the
+            segments' shared frames; their sigma (B, J), rad; whether enough joints were seen (B,).
         """
         body, network = self.description.body, self.network
         model = model_of(network.config.model)
         with torch_threads(1), torch.inference_mode():
             windows = source.windows(
-                times, network.receptive_field(), network.estimated(), self.description.rate_hz, bones,
-                height, picture=network.config.model != RAYS,
-            )  # fmt: skip
+                times,
+                network.receptive_field(),
+                network.estimated(),
+                self.description.rate_hz,
+                bones,
+                height,
+                picture=network.config.model != RAYS,
+            )
             encoded = model.encode(body, windows)
             if network.config.model == RAYS:
                 if flip not in self._folded:
@@ -246,8 +245,7 @@ def camera_height(camera: Camera, floor_height: float | None) -> float:
     """Return the height of the camera over a floor, m; NaN where the floor is None.
 
     Args:
-        camera: extrinsics in world, z up.
-        floor_height: z of the floor, m.
+        camera: extrinsics in world, z up. floor_height: z of the floor, m.
 
     Raises:
         ViewError: the camera is below the floor.
@@ -256,9 +254,7 @@ def camera_height(camera: Camera, floor_height: float | None) -> float:
         return np.nan
     height = float(camera.center_world[2] - floor_height)
     if not height > 0:
-        raise ViewError(
-            f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in world, m"
-        )
+        raise ViewError(f"floor_height: the camera is {-height:.2f} m below the floor; give z of the floor in world, m")
     return height
 
 

@@ -20,11 +20,7 @@ class Prefetch(Generic[T]):
     """
 
     def __init__(self, make: Callable[[int], T], ahead: bool):
-        """Prepare without computing.
-
-        Args:
-            make: computes the result of a step. ahead: use a second thread.
-        """
+        """Prepare without computing."""
         self._make = make
         self._pool = ThreadPoolExecutor(1, "windows") if ahead else None
         self._next: tuple[int, Future[T]] | None = None
@@ -48,20 +44,12 @@ class Prefetch(Generic[T]):
 
 
 def step_seed(seed: int, step: int, part: int = 0) -> int:
-    """Return the seed of one step, so that a resumed training draws what an uninterrupted one does.
-
-    Args:
-        seed: of the training. step: its number. part: of the batch, where parts are drawn separately.
-    """
+    """Return the seed of one step, so that a resumed training draws what an uninterrupted one does."""
     return seed * 1_000_003 + step + part * 2_654_435_761  # a CPU generator uses the lower 32 bits
 
 
 def rows(batch: Any, which: slice) -> Any:
-    """Select rows of the tensors (B, ...) in a dataclass, such as `Batch`, and in its dataclasses.
-
-    Args:
-        batch: a dataclass. which: rows.
-    """
+    """Select rows of the tensors (B, ...) in a dataclass, such as `Batch`, and in its dataclasses."""
     if isinstance(batch, Tensor):
         return batch[which]
     if not is_dataclass(batch) or isinstance(batch, type):

@@ -27,7 +27,7 @@ def prior_of_corpus(corpus: Corpus, choice: PriorChoice = "auto") -> PosePrior |
     and where every clip is too short.
 
     Args:
-        corpus: with orientations in the link frames. choice: see `PriorChoice`.
+        choice: see `PriorChoice`.
     """
     motions = motions_of(corpus)
     table = read_skeleton_table(model_path("skeleton.toml"))
@@ -40,18 +40,17 @@ def prior_of_corpus(corpus: Corpus, choice: PriorChoice = "auto") -> PosePrior |
 
 
 def motions_of(corpus: Corpus) -> list[Motion]:
-    """Return the training clips of `LEAST_FRAMES` or more.
-
-    Args:
-        corpus: with orientations in the link frames.
-    """
+    """Return the training clips of `LEAST_FRAMES` or more."""
     return [
         Motion(
-            corpus.subjects[clip], corpus.R_world_bone[corpus.frames(clip)].astype(float),
-            corpus.p_world_root[corpus.frames(clip)].astype(float), corpus.rate_hz,
+            corpus.subjects[clip],
+            corpus.R_world_bone[corpus.frames(clip)].astype(float),
+            corpus.p_world_root[corpus.frames(clip)].astype(float),
+            corpus.rate_hz,
         )
-        for clip in corpus.clips("train") if corpus.start[clip + 1] - corpus.start[clip] >= LEAST_FRAMES
-    ]  # fmt: skip
+        for clip in corpus.clips("train")
+        if corpus.start[clip + 1] - corpus.start[clip] >= LEAST_FRAMES
+    ]
 
 
 def postures_of(corpus: Corpus) -> dict[str, NeutralPosture]:

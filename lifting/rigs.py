@@ -23,11 +23,17 @@ from rtof_kin.body.shared_frames import LUMBAR_PITCH
 TRUNK: Final = ("Hips", *SPINE)
 """Segments from the pelvis to the upper trunk."""
 PLACES: Final = {
-    "Hips": (0.02, 0.0, 0.045), "Spine": (0.0, 0.0, 0.025), "Spine1": (0.015, 0.0, 0.025),
-    "Spine2": (0.015, 0.0, 0.025), "Spine3": (0.015, 0.0, 0.025), "Neck": (0.015, 0.0, 0.015),
-    "Head": (0.02, 0.0, 0.02), "Shoulder": (0.015, 0.02, 0.025), "Arm": (0.012, 0.012, 0.015),
+    "Hips": (0.02, 0.0, 0.045),
+    "Spine": (0.0, 0.0, 0.025),
+    "Spine1": (0.015, 0.0, 0.025),
+    "Spine2": (0.015, 0.0, 0.025),
+    "Spine3": (0.015, 0.0, 0.025),
+    "Neck": (0.015, 0.0, 0.015),
+    "Head": (0.02, 0.0, 0.02),
+    "Shoulder": (0.015, 0.02, 0.025),
+    "Arm": (0.012, 0.012, 0.015),
     "UpLeg": (0.008, 0.008, 0.008),
-}  # fmt: skip
+}
 """Standard deviation of where rigs have the joints of the trunk, m, sideways for the right side; the lumbar
 joint lies in the direction that defines the pelvis."""
 
@@ -53,21 +59,13 @@ class RigConfig:
 
 
 def trunk_segments(body: Body) -> list[int]:
-    """Return the indices of `TRUNK`, the clavicles and the neck; none if the body lacks any.
-
-    Args:
-        body: joints.
-    """
+    """Return the indices of `TRUNK`, the clavicles and the neck; none if the body lacks any."""
     names = (*TRUNK, *CLAVICLES, "Neck")
     return [body.names.index(name) for name in names] if set(names) <= set(body.names) else []
 
 
 def places(body: Body, config: RigConfig, draw: Draw) -> Tensor:
-    """Draw displacements of the joints (B, J, 3) in their parents' frames, of the root in its own, m.
-
-    Args:
-        body: J joints. config: sizes. draw: random numbers.
-    """
+    """Draw displacements of the joints (B, J, 3) in their parents' frames, of the root in its own, m."""
     sizes = torch.tensor([PLACES.get(side_of(name)[1], (0.0, 0.0, 0.0)) for name in body.names])
     shift = config.places * sizes.to(draw.device) * draw.normal(draw.batch, len(body.names), 3)
     left = [j for j, name in enumerate(body.names) if side_of(name)[0] == "left"]
@@ -81,7 +79,7 @@ def turns(axes: Tensor, config: RigConfig, draw: Draw) -> Tensor:
     """Draw the turns (B, W, 8, 3, 3) in world from a motion's trunk to another rig's.
 
     Args:
-        axes: (B, 3, W, 2, 8) x and z axes of `trunk_segments`. config: sizes. draw: random numbers.
+        axes: (B, 3, W, 2, 8) x and z axes of `trunk_segments`.
     """
     B = len(axes)
     x, z = axes.unbind(dim=3)

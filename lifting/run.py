@@ -57,9 +57,13 @@ class Run:
         self._check_together()
         torch.manual_seed(config.seed)
         shape = NetworkConfig(
-            *self.model.sizes(self.body), config.filter_widths, config.channels, config.dropout,
-            config.causal, config.model,
-        )  # fmt: skip
+            *self.model.sizes(self.body),
+            config.filter_widths,
+            config.channels,
+            config.dropout,
+            config.causal,
+            config.model,
+        )
         self.network = self.model.network(shape).to(workers.device)
         self.recipe = RECIPES[config.model](config, self.network, self.body)
         self.averaged = self.model.network(shape).to(workers.device).eval()
@@ -158,11 +162,13 @@ class Run:
                 "file and start afresh with a smaller learning rate"
             )
         report: dict[str, Any] = {
-            "step": self.steps, "windows": self.steps * config.batch,
-            "share_done": min(self.share_done, 1.0), "seconds": self.seconds,
+            "step": self.steps,
+            "windows": self.steps * config.batch,
+            "share_done": min(self.share_done, 1.0),
+            "seconds": self.seconds,
             "loss_mm": 1000 * loss,
             "windows_per_second": self.steps * config.batch / max(self.seconds, 1e-9),
-        }  # fmt: skip
+        }
         if due:
             start = time.perf_counter()
             self.validated = int(self.share_done * config.validations)
@@ -190,25 +196,35 @@ class Run:
         """Write the lifter with its last validation errors and the pose prior of its motion.
 
         Args:
-            path: of the checkpoint. overwrite: replace an existing one.
+            overwrite: replace an existing one.
         """
         errors = self.history[-1]["validation"] if self.history else {}
         description = checkpoint.LifterDescription(
-            self.body, self.network.config, self.corpus.rate_hz, self.facts(), errors,
-            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT, self.prior,
-        )  # fmt: skip
+            self.body,
+            self.network.config,
+            self.corpus.rate_hz,
+            self.facts(),
+            errors,
+            self.corpus.acknowledgement or checkpoint.ACKNOWLEDGEMENT,
+            self.prior,
+        )
         return checkpoint.save_checkpoint(path, self.averaged, description, overwrite)
 
     def save(self, path: Path) -> None:
         """Write the state that `restore` reads."""
         state = {
-            "config": self.config.fixed(), "corpus": self.digest,
-            "network": self.network.state_dict(), "averaged": self.averaged.state_dict(),
-            "optimizer": self.recipe.optimizer.state_dict(), "steps": self.steps,
-            "seconds": self.seconds, "validated": self.validated,
-            "losses": [float(x) for x in self.losses], "history": self.history,
+            "config": self.config.fixed(),
+            "corpus": self.digest,
+            "network": self.network.state_dict(),
+            "averaged": self.averaged.state_dict(),
+            "optimizer": self.recipe.optimizer.state_dict(),
+            "steps": self.steps,
+            "seconds": self.seconds,
+            "validated": self.validated,
+            "losses": [float(x) for x in self.losses],
+            "history": self.history,
             "started_from": self.started_from,
-        }  # fmt: skip
+        }
         checkpoint.save_tensors(state, path, overwrite=True)
 
     def start(self, lifter: str | Path) -> None:
@@ -238,9 +254,6 @@ class Run:
     def restore(self, path: Path) -> None:
         """Resume from a state file if the first process has one.
 
-        Args:
-            path: of the state file.
-
         Raises:
             FileFormatError: it cannot be read, or belongs to other settings or motion.
         """
@@ -261,13 +274,10 @@ class Run:
         with _readable(path):
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             if state["config"] != self.config.fixed():
-                raise FileFormatError(
-                    path, "belongs to a training with other settings; delete it or do not resume"
-                )
+                raise FileFormatError(path, "belongs to a training with other settings; delete it or do not resume")
             if state["corpus"] != self.digest:
                 raise FileFormatError(
-                    path,
-                    "belongs to a training on other motion; give that motion, delete it or do not resume",
+                    path, "belongs to a training on other motion; give that motion, delete it or do not resume"
                 )
         return state
 

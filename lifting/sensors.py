@@ -50,18 +50,17 @@ TRUNK = ("Hips", "Spine3")
 
 
 def worn(body: Body, config: SensorConfig, draw: Draw) -> Tensor:
-    """Draw the sensors of each window, (B, S) bool.
-
-    Args:
-        body: S sensors. config: shares of the sets. draw: random numbers.
-    """
+    """Draw the sensors of each window, (B, S) bool."""
     limbs = {j for limb in body.arms + body.legs for j in limb[:2]}
     ends = {limb[1] for limb in body.arms + body.legs}
     trunk = {body.names.index(name) for name in TRUNK if name in body.names}
     sets = [
-        (config.none, set()), (config.limbs, limbs), (config.limbs_and_trunk, limbs | trunk),
-        (config.ends, ends), (config.every, set(body.sensor_joints)),
-    ]  # fmt: skip
+        (config.none, set()),
+        (config.limbs, limbs),
+        (config.limbs_and_trunk, limbs | trunk),
+        (config.ends, ends),
+        (config.every, set(body.sensor_joints)),
+    ]
     which = draw.uniform(draw.batch, 1)
     chance = draw.uniform(draw.batch, 1)
     mask = draw.uniform(draw.batch, len(body.sensors)) < chance
@@ -79,7 +78,6 @@ def with_errors(bones: Tensor, axes_world: Tensor, config: SensorConfig, draw: D
     Args:
         bones: (S, 3) unit vectors along the bones in their segments' frames, zero where there is none.
         axes_world: (B, 3, W, 2, S) true x and z axes of the segments.
-        config: sizes of the errors. draw: random numbers.
     """
     B, S = draw.batch, len(bones)
     factor = draw.between(config.amplitude, B, 1, 1)

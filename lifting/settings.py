@@ -13,8 +13,12 @@ from lifting.prior import PriorChoice
 from rtof_kin.core.errors import InvalidInputError
 
 PUBLISHED: Final[Mapping[str, Any]] = {
-    "channels": 1024, "dropout": 0.25, "batch": 1024, "learning_rate": 1e-3, "bfloat16": False,
-}  # fmt: skip
+    "channels": 1024,
+    "dropout": 0.25,
+    "batch": 1024,
+    "learning_rate": 1e-3,
+    "bfloat16": False,
+}
 """Settings of VideoPose3D's paper."""
 
 

@@ -56,7 +56,6 @@ class Source:
 
         Args:
             body: joints and sensors to take; others are ignored.
-            keypoints: landmarks of one person.
             bone_imus: calibrated sensors, resampled to the keypoints' times where they differ.
             R_bone_shared: (J, 3, 3) frame of each segment whose axes are taken; None for the segments' own.
         """
@@ -81,17 +80,19 @@ class Source:
         middle = np.array([camera.width_px, camera.height_px]) / 2
         xy = np.where(seen[..., None], (keypoints.uv_px - middle) / middle[0], 0.0)
         return cls(
-            keypoints.times, rays.astype(np.float32), seen, axes, sensed,
-            xy.astype(np.float32), camera.R_camera_world.astype(np.float32),
-        )  # fmt: skip
+            keypoints.times,
+            rays.astype(np.float32),
+            seen,
+            axes,
+            sensed,
+            xy.astype(np.float32),
+            camera.R_camera_world.astype(np.float32),
+        )
 
     def extended(self, count: int, rate_hz: float) -> Self:
         """Return the same with further frames, in which the last one moves on more and more slowly.
 
         What was unknown shortly before the last frame stays where it is.
-
-        Args:
-            count: of the frames added. rate_hz: their rate.
         """
         times, frames = self.times, 1 + np.arange(count)
         earlier = int(np.searchsorted(times, times[-1] - VELOCITY_S - 0.5 / rate_hz))
@@ -110,20 +111,17 @@ class Source:
             return np.concatenate([values, np.broadcast_to(values[-1], (count, *values.shape[1:]))])
 
         return replace(
-            self, times=np.concatenate([times, times[-1] + frames / rate_hz]),
-            rays=moved(self.rays, moves[0]), axes=moved(self.axes, moves[1]), seen=still(self.seen),
-            sensed=still(self.sensed), picture=still(self.picture),
-        )  # fmt: skip
+            self,
+            times=np.concatenate([times, times[-1] + frames / rate_hz]),
+            rays=moved(self.rays, moves[0]),
+            axes=moved(self.axes, moves[1]),
+            seen=still(self.seen),
+            sensed=still(self.sensed),
+            picture=still(self.picture),
+        )
 
     def windows(
-        self,
-        times: Array,
-        size: int,
-        estimated: int,
-        rate_hz: float,
-        bones: Array,
-        height: float,
-        picture: bool = True,
+        self, times: Array, size: int, estimated: int, rate_hz: float, bones: Array, height: float, picture: bool = True
     ) -> Windows:
         """Return the windows around B times.
 
@@ -131,10 +129,8 @@ class Source:
         last frame, that frame is repeated.
 
         Args:
-            times: (B,) of the estimated frames, s.
-            size: frames per window. estimated: index of the estimated one. rate_hz: their rate.
-            bones: (3 G,) see `Body.bones_of`. height: of the camera over the floor, m. Both may be NaN.
-            picture: include the image.
+            times: (B,) of the estimated frames, s. size: frames per window. bones: (3 G,) see `Body.bones_of`.
+            height: of the camera over the floor, m. Both may be NaN.
         """
         at = times[:, None] + (np.arange(size) - estimated) / rate_hz
         instants = _Instants(self.times, at, near=0.1 / rate_hz)
@@ -144,12 +140,7 @@ class Source:
         if picture:
             R_camera = torch.from_numpy(self.R_camera_world).expand(B, 3, 3)
             image = Picture(torch.from_numpy(instants.interpolated(self.picture)), R_camera)
-        arrays = (
-            instants.interpolated(self.rays),
-            instants.known(self.seen),
-            axes,
-            instants.known(self.sensed),
-        )
+        arrays = (instants.interpolated(self.rays), instants.known(self.seen), axes, instants.known(self.sensed))
         rays, seen, turned, sensed = map(torch.from_numpy, arrays)
         height_m = torch.full((B,), height)
         bones_m = torch.from_numpy(bones).float().expand(B, -1)

@@ -38,9 +38,6 @@ def read_split(path: str | Path) -> dict[str, str]:
 def find_split(folder: Path) -> Path:
     """Return the split file of a folder of motion: its ``split.toml``, else the one of the benchmarks.
 
-    Args:
-        folder: of motion.
-
     Raises:
         FileFormatError: there is neither.
     """
@@ -49,6 +46,5 @@ def find_split(folder: Path) -> Path:
             return path
     raise FileFormatError(
         folder / "split.toml",
-        "a folder of motion needs a split of its subjects: write lists of subjects named test and "
-        "validation there",
+        "a folder of motion needs a split of its subjects: write lists of subjects named test and validation there",
     )

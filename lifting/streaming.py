@@ -60,13 +60,12 @@ class StreamingLifter:
         """Prepare for a camera and a person.
 
         Args:
-            lifter: see `Lifter.load`. camera: its orientation gives the vertical.
-            joint_offsets: (J, 3) m, as in `Lifter.predict`; None where unknown.
+            lifter: see `Lifter.load`. joint_offsets: (J, 3) m, as in `Lifter.predict`; None where unknown.
             floor_height: z of a flat floor in world, m; None where unknown.
             names: L landmark names, by default the lifter's joints; unknown ones are ignored.
             lookaheads: of the poses that `push` returns: frames that are newer than theirs.
-            history_s: age of the oldest frame that may still come and of the oldest pose that may be
-                estimated, relative to the newest frame, s.
+            history_s: age of the oldest frame that may still come and of the oldest pose that may be estimated,
+                relative to the newest frame, s.
             flip: average with the mirrored scene: a tenth slower, and more accurate.
 
         Raises:
@@ -75,13 +74,10 @@ class StreamingLifter:
         """
         description = lifter.description
         if description.network.model != RAYS:
-            raise InvalidInputError(
-                f"a lifter of kind {description.network.model} does not stream; use predict"
-            )
+            raise InvalidInputError(f"a lifter of kind {description.network.model} does not stream; use predict")
         if not history_s >= 0 or not all(0 <= k == int(k) for k in lookaheads):
             raise InvalidInputError(
-                f"history_s {history_s:g}, lookaheads {tuple(lookaheads)}: give seconds and frames, "
-                "not negative"
+                f"history_s {history_s:g}, lookaheads {tuple(lookaheads)}: give seconds and frames, not negative"
             )
         self._lifter, self._camera, self._body = lifter, camera, description.body
         self._centre = camera.center_world
@@ -110,11 +106,7 @@ class StreamingLifter:
         return self._frames.times.copy()
 
     def push(
-        self,
-        time: float,
-        uv_px: ArrayLike,
-        confidence: ArrayLike,
-        R_world_bone: Mapping[str, ArrayLike] | None = None,
+        self, time: float, uv_px: ArrayLike, confidence: ArrayLike, R_world_bone: Mapping[str, ArrayLike] | None = None
     ) -> tuple[StreamedPose | None, ...]:
         """Take one frame, as `put` does, and return a pose for each of the lookaheads k.
 
@@ -133,20 +125,15 @@ class StreamingLifter:
         return tuple(poses)
 
     def put(
-        self,
-        time: float,
-        uv_px: ArrayLike,
-        confidence: ArrayLike,
-        R_world_bone: Mapping[str, ArrayLike] | None = None,
+        self, time: float, uv_px: ArrayLike, confidence: ArrayLike, R_world_bone: Mapping[str, ArrayLike] | None = None
     ) -> None:
         """Take one frame; it may come late, and replaces one of the same time.
 
         Args:
             time: s, at most `history_s` before the newest frame; any rate, gaps allowed.
-            uv_px: (L, 2) landmarks, px; NaN where unseen.
-            confidence: (L,) in [0, 1]; 0 where unseen.
-            R_world_bone: orientations (3, 3) of segments by joint name; NaN or left out where missing.
-                Segments without a sensor in the lifter's training are ignored.
+            uv_px: (L, 2) landmarks, px; NaN where unseen. confidence: (L,) in [0, 1]; 0 where unseen.
+            R_world_bone: orientations (3, 3) of segments by joint name; NaN or left out where missing. Segments
+                without a sensor in the lifter's training are ignored.
 
         Raises:
             ShapeError, InvalidInputError: the frame is too late, or an array is wrong; it is not taken.
@@ -188,9 +175,14 @@ class StreamingLifter:
         if self._after() and latest + self.delay_s > newest + 0.1 / rate_hz:
             source = source.extended(self._after(), rate_hz)
         windows = source.windows(
-            at, self._lifter.receptive_field(), self._lifter.estimated(), rate_hz, self._bones,
-            self._height, picture=False,
-        )  # fmt: skip
+            at,
+            self._lifter.receptive_field(),
+            self._lifter.estimated(),
+            rate_hz,
+            self._bones,
+            self._height,
+            picture=False,
+        )
         p, sigma_m, R, sigma_rad = self._lifted(windows)
         enough = windows.seen.numpy().any(axis=1).sum(axis=1) >= MIN_JOINTS
         p += self._centre

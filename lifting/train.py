@@ -43,10 +43,7 @@ def train(
     started train together: all read the corpus, the first one writes and calls `progress`.
 
     Args:
-        config: settings.
-        corpus: motion, or the folder or .npz file to read it from.
-        out: checkpoint to write.
-        progress: see `Progress`.
+        corpus: motion, or the folder or .npz file to read it from. progress: see `Progress`.
         resume: continue from the state file if there is one.
         start: lifter of the same shape, or name of a shipped one, for the first weights.
         overwrite: replace a lifter and, without `resume`, the state of an earlier training.

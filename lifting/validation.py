@@ -20,9 +20,8 @@ from lifting.windows import Estimate
 
 SEED = 20_000
 _SENSED = SensorConfig(
-    none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=0.0, amplitude=(1.0, 1.0),
-    lag=(1.0, 3.0), missing=0.0,
-)  # fmt: skip
+    none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=0.0, amplitude=(1.0, 1.0), lag=(1.0, 3.0), missing=0.0
+)
 
 
 class Validation:
@@ -40,9 +39,7 @@ class Validation:
         """Draw the windows.
 
         Args:
-            corpus: the motion. window: frames per window. device: of the tensors.
-            count: windows of each kind, evenly over the motion.
-            causal: whether the last frame is estimated. model: of the networks to be measured.
+            window: frames per window. count: windows of each kind, evenly over the motion.
         """
         self.model, self.body = model_of(model), corpus.body()
         if not self.model.senses:
@@ -60,9 +57,6 @@ class Validation:
     def measure(self, network: TemporalNetwork, flip: bool = True) -> dict[str, dict[str, float]]:
         """Return errors by kind of 2D: mean per joint position error, root-relative (with the root's 0) and
         absolute, mm, and for a body with sensors the angles of pelvis and upper trunk, deg.
-
-        Args:
-            network: in evaluation mode. flip: average with the mirrored windows.
         """
         return {
             name: _errors(self.body, self._estimate(network, batch, flip), batch)

@@ -66,9 +66,8 @@ def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
     """Return the estimate in world axes, its spreads NaN.
 
     Args:
-        body: J joints. encoded: the input.
-        output: (B, outputs): joints but the root (3, J-1) relative to the root, and the root (3), in the
-            camera's frame, m.
+        output: (B, outputs): joints but the root (3, J-1) relative to the root, and the root (3), in the camera's
+            frame, m.
     """
     output = output.to(encoded.R_camera_world.dtype)  # bfloat16 in training
     B, J = len(output), len(body.names)

@@ -6,10 +6,9 @@ of a window looks along the ray to the root in that frame (x right, y down, z fo
 frame has the same azimuth but is level (x away from the camera, y left, z up). Both are upright in world
 and independent of the camera's intrinsics, tilt and heading.
 
-Features per frame: x/z and y/z of each landmark in the view frame divided by `scale`, whether it was seen,
-the x and z axes in the ray frame of each sensor's segment, and whether they are known. Features per
-window: elevation of the root's ray, log scale, and optionally the camera's height over the floor and bone
-lengths. For the output see `decode`.
+Features per frame: x/z and y/z of each landmark in the view frame divided by `scale`, whether it was seen, the x and z
+axes in the ray frame of each sensor's segment, and whether they are known. Features per window: elevation of the
+root's ray, log scale, and optionally the camera's height over the floor and bone lengths. For the output see `decode`.
 
 Arrays are (B, component, W, J): with one plane per component, turning is one large matrix product.
 """
@@ -165,11 +164,10 @@ def decode(body: Body, output: Tensor, encoded: EncodedWindows) -> Estimate:
     """Return the estimate in world axes.
 
     Args:
-        body: J joints. encoded: the input.
-        output: (B, outputs): root-relative joints but the root (3, J-1) in the ray frame, m; the root's
-            shift from the window's centre in the scaled image (2); log(distance x scale) (1); logarithms
-            of spreads (2, J); for a body with sensors, x and z axes of all segments (2, 3, J) in the ray
-            frame, not yet orthonormal, and the logarithm of their spread (J).
+        output: (B, outputs): root-relative joints but the root (3, J-1) in the ray frame, m; the root's shift from
+            the window's centre in the scaled image (2); log(distance x scale) (1); logarithms of spreads (2, J); for
+            a body with sensors, x and z axes of all segments (2, 3, J) in the ray frame, not yet orthonormal, and the
+            logarithm of their spread (J).
     """
     output = output.to(encoded.scale.dtype)  # bfloat16 in training
     B, J = output.shape[0], len(body.names)
@@ -218,11 +216,7 @@ def mirror_output(body: Body, output: Tensor) -> Tensor:
     J, order = len(body.names), body.mirrored
     pose, root, spread, *turns = _parts(body, output)
     pose = pose.reshape(-1, 3, J - 1)[..., [j - 1 for j in order[1:]]] * _across(pose)[..., 0]
-    parts = [
-        pose.flatten(1),
-        root * root.new_tensor([-1.0, 1.0, 1.0]),
-        spread.reshape(-1, 2, J)[..., order].flatten(1),
-    ]
+    parts = [pose.flatten(1), root * root.new_tensor([-1.0, 1.0, 1.0]), spread.reshape(-1, 2, J)[..., order].flatten(1)]
     if turns:
         axes = turns[0].reshape(-1, 2, 3, J)[..., order] * _across(pose)[..., 0]
         parts += [axes.flatten(1), turns[1][:, order]]

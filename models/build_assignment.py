@@ -97,9 +97,7 @@ def simulated(clip: MocapClip, speed: float, moved: Array, seed: int) -> SensorM
     skeleton = SkeletonModel(replace(skeleton.table, sensors=tuple(places)))
     poses = replace(clip.poses, times=clip.poses.times / speed)
     times = np.arange(poses.times[0], poses.times[-1], 1 / 60)
-    imus, _ = simulate_imus(
-        np.random.default_rng(seed), poses, skeleton, list(skeleton.sensors), times, ImuNoise()
-    )
+    imus, _ = simulate_imus(np.random.default_rng(seed), poses, skeleton, list(skeleton.sensors), times, ImuNoise())
     return sensor_motions(SensorLog.of_imus(imus, clip.name))
 
 
@@ -150,15 +148,17 @@ class Scores(nn.Module):
         super().__init__()
         self.K = K = single.shape[1]
         off = ~torch.eye(K, dtype=torch.bool)
-        self.scale = nn.ParameterDict({
-            "single_mean": single.mean(dim=(0, 1)), "single_sd": single.std(dim=(0, 1)) + 1e-3,
-            "pair_mean": pair[:, off].mean(dim=(0, 1)), "pair_sd": pair[:, off].std(dim=(0, 1)) + 1e-3,
-        })  # fmt: skip
+        self.scale = nn.ParameterDict(
+            {
+                "single_mean": single.mean(dim=(0, 1)),
+                "single_sd": single.std(dim=(0, 1)) + 1e-3,
+                "pair_mean": pair[:, off].mean(dim=(0, 1)),
+                "pair_sd": pair[:, off].std(dim=(0, 1)) + 1e-3,
+            }
+        )
         self.scale.requires_grad_(False)
         F, G = single.shape[-1], pair.shape[-1]
-        self.single = nn.Sequential(
-            nn.Linear(F, HIDDEN[0]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[0], K)
-        )
+        self.single = nn.Sequential(nn.Linear(F, HIDDEN[0]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[0], K))
         self.pair = nn.Sequential(
             nn.Linear(2 * F + G, HIDDEN[1]), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(HIDDEN[1], K * K)
         )

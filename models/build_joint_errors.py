@@ -18,16 +18,7 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.corpus import Corpus, read_corpus
-from lifting.joint_errors import (
-    LEG_M,
-    MEMORY_S,
-    JointErrors,
-    View,
-    designs,
-    hidden_joints,
-    mean_error,
-    rig_places,
-)
+from lifting.joint_errors import LEG_M, MEMORY_S, JointErrors, View, designs, hidden_joints, mean_error, rig_places
 from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
@@ -63,8 +54,9 @@ class Seen:
         order, flip = body.mirrored, torch.tensor([-1.0, 1.0, 1.0])
         view = View(
             (self.view.joints * flip[:, None])[..., order],
-            (self.view.axes * flip[:, None, None])[..., order], (self.view.offsets * ACROSS)[:, order],
-        )  # fmt: skip
+            (self.view.axes * flip[:, None, None])[..., order],
+            (self.view.offsets * ACROSS)[:, order],
+        )
         return Seen(view, (self.error * flip[:2])[:, order], self.take)
 
 
@@ -83,9 +75,14 @@ def main(corpus_folder: str) -> None:
     factor, rest = fit_covariance(body, Seen(seen.view, residual, seen.take))
     np.savez_compressed(
         Path(__file__).with_name("joint_errors.npz"),
-        place=place, view=view, follows=follows, usual=usual, hidden=hidden,
-        factor=factor.half(), rest=rest,
-    )  # fmt: skip
+        place=place,
+        view=view,
+        follows=follows,
+        usual=usual,
+        hidden=hidden,
+        factor=factor.half(),
+        rest=rest,
+    )
     print(f"fitted to {len(residual)} frames; rms of the rest {1e3 * rest.square().mean().sqrt():.1f} mm")
 
 
@@ -96,9 +93,7 @@ def see(corpus: Corpus) -> Seen:
     regression, parts, offsets = LandmarkRegression.default(), [], []
     for clip in corpus.clips("train"):
         own = corpus.joint_offsets[clip].astype(float)
-        skeleton = usual.with_offsets(
-            np.einsum("jab,jb->ja", R_bone_shared[np.maximum(corpus.parents, 0)], own)
-        )
+        skeleton = usual.with_offsets(np.einsum("jab,jb->ja", R_bone_shared[np.maximum(corpus.parents, 0)], own))
         p, R_shared = corpus.positions(clip).astype(float), corpus.R_world_bone[corpus.frames(clip)]
         times = np.arange(len(p)) / corpus.rate_hz
         R_bone = R_shared.astype(float) @ R_bone_shared.swapaxes(-1, -2)

@@ -29,9 +29,15 @@ from rtof_kin.simulation.simulate import low_passed
 SUBJECT = "CMU035"  # whose neutral posture all pieces have
 SKELETON = SkeletonModel.default()
 UPPER = SKELETON.index(
-    "Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head",
+    "Hips",
+    "Spine",
+    "Spine1",
+    "Spine2",
+    "Spine3",
+    "Neck",
+    "Head",
     *(f"{side}{part}" for side in SIDES for part in ("Shoulder", "Arm", "ForeArm", "Hand")),
-)  # fmt: skip
+)
 FEET = SKELETON.index("LeftFoot", "RightFoot")
 LEG = sum(SKELETON.bone_lengths[name] for name in ("LeftLeg", "LeftFoot"))
 BALL = SKELETON.landmarks["LeftToeBase"][1]
@@ -70,10 +76,12 @@ class Piece:
         """Join pieces that begin in the last frame of the one before."""
         pieces = (self, *others)
         names = ("R_local", "R_feet", "hips", "balls")
-        return Piece(*(
-            np.concatenate([getattr(p, name)[(0 if k == 0 else 1):] for k, p in enumerate(pieces)])
-            for name in names
-        ))  # fmt: skip
+        return Piece(
+            *(
+                np.concatenate([getattr(p, name)[(0 if k == 0 else 1) :] for k, p in enumerate(pieces)])
+                for name in names
+            )
+        )
 
 
 def clip_of(corpus: Path, subject: str, name: str) -> MocapClip:
@@ -186,9 +194,7 @@ def write(folder: Path, name: str, before: Piece, cycle: Piece, after: Piece) ->
     poses = planted(begin, SKELETON, times)
     heel = SKELETON.landmarks["LeftHeel"][1][2]
     hip = SKELETON.joint_offsets[SKELETON.index("LeftUpLeg", "RightUpLeg")].mean(axis=0)
-    lowered = (
-        LEG * whole.hips[0, 2] - heel - (poses.R_world_bone[0, 0] @ hip)[2] - poses.p_world_joint[0, 0, 2]
-    )
+    lowered = LEG * whole.hips[0, 2] - heel - (poses.R_world_bone[0, 0] @ hip)[2] - poses.p_world_joint[0, 0, 2]
     local = kinematics.local_rotations(SKELETON.parents, poses.R_world_bone)
     vectors = np.round(so3.log(local) / ROTATION_UNIT).astype(np.int16)
     start = len(before.hips) - 1
@@ -251,9 +257,7 @@ def raises(stand: Key) -> Piece:
     """Return the arms raised forward, then sideways."""
 
     def by(axis: str) -> Piece:
-        ways = [
-            replace(stand, R=arms(stand.R, angle, axis)) for angle in (0.0, 80.0, 155.0, 155.0, 80.0, 0.0)
-        ]
+        ways = [replace(stand, R=arms(stand.R, angle, axis)) for angle in (0.0, 80.0, 155.0, 155.0, 80.0, 0.0)]
         ways[0] = ways[-1] = stand
         return through(ways, [0.0, 1.0, 1.9, 2.2, 3.1, 4.1])
 
@@ -291,11 +295,15 @@ def write_sway(folder: Path, clip: MocapClip, frames: slice) -> None:
     rotations[:, :, UPPER] = fit[..., :-3].reshape(2, SWAY_WAVES, -1, 3)[:, :, UPPER]
     hips = fit[..., -3:]
     hips[..., 2] = 0.0  # the legs decide the height
-    np.savez_compressed(folder / "sway.npz", period=SWAY_SECONDS, rotations=rotations.astype(np.float32),
-                        hips=hips.astype(np.float32))  # fmt: skip
-    print("sway: sd of the hips, mm:", (1000 * LEG * np.sqrt((hips**2).sum(axis=(0, 1)) / 2)).round(1),
-          "largest sd of a joint, deg:",
-          np.degrees(np.sqrt((rotations**2).sum(axis=(0, 1)) / 2).max()).round(2))  # fmt: skip
+    np.savez_compressed(
+        folder / "sway.npz", period=SWAY_SECONDS, rotations=rotations.astype(np.float32), hips=hips.astype(np.float32)
+    )
+    print(
+        "sway: sd of the hips, mm:",
+        (1000 * LEG * np.sqrt((hips**2).sum(axis=(0, 1)) / 2)).round(1),
+        "largest sd of a joint, deg:",
+        np.degrees(np.sqrt((rotations**2).sum(axis=(0, 1)) / 2).max()).round(2),
+    )
 
 
 def main(corpus: Path) -> None:
@@ -340,9 +348,7 @@ def _walk(stride: Stride, stand: Key, strides: int) -> Piece:
     lowered = gaussian_filter1d(maximum_filter1d(missing, 21), 4.0)
     ends = smoother(np.minimum(np.arange(len(hips)), np.arange(len(hips))[::-1]) / 12)
     hips[:, 2] -= lowered * ends
-    print(
-        f"walk of {strides} strides: hips lowered by {LEG * lowered.min():.3f} to {LEG * lowered.max():.3f} m"
-    )
+    print(f"walk of {strides} strides: hips lowered by {LEG * lowered.min():.3f} to {LEG * lowered.max():.3f} m")
     return Piece(legs_begin(R, R_feet), R_feet, hips, balls)
 
 

@@ -92,18 +92,22 @@ def mean_stride(clip: MocapClip, skeleton: SkeletonModel, leg_default: float) ->
     local = kinematics.local_rotations(skeleton.parents, R)
     neutral = so3.nearest_rotation(local.mean(axis=0))
     turns = so3.log(np.swapaxes(neutral, -1, -2) @ local)
-    values = np.concatenate([
-        turns.reshape(len(t), -1), hips - ahead - middle,
-        (balls - (ahead + middle)[:, None]).reshape(len(t), -1), pitch,
-    ], axis=1)  # fmt: skip
+    values = np.concatenate(
+        [
+            turns.reshape(len(t), -1),
+            hips - ahead - middle,
+            (balls - (ahead + middle)[:, None]).reshape(len(t), -1),
+            pitch,
+        ],
+        axis=1,
+    )
     period = min(PERIODS, key=lambda T: float(_fit(t, values[:, -8:], T)[1]))
     weights = _fit(t, values, period)[0]
 
     def series(phase: Array) -> Array:
         return _basis(phase) @ weights
 
-    print(f"stride of {clip.name}: {period:.2f} s, {speed * period * leg_default:.2f} m, "
-          f"{t[-1] / period:.1f} strides")  # fmt: skip
+    print(f"stride of {clip.name}: {period:.2f} s, {speed * period * leg_default:.2f} m, {t[-1] / period:.1f} strides")
     return Stride(float(period), speed * float(period), neutral, series)
 
 
@@ -156,8 +160,9 @@ def _path(stride: Stride, strides: int) -> _Path:
     amplitude = ramp
     for _ in range(60):
         straight = (total - 2 * TURN) / 2
-        inside = [smoother((s - a) / 0.8 + 0.5) - smoother((s - a - TURN) / 0.8 + 0.5)
-                  for a in (straight, total - TURN)]  # fmt: skip
+        inside = [
+            smoother((s - a) / 0.8 + 0.5) - smoother((s - a - TURN) / 0.8 + 0.5) for a in (straight, total - TURN)
+        ]
         amplitude = ramp * (1 - (1 - TURN_STEP) * np.clip(sum(inside), 0, 1))
         rate = stride.length * amplitude
         s = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2) / GRID])
@@ -220,9 +225,7 @@ def walk(
     R[:, 5] = R[:, 5] @ so3.about_axis("z", HEAD_TURN * ahead)
     balls, heading = np.empty((len(phase), 2, 3)), np.empty((len(phase), 2))
     for side in range(2):
-        balls[:, side], heading[:, side] = _foot(
-            stride, path, phase, start, side, contacts[side], stand_balls[side]
-        )
+        balls[:, side], heading[:, side] = _foot(stride, path, phase, start, side, contacts[side], stand_balls[side])
     toe, pitch = heading + np.array([toe_out, -toe_out]), a[:, None] * pitch
     R_feet = so3.about_axis("z", toe) @ so3.about_axis("y", pitch)
     balls[..., 2] = _above(balls[..., 2], -FOOT * np.sin(pitch))
@@ -235,9 +238,8 @@ def _above(height: Array, least: Array) -> Array:
 
 
 def _foot(
-    stride: Stride, path: _Path, phase: Array, start: float, side: int, contact: tuple[float, float],
-    stand: Array,
-) -> tuple[Array, Array]:  # fmt: skip
+    stride: Stride, path: _Path, phase: Array, start: float, side: int, contact: tuple[float, float], stand: Array
+) -> tuple[Array, Array]:
     """Return the ball (T, 3) of a foot and its heading (T,): footholds, and recorded swings between."""
     last = path.phase[-1]
     on, off = (value - start for value in contact)

@@ -85,9 +85,11 @@ def main() -> None:
             return
         python, video = made
         environment = os.environ | {
-            "PYTHONPATH": str(ROOT), "RTOF_KIN_CACHE": str(folder / "cache"), "OMP_NUM_THREADS": "1",
+            "PYTHONPATH": str(ROOT),
+            "RTOF_KIN_CACHE": str(folder / "cache"),
+            "OMP_NUM_THREADS": "1",
             "RTOF_KIN_COMPILE": "never",
-        }  # fmt: skip
+        }
 
         def run(*arguments: str | Path) -> None:
             order = [str(part) for part in (python, "-m", "rtof_kin.cli", *arguments)]

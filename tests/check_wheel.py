@@ -19,9 +19,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 MOST_MB = 15
 NEEDED = {
-    "rtof_kin/models/lifter.pt", "rtof_kin/models/lifter.md", "rtof_kin/models/demo/recording.toml",
-    "rtof_kin/core/numerics/banded.c", "rtof_kin/core/numerics/simd.h", "rtof_kin/py.typed",
-}  # fmt: skip
+    "rtof_kin/models/lifter.pt",
+    "rtof_kin/models/lifter.md",
+    "rtof_kin/models/demo/recording.toml",
+    "rtof_kin/core/numerics/banded.c",
+    "rtof_kin/core/numerics/simd.h",
+    "rtof_kin/py.typed",
+}
 LICENCES = {"LICENSE", "NOTICE", "LICENSES/LicenseRef-CMU-Mocap.txt"}
 
 
@@ -51,13 +55,7 @@ def check_contents(wheel: Path, sdist: Path) -> None:
     assert not [name for name in names if "/build_" in name or name.endswith((".so", ".pyc"))]
     with tarfile.open(sdist) as archive:
         inside = {name.partition("/")[2] for name in archive.getnames()}
-    assert inside >= {
-        "Makefile",
-        "tests/check_wheel.py",
-        "models/build_demo.py",
-        "constraints.txt",
-        *LICENCES,
-    }
+    assert inside >= {"Makefile", "tests/check_wheel.py", "models/build_demo.py", "constraints.txt", *LICENCES}
     assert not [name for name in inside if name.startswith((".venv", "out/", "benchmarks/results"))]
     run(sys.executable, "-m", "twine", "--no-color", "check", "--strict", wheel, sdist, cwd=wheel.parent)
 
@@ -76,14 +74,10 @@ def check_plain(environment: Path, folder: Path) -> None:
     python, script = environment / "bin" / "python", environment / "bin" / "rtof-kin"
     code = "import importlib.util, rtof_kin\nprint(rtof_kin.__file__, rtof_kin.__version__)\n"
     code += "assert not [n for n in ('torch', 'matplotlib', 'av', 'ray') if importlib.util.find_spec(n)]"
-    found = subprocess.run(
-        [python, "-c", code], capture_output=True, text=True, check=True, cwd=folder
-    ).stdout
+    found = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True, cwd=folder).stdout
     file, version = found.split()
     assert file.startswith(str(environment)), f"the wheel's package is not the one imported: {found}"
-    said = subprocess.run(
-        [script, "--version"], capture_output=True, text=True, check=True, cwd=folder
-    ).stdout
+    said = subprocess.run([script, "--version"], capture_output=True, text=True, check=True, cwd=folder).stdout
     assert said == f"rtof-kin {version}\n", said
     demo = Path(file).parent / "models" / "demo"
     run(script, "inspect", demo, cwd=folder)
@@ -93,13 +87,9 @@ def check_plain(environment: Path, folder: Path) -> None:
     run(script, "report", "motion", "-o", "report.html", cwd=folder)
     assert (folder / "angles" / "angles.csv").is_file()
     assert not (folder / "motion" / "figures").exists()
-    refused = subprocess.run(
-        [script, "reconstruct", demo, "-o", "none"], capture_output=True, text=True, cwd=folder
-    )
+    refused = subprocess.run([script, "reconstruct", demo, "-o", "none"], capture_output=True, text=True, cwd=folder)
     assert refused.returncode == 2, refused
-    assert 'needs torch, which is not installed: pip install "rtof-kin[lift]"' in refused.stderr, (
-        refused.stderr
-    )
+    assert 'needs torch, which is not installed: pip install "rtof-kin[lift]"' in refused.stderr, refused.stderr
 
 
 def main() -> None:
@@ -112,9 +102,7 @@ def main() -> None:
         check_contents(wheel, sdist)
         (folder / "again").mkdir()
         check_reproducible(wheel, sdist, folder / "again")
-        print(
-            f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB; {time.monotonic() - began:.0f} s", flush=True
-        )
+        print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB; {time.monotonic() - began:.0f} s", flush=True)
         venv.create(folder / "env", with_pip=True)
         python = folder / "env" / "bin" / "python"
         install = (python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt")

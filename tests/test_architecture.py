@@ -24,9 +24,7 @@ def defined(path: Path) -> set[str]:
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             names.add(node.name)
             names |= {
-                f"{node.name}.{one.name}"
-                for one in ast.iter_child_nodes(node)
-                if isinstance(one, ast.FunctionDef)
+                f"{node.name}.{one.name}" for one in ast.iter_child_nodes(node) if isinstance(one, ast.FunctionDef)
             }
         elif isinstance(node, ast.AnnAssign | ast.Assign):
             names |= {ast.unparse(one) for one in getattr(node, "targets", [getattr(node, "target", None)])}
@@ -34,9 +32,7 @@ def defined(path: Path) -> set[str]:
 
 
 def links(page: Path) -> list[tuple[str, str]]:
-    return re.findall(
-        r"\[([^\]]+)\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8").replace("\n", " ")
-    )
+    return re.findall(r"\[([^\]]+)\]\((?!https?:)([^)#]+)", page.read_text(encoding="utf-8").replace("\n", " "))
 
 
 def test_drawing_is_that_of_the_imports() -> None:
@@ -45,9 +41,7 @@ def test_drawing_is_that_of_the_imports() -> None:
 
 
 def test_table_of_folders_is_in_the_order_of_imports() -> None:
-    rows = re.findall(
-        r"^\| `(\w+)/` \|", (DOCS / "architecture.md").read_text(encoding="utf-8"), re.MULTILINE
-    )
+    rows = re.findall(r"^\| `(\w+)/` \|", (DOCS / "architecture.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert rows == list(FOLDERS)
 
 

@@ -115,9 +115,12 @@ def loaded_by(*statements: str, packages: Set[str] = HEAVY) -> list[tuple[set[st
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
-        capture_output=True, text=True, check=True, cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+    )
     lines = [line.split() for line in done.stdout.splitlines()]
     return [(set(names), float(seconds)) for *names, seconds in lines]
 

@@ -12,9 +12,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parents[1]
-pytestmark = pytest.mark.skipif(
-    not (ROOT / ".github").exists(), reason="a source distribution has no .github"
-)
+pytestmark = pytest.mark.skipif(not (ROOT / ".github").exists(), reason="a source distribution has no .github")
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 YAML = sorted([*(ROOT / ".github").rglob("*.yml"), ROOT / "CITATION.cff"])
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

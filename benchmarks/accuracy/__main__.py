@@ -34,15 +34,7 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.protocols.tables import Table
 from rtof_kin.simulation.mocap import MocapClip
 
-VALIDATION = {
-    "131_03": 3,
-    "131_01": 1,
-    "131_02": 1,
-    "08_04": 1,
-    "08_05": 1,
-    "08_11": 1,
-    "pymo_8walk_meredith": 1,
-}
+VALIDATION = {"131_03": 3, "131_01": 1, "131_02": 1, "08_04": 1, "08_05": 1, "08_11": 1, "pymo_8walk_meredith": 1}
 """Motions to tune on, and into how many parts each is cut: only the first one of what the validation
 subjects do is neither walking nor running."""
 
@@ -118,8 +110,10 @@ def main(arguments: list[str] | None = None) -> int:
         rows = measure(table, work, kept, options.workers)
         facts = {
             "command": _command(sys.argv[1:] if arguments is None else arguments, options),
-            "version": version, "seed": options.seed, "subset": options.subset,
-        }  # fmt: skip
+            "version": version,
+            "seed": options.seed,
+            "subset": options.subset,
+        }
         print(write(out, TABLES[table](rows), facts, rows))
         kept.path.unlink()
     return 0
@@ -139,17 +133,13 @@ def _names(text: str) -> list[str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.accuracy", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.accuracy", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--tables", default=list(TABLES), type=_names, help="separated by commas")
     parser.add_argument("--subset", default="test", choices=("test", "validation"))
     parser.add_argument("--motions", default=[], type=_names, help="only these, separated by commas")
-    parser.add_argument(
-        "--cameras", type=int, default=4, choices=range(1, 5),
-        help="a motion, in the table of sensors",
-    )  # fmt: skip
+    parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5), help="a motion, in the table of sensors")
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))

@@ -23,9 +23,7 @@ _ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "acceleration": ("8", {"sigma_acceleration": _HUGE}),
     "acceleration's low-pass": ("8", {"acceleration_cutoff_hz": None}),
     "swing and twist apart: twist as swing": ("8", {"sigma_twist": _USUAL.sigma_swing}),
-    "swing and twist apart: both between": (
-        "8", {"sigma_swing": _BETWEEN, "sigma_twist": _BETWEEN}
-    ),
+    "swing and twist apart: both between": ("8", {"sigma_swing": _BETWEEN, "sigma_twist": _BETWEEN}),
     _AS_GIVEN: ("8", {}),
     "robust 2D": ("8", {"robust_reprojection": 1e3}),
     "refitting the root": ("8", {"refit_root": False}),
@@ -45,7 +43,7 @@ _ABLATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     f"{NOMINAL}, no sensors": ("0", {}),
     "limb anchor, no sensors": ("0", {"sigma_bone": None}),
     "root anchor, no sensors": ("0", {"sigma_root": None}),
-}  # fmt: skip
+}
 """Ingredient -> sensors, and the settings that leave it out. Any sensor leaves nothing to the
 anchors of limbs and root."""
 
@@ -81,12 +79,14 @@ def cases(table: str) -> list[Case]:
     if table == "sensors":
         return [
             Case(f"{count} sensors" + ", as given" * as_given, kind, count, as_given=as_given)
-            for kind in KEYPOINTS for count in sorted({*SENSOR_SETS, "0"}, key=int)
+            for kind in KEYPOINTS
+            for count in sorted({*SENSOR_SETS, "0"}, key=int)
             for as_given in ([False, True] if count != "0" else [False])
-        ]  # fmt: skip
+        ]
     if table == "robustness":
         return [Case(name, "white", "8", name) for name in FAULTS]
     return [
         Case(name, kind, sensors, changes=changes, as_given=name == _AS_GIVEN)
-        for kind in ("white", "realistic") for name, (sensors, changes) in _ABLATIONS.items()
-    ]  # fmt: skip
+        for kind in ("white", "realistic")
+        for name, (sensors, changes) in _ABLATIONS.items()
+    ]

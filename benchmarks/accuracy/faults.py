@@ -92,9 +92,7 @@ def _of_one_sensor(apply: Callable[[Recording, Generator], Recording], window: W
 FAULTS = {
     NOMINAL: Fault(lambda recording, rng: recording),
     "10 % outliers of 80 px": Fault(video.with_outliers),
-    "left arm and leg unseen for 1 s": Fault(
-        partial(video.with_unseen, names=LEFT_LIMBS), MIDDLE_SECOND, LEFT_LIMBS
-    ),
+    "left arm and leg unseen for 1 s": Fault(partial(video.with_unseen, names=LEFT_LIMBS), MIDDLE_SECOND, LEFT_LIMBS),
     "person out of the picture for 1 s": Fault(video.with_unseen, MIDDLE_SECOND, LIMBS),
     "left and right exchanged for 0.5 s": Fault(video.with_sides_exchanged, MIDDLE_HALF_SECOND, LIMBS),
     "left and right leg exchanged for 0.5 s": Fault(
@@ -113,9 +111,7 @@ FAULTS = {
         partial(streams.with_stopped_sensors, names=(streams.ONE,)), SECOND_AFTER_HALF
     ),
     "left forearm's sensor sticks halfway": _of_one_sensor(streams.with_stuck_sensor, SECOND_AFTER_HALF),
-    "left forearm's sensor slips by 30 deg halfway": _of_one_sensor(
-        streams.with_slipped_sensor, SECOND_AFTER_HALF
-    ),
+    "left forearm's sensor slips by 30 deg halfway": _of_one_sensor(streams.with_slipped_sensor, SECOND_AFTER_HALF),
     "left forearm's heading off by 40 deg for 1 s": _of_one_sensor(
         partial(streams.with_turned_heading, degrees=streams.magnet), MIDDLE_SECOND
     ),

@@ -33,9 +33,7 @@ class RowFile:
         whole = [s for s in self.path.read_text(encoding="utf-8").splitlines(True) if s[-1] == "\n"]
         lines = [json.loads(line) for line in whole]  # an interrupted last line is no line
         if lines and lines[0].get("version") != version:
-            raise RtofError(
-                f"{self.path}: prepared with other code, models or options; --restart throws it away"
-            )
+            raise RtofError(f"{self.path}: prepared with other code, models or options; --restart throws it away")
         self.rows = {line["job"]: line["rows"] for line in lines[1:]}
 
     def add(self, job: str, rows: list[Row]) -> None:

@@ -103,9 +103,7 @@ class Scene:
         inertial = "rtof" if self._job.table == "robustness" else "sf2"
         mode = "lift" if recording.imus is None else inertial
         settings = ReconstructionSettings(lift_with_sensors=case.lift_with_sensors)
-        result = reconstruct(
-            recording, mode=mode, lifter=lifter, settings=settings, calibrate=not case.as_given
-        )
+        result = reconstruct(recording, mode=mode, lifter=lifter, settings=settings, calibrate=not case.as_given)
         lifted = result.stages["lift"]
         ik = InertialGuidedIK(recording.skeleton)
         sf2 = result.stages.get("sf2") or ik.refine(lifted, None, lifted.R_world_bone)
@@ -113,9 +111,15 @@ class Scene:
         assert truth is not None
         assert result.keypoints is not None
         return Prepared(
-            recording, result.keypoints, lifted, sf2, result.bone_imus, at(truth, lifted.times),
-            result.solution, result.faults,
-        )  # fmt: skip
+            recording,
+            result.keypoints,
+            lifted,
+            sf2,
+            result.bone_imus,
+            at(truth, lifted.times),
+            result.solution,
+            result.faults,
+        )
 
     def _recorded(self, case: Case) -> Recording:
         """The recording of a case: of all sensors' recording those it has, with its fault."""
@@ -124,9 +128,7 @@ class Scene:
         names = SENSOR_SETS.get(case.sensors, ())
         assert recording.imus is not None
         imus = recording.imus.select(names) if names else None
-        rng = np.random.default_rng(
-            [job.seed, job.camera, zlib.crc32(f"{job.clip.name} {case.fault}".encode())]
-        )
+        rng = np.random.default_rng([job.seed, job.camera, zlib.crc32(f"{job.clip.name} {case.fault}".encode())])
         return FAULTS[case.fault].apply(replace(recording, imus=imus), rng)
 
     def _whole(self, kind: str) -> Recording:
@@ -194,9 +196,7 @@ def solved(prepared: Prepared, settings: JointSpaceSettings) -> tuple[PoseSequen
     """The joint-space solver's poses, and how it ended."""
     skeleton, solution = prepared.recording.skeleton, prepared.solution
     if solution is None:
-        solution = FragmentSolver(skeleton, 50, settings).solve(
-            prepared.sf2, prepared.keypoints, prepared.bone_imus
-        )
+        solution = FragmentSolver(skeleton, 50, settings).solve(prepared.sf2, prepared.keypoints, prepared.bone_imus)
     reports = solution.fragments
     facts = {
         "converged": float(np.mean([r.status is SolverStatus.CONVERGED for r in reports])),
@@ -224,9 +224,8 @@ def scored(estimate: PoseSequence, prepared: Prepared, fault: str) -> Row:
     }
     windows = FAULTS if fault == NOMINAL else {fault: FAULTS[fault]}
     row["phases"] = {
-        name: around(error_mm, estimate.times, one, skeleton)
-        for name, one in windows.items() if one.window is not None
-    }  # fmt: skip
+        name: around(error_mm, estimate.times, one, skeleton) for name, one in windows.items() if one.window is not None
+    }
     return row
 
 
@@ -250,6 +249,7 @@ def around(error: Array, times: Array, fault: Fault, skeleton: SkeletonModel) ->
     phases = (times < start), (times >= start) & (times < stop), (times >= stop)
     return [
         [int(phase.sum()), float(error[phase][:, own].mean()), float(error[phase].mean())]
-        if phase.any() else [0, 0.0, 0.0]
+        if phase.any()
+        else [0, 0.0, 0.0]
         for phase in phases
-    ]  # fmt: skip
+    ]

@@ -56,9 +56,7 @@ def without_sensor(recording: Recording, rng: Generator) -> Recording:
     return replace(recording, imus=imus.select([name for name in imus.names if name != ONE]))
 
 
-def with_stopped_sensors(
-    recording: Recording, rng: Generator, names: tuple[str, ...] | None = None
-) -> Recording:
+def with_stopped_sensors(recording: Recording, rng: Generator, names: tuple[str, ...] | None = None) -> Recording:
     """Some sensors, or all, that say nothing after half of the video."""
     imus = sensors(recording)
     stop, _ = bounds(recording.video.times, SECOND_AFTER_HALF)

@@ -45,10 +45,8 @@ def against_sf2(rows: Sequence[Row]) -> list[Row]:
         seconds = [
             (frames, after, before)
             for row, other in paired(solved, chosen(same, mode="sf2"))
-            for (frames, after), (_, before) in zip(
-                row["seconds_rr_mm"], other["seconds_rr_mm"], strict=True
-            )
-        ]  # fmt: skip
+            for (frames, after), (_, before) in zip(row["seconds_rr_mm"], other["seconds_rr_mm"], strict=True)
+        ]
         if not seconds:
             continue
         frames, after, before = np.array(seconds).T
@@ -60,7 +58,7 @@ def against_sf2(rows: Sequence[Row]) -> list[Row]:
                 "interval": harness.bootstrap(range(len(frames)), after - before, frames),
                 "stretches": len(frames),
             }
-        )  # fmt: skip
+        )
     return found
 
 
@@ -88,9 +86,13 @@ def sensors_tables(rows: Sequence[Row]) -> list[Table]:
             for mode in ("lift", "sf2", *(("rto",) if count == "0" else ("rtof, as given", "rtof"))):
                 lines.append((kind, count, mode, *_figures(chosen(same, mode=mode, sensors=count))))
     main = Table(
-        "sensors", "Sensors", ("2D", "sensors", "stage", *_HEADINGS), (0, 0, 0, *_DIGITS),
-        tuple(lines), (_POOLED, "sf2 of no sensors: the lifted pose with the right bone lengths."),
-    )  # fmt: skip
+        "sensors",
+        "Sensors",
+        ("2D", "sensors", "stage", *_HEADINGS),
+        (0, 0, 0, *_DIGITS),
+        tuple(lines),
+        (_POOLED, "sf2 of no sensors: the lifted pose with the right bone lengths."),
+    )
     return [main, *_check_tables(against_sf2(rows))]
 
 
@@ -103,12 +105,19 @@ def _check_tables(differences: Sequence[Row]) -> list[Table]:
         lines.append((kind, count, str(len(same)), str(len(worse)), str(len(beyond))))
     exceptions: list[tuple[Cell, ...]] = [
         (
-            d["keypoints"], d["sensors"], d["motion"], d["sf2"], d["solved"], d["difference"],
-            "{:.1f} to {:.1f}".format(*d["interval"]), str(d["stretches"]),
+            d["keypoints"],
+            d["sensors"],
+            d["motion"],
+            d["sf2"],
+            d["solved"],
+            d["difference"],
+            "{:.1f} to {:.1f}".format(*d["interval"]),
+            str(d["stretches"]),
             "yes" if d["interval"][0] > 0 else "no",
         )
-        for d in differences if d["difference"] > 0
-    ]  # fmt: skip
+        for d in differences
+        if d["difference"] > 0
+    ]
     note = (
         "Beyond: the whole 95 % interval of the difference in rr lies above 0. It is a bootstrap over "
         "the motion's second-long stretches of all cameras; those of one camera share its bias, so it "
@@ -116,18 +125,22 @@ def _check_tables(differences: Sequence[Row]) -> list[Table]:
     )
     return [
         Table(
-            "check", "Motions on which the solver is worse than SF2",
-            ("2D", "sensors", "motions", "worse", "worse beyond the interval"), (0,) * 5,
-            tuple(lines), (note,),
+            "check",
+            "Motions on which the solver is worse than SF2",
+            ("2D", "sensors", "motions", "worse", "worse beyond the interval"),
+            (0,) * 5,
+            tuple(lines),
+            (note,),
         ),
         Table(
-            "exceptions", "Every motion on which it is worse",
-            ("2D", "sensors", "motion", "sf2 rr mm", "solver rr mm", "difference", "95 %",
-             "stretches", "beyond"),
-            (0, 0, 0, 1, 1, 1, 0, 0, 0), tuple(exceptions),
+            "exceptions",
+            "Every motion on which it is worse",
+            ("2D", "sensors", "motion", "sf2 rr mm", "solver rr mm", "difference", "95 %", "stretches", "beyond"),
+            (0, 0, 0, 1, 1, 1, 0, 0, 0),
+            tuple(exceptions),
             () if exceptions else ("There is none.",),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _costs(rows: Sequence[Row], base: Sequence[Row], figures: Sequence[str]) -> list[Cell]:

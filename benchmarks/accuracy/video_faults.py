@@ -43,9 +43,7 @@ def with_unseen(recording: Recording, rng: Generator, names: Sequence[str] | Non
     )
 
 
-def with_sides_exchanged(
-    recording: Recording, rng: Generator, left: Sequence[str] | None = None
-) -> Recording:
+def with_sides_exchanged(recording: Recording, rng: Generator, left: Sequence[str] | None = None) -> Recording:
     """The landmarks of the left side, or some of them, exchanged with the right's for half a second."""
     keypoints = recording.video
     source = list(range(len(keypoints.names)))

@@ -33,13 +33,9 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 
-FIGURES = {
-    "mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "angle deg",
-}  # fmt: skip
+FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg", "angle_deg": "angle deg"}
 VALIDATION = ("131_01", "131_02", "131_03", "08_04", "08_11")
-SUBJECTS = {
-    "test": ("02", "09", "12", "14", "16"), "validation": ("131", "08"),
-}  # fmt: skip
+SUBJECTS = {"test": ("02", "09", "12", "14", "16"), "validation": ("131", "08")}
 Row = dict[str, Any]
 
 
@@ -72,9 +68,13 @@ def recorded(clip: MocapClip, camera: int, sensors: Sequence[str], known: bool) 
         )
     own = zlib.crc32(clip.name.encode())
     return simulate(
-        clip.poses, clip.joint_offsets, camera=standard_cameras(clip.poses, own)[camera],
-        settings=settings, seed=own + camera, name=clip.name,
-    )  # fmt: skip
+        clip.poses,
+        clip.joint_offsets,
+        camera=standard_cameras(clip.poses, own)[camera],
+        settings=settings,
+        seed=own + camera,
+        name=clip.name,
+    )
 
 
 @cache
@@ -92,22 +92,28 @@ def rows(clip: MocapClip, camera: int, count: str, lifter: str | None) -> list[R
         began = process_time()
         if case == "known":
             given = SelfCalibration(())  # nothing to put right
-        result = reconstruct(
-            recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given
-        )
+        result = reconstruct(recording, lifter=_lifter(lifter), calibrate=case == "calibrated", calibration=given)
         assert result.metrics is not None
-        out.append({
-            "motion": clip.name, "camera": camera, "sensors": count, "case": case,
-            "frames": len(recording.keypoints), "seconds": process_time() - began,
-            **{name: result.metrics[name] for name in FIGURES},
-        })  # fmt: skip
+        out.append(
+            {
+                "motion": clip.name,
+                "camera": camera,
+                "sensors": count,
+                "case": case,
+                "frames": len(recording.keypoints),
+                "seconds": process_time() - began,
+                **{name: result.metrics[name] for name in FIGURES},
+            }
+        )
     return out
 
 
 def table(found: Sequence[Row]) -> str:
     """Means over frames, as Markdown."""
-    lines = ["| motions | sensors | case | recordings | " + " | ".join(FIGURES.values()) + " |",
-             "|---|---|---|---|" + "---|" * len(FIGURES)]  # fmt: skip
+    lines = [
+        "| motions | sensors | case | recordings | " + " | ".join(FIGURES.values()) + " |",
+        "|---|---|---|---|" + "---|" * len(FIGURES),
+    ]
     for kind in dict.fromkeys(r["kind"] for r in found):
         for count in dict.fromkeys(r["sensors"] for r in found):
             for case in ("given", "calibrated", "known"):
@@ -123,9 +129,10 @@ def table(found: Sequence[Row]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration", description=__doc__,
+        prog="python -m benchmarks.calibration",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", default="test", choices=tuple(SUBJECTS))
     parser.add_argument("--kinds", default="clips,20", help="clips, or seconds of a session")

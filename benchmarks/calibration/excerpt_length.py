@@ -24,18 +24,7 @@ import numpy as np
 
 from benchmarks import harness
 from benchmarks.accuracy.row_file import RowFile, version_of
-from benchmarks.calibration.planted_rows import (
-    ALL,
-    BUT,
-    FIGURES,
-    PLAIN,
-    SESSIONS,
-    Job,
-    Row,
-    found,
-    recorded,
-    truths,
-)
+from benchmarks.calibration.planted_rows import ALL, BUT, FIGURES, PLAIN, SESSIONS, Job, Row, found, recorded, truths
 from benchmarks.calibration.planted_tables import numbers
 from benchmarks.calibration.sessions import joined
 from lifting.predict import Lifter
@@ -150,8 +139,11 @@ def report(found_rows: Sequence[Row]) -> str:
 
 def motion(recordings: Sequence[dict[float | None, Row]], settings: Sequence[float]) -> str:
     """Errors of joints and cost by setting, and the paired differences from the largest."""
-    lines = ["| seconds used | rr / abs mm, flexion deg | difference from the last row, ± its standard error "
-             "| worse in | CPU s |", "|---|---|---|---|---|"]  # fmt: skip
+    lines = [
+        "| seconds used | rr / abs mm, flexion deg | difference from the last row, ± its standard error "
+        "| worse in | CPU s |",
+        "|---|---|---|---|---|",
+    ]
     last = _values(recordings, settings[-1])
     for setting in (None, *settings):
         own = _values(recordings, setting)
@@ -173,8 +165,10 @@ def _values(recordings: Sequence[dict[float | None, Row]], setting: float | None
 def estimates(recordings: Sequence[dict[float | None, Row]], settings: Sequence[float]) -> str:
     """Errors in standard deviations of the prior and shares within two claimed, means over recordings, each
     with its paired difference from the largest setting."""
-    lines = ["| quantity | recordings | " + " | ".join(f"{s:g} s" for s in settings) + " |",
-             "|---|---|" + "---|" * len(settings)]  # fmt: skip
+    lines = [
+        "| quantity | recordings | " + " | ".join(f"{s:g} s" for s in settings) + " |",
+        "|---|---|" + "---|" * len(settings),
+    ]
     for name in dict.fromkeys(name for own in recordings for name in own[settings[0]]["found"]):
         some = [own for own in recordings if name in own[settings[0]]["found"]]
         made = {s: np.array([_quality(own[s], name) for own in some]) for s in settings}
@@ -203,9 +197,10 @@ def _with_error(values: Array) -> list[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.excerpt_length", description=__doc__,
+        prog="python -m benchmarks.calibration.excerpt_length",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     out = harness.HERE / "results" / "calibration_excerpt.jsonl"
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--settings", default="12.5,20,30,60", help="s of a recording that are used")

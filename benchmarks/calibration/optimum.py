@@ -93,9 +93,10 @@ def report(rows: list[Row]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.optimum", description=__doc__,
+        prog="python -m benchmarks.calibration.optimum",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))
     parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))

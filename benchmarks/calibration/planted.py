@@ -91,9 +91,7 @@ def _measured(seconds: float) -> Iterator[Job]:
         yield Job("measured", "", BUT + names, seconds=seconds)
 
 
-STUDIES = {
-    "planted": _planted, "harm": _harm, "length": _lengths, "large": _large, "measured": _measured
-}  # fmt: skip
+STUDIES = {"planted": _planted, "harm": _harm, "length": _lengths, "large": _large, "measured": _measured}
 """Errors at their usual size; next to none; recordings of several lengths; thrice the usual size; all
 errors but one that is measured."""
 
@@ -121,9 +119,10 @@ def measured(options: argparse.Namespace) -> list[Row]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.planted", description=__doc__,
+        prog="python -m benchmarks.calibration.planted",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     results = harness.HERE / "results"
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", default="test", choices=tuple(SESSIONS))

@@ -15,9 +15,11 @@ from benchmarks.calibration.planted_tables import STAGES, UNITS, chosen_lengths,
 from benchmarks.calibration.planting import ERRORS
 
 CASES = {
-    "alone x1": "#0072b2", "alone x1, floor known": "#e69f00", "all x1": "#c0392b",
+    "alone x1": "#0072b2",
+    "alone x1, floor known": "#e69f00",
+    "all x1": "#c0392b",
     "all x1, floor known": "#2e8b57",
-}  # fmt: skip
+}
 STYLES = {"before": ":", "after": "-", "known": "--"}
 _MOST = 60
 """Bars drawn in a panel of each case."""

@@ -136,9 +136,8 @@ def right(clip: MocapClip, job: Job) -> Recording:
     own = zlib.crc32(clip.name.encode())
     camera = standard_cameras(clip.poses, own)[job.camera]
     recording = simulate(
-        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own + job.camera,
-        name=clip.name,
-    )  # fmt: skip
+        clip.poses, clip.joint_offsets, camera=camera, settings=settings, seed=own + job.camera, name=clip.name
+    )
     return replace(recording, floor_height=0.0 if job.floor else None)
 
 
@@ -210,9 +209,7 @@ def found(calibration: SelfCalibration, known: Mapping[tuple[str, str], Array]) 
         truth = known[q.kind, q.item]
         for i in range(len(q.value)):
             error = _error(q.kind, q.item, i)
-            columns = out.setdefault(
-                error, {n: [] for n in ("item", "truth", "value", "sigma", "prior", "verdict")}
-            )
+            columns = out.setdefault(error, {n: [] for n in ("item", "truth", "value", "sigma", "prior", "verdict")})
             numbers = (truth[i], q.value[i], q.sigma[i], q.sigma_prior[i])
             for name, number in zip(("truth", "value", "sigma", "prior"), numbers, strict=True):
                 columns[name].append(float(f"{number:.4g}"))

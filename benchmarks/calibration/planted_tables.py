@@ -13,12 +13,19 @@ from rtof_kin.calibration.result import Verdict
 from rtof_kin.core.array_types import Array
 
 UNITS = {
-    "delay": (1e3, "ms"), "clock drift": (1e3, "ms/s"), "heading": (180 / np.pi, "deg"),
-    "heading drift": (60 * 180 / np.pi, "deg/min"), "mounting": (180 / np.pi, "deg"),
-    "lever arm": (1e3, "mm"), "size": (100.0, "%"), "proportions": (100.0, "%"),
-    "image bias": (1.0, "px"), "place": (1e3, "mm"), "focal length": (100.0, "%"),
+    "delay": (1e3, "ms"),
+    "clock drift": (1e3, "ms/s"),
+    "heading": (180 / np.pi, "deg"),
+    "heading drift": (60 * 180 / np.pi, "deg/min"),
+    "mounting": (180 / np.pi, "deg"),
+    "lever arm": (1e3, "mm"),
+    "size": (100.0, "%"),
+    "proportions": (100.0, "%"),
+    "image bias": (1.0, "px"),
+    "place": (1e3, "mm"),
+    "focal length": (100.0, "%"),
     "camera tilt": (180 / np.pi, "deg"),
-}  # fmt: skip
+}
 """Error -> factor and unit that people read."""
 STAGES = ("before", "after", "known")
 _HEADS = {"mpjpe_rr_mm": "rr", "mpjpe_mm": "abs", "flexion_deg": "flexion"}
@@ -108,8 +115,15 @@ def _recovered(rows: Sequence[Row], error: str) -> list[str] | None:
     return [unit, *sizes, within, verdicts, str(len(z))]
 
 
-_FOUND = ["unit", "planted rms", "left rms", "claimed", "within 1 / 2 sigma, %",
-          "observed / in doubt / weakly / prior, %", "numbers"]  # fmt: skip
+_FOUND = [
+    "unit",
+    "planted rms",
+    "left rms",
+    "claimed",
+    "within 1 / 2 sigma, %",
+    "observed / in doubt / weakly / prior, %",
+    "numbers",
+]
 
 
 def alone(rows: Sequence[Row]) -> str:

@@ -97,32 +97,23 @@ _BOTH = (-1.0, 1.0)
 ERRORS = {
     "delay": Error(0.033, "delay", _FIRST, _one("video", (1.0,)), _opening(sigma_delay=1)),
     "clock drift": Error(1e-3, "delay", _SECOND, _one("video", _BOTH), _opening(sigma_clock_drift=1)),
-    "heading": Error(
-        np.radians(10.0), "heading", _FIRST, _items(_sensors, 1), _opening(sigma_heading=1)
-    ),
-    "heading drift": Error(
-        np.radians(10.0) / 60, "heading", _SECOND, _items(_sensors, 1), _drifting
-    ),
-    "mounting": Error(
-        np.radians(6.0), "mounting", _ALL, _items(_sensors, 3), _opening(sigma_swing=1, sigma_twist=1)
-    ),
-    "lever arm": Error(
-        0.03, "lever arm", _ALL, _items(_sensors, 3), _opening(sigma_lever_arm=1)
-    ),
+    "heading": Error(np.radians(10.0), "heading", _FIRST, _items(_sensors, 1), _opening(sigma_heading=1)),
+    "heading drift": Error(np.radians(10.0) / 60, "heading", _SECOND, _items(_sensors, 1), _drifting),
+    "mounting": Error(np.radians(6.0), "mounting", _ALL, _items(_sensors, 3), _opening(sigma_swing=1, sigma_twist=1)),
+    "lever arm": Error(0.03, "lever arm", _ALL, _items(_sensors, 3), _opening(sigma_lever_arm=1)),
     "size": Error(0.03, "bones", _FIRST, _one("all", _BOTH), _opening(sigma_size=1)),
-    "proportions": Error(
-        0.03, "bones", _FIRST, _items(lambda recording: tuple(BONE_GROUPS), 1), _proportioned
-    ),
+    "proportions": Error(0.03, "bones", _FIRST, _items(lambda recording: tuple(BONE_GROUPS), 1), _proportioned),
     "image bias": Error(6.0, "image bias", _ALL, _biases, _opening(sigma_image_bias=1)),
     "place": Error(0.025, "place", _ALL, _items(_landmarks, 3), _opening(sigma_place=1)),
-    "focal length": Error(
-        0.02, "focal length", _ALL, _one("camera", _BOTH), _opening(sigma_focal=1)
-    ),
+    "focal length": Error(0.02, "focal length", _ALL, _one("camera", _BOTH), _opening(sigma_focal=1)),
     "camera tilt": Error(
-        np.radians(1.0), "camera tilt", _ALL,
-        lambda recording, rng: {"camera": rng.standard_normal(3)}, _opening(sigma_tilt=1),
+        np.radians(1.0),
+        "camera tilt",
+        _ALL,
+        lambda recording, rng: {"camera": rng.standard_normal(3)},
+        _opening(sigma_tilt=1),
     ),
-}  # fmt: skip
+}
 """Errors by name; the clock drift is that of a 59.94 Hz video stamped with 60 Hz."""
 USUAL = {"delay": 0.045, "mounting": np.radians(2.0), "image bias": 6.0}
 """Errors of every realistic recording, with their sizes."""
@@ -131,12 +122,9 @@ USUAL = {"delay": 0.045, "mounting": np.radians(2.0), "image bias": 6.0}
 def drawn(recording: Recording, sizes: Mapping[str, float], seed: int) -> Wrong:
     """Errors of the sizes asked for: the same draw whatever the size."""
     return {
-        name: {
-            item: sizes[name] * value
-            for item, value in ERRORS[name].draw(recording, _stream(name, seed)).items()
-        }
+        name: {item: sizes[name] * value for item, value in ERRORS[name].draw(recording, _stream(name, seed)).items()}
         for name in sizes
-    }  # fmt: skip
+    }
 
 
 def _stream(name: str, seed: int) -> Generator:
@@ -147,11 +135,16 @@ def unknowns(recording: Recording, wrong: Wrong) -> dict[tuple[str, str], Array]
     """Kind and item of every unknown that a calibration may have -> its truth, zeros included."""
     sensors, landmarks = _sensors(recording), _landmarks(recording)
     items = {
-        "delay": (("video",), 2), "heading": (sensors, 2), "mounting": (sensors, 3),
-        "lever arm": (sensors, 3), "bones": (("all", *BONE_GROUPS), 1),
-        "image bias": (landmarks, 2), "place": (landmarks, 3), "focal length": (("camera",), 1),
+        "delay": (("video",), 2),
+        "heading": (sensors, 2),
+        "mounting": (sensors, 3),
+        "lever arm": (sensors, 3),
+        "bones": (("all", *BONE_GROUPS), 1),
+        "image bias": (landmarks, 2),
+        "place": (landmarks, 3),
+        "focal length": (("camera",), 1),
         "camera tilt": (("camera",), 3),
-    }  # fmt: skip
+    }
     found = {(kind, item): np.zeros(w) for kind, (names, w) in items.items() for item in names}
     for name, values in wrong.items():
         error = ERRORS[name]
@@ -205,9 +198,11 @@ def _with_other_camera(recording: Recording, y: Mapping[tuple[str, str], Array])
     K = seen.camera.K.copy()
     K[:2, :2] /= 1 + y["focal length", "camera"][0]
     camera = replace(
-        seen.camera, K=K, R_camera_world=turn @ seen.camera.R_camera_world,
+        seen.camera,
+        K=K,
+        R_camera_world=turn @ seen.camera.R_camera_world,
         t_camera_world=turn @ seen.camera.t_camera_world,
-    )  # fmt: skip
+    )
     return replace(recording, keypoints=replace(seen, camera=camera))
 
 

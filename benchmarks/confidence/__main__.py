@@ -44,16 +44,14 @@ Recorded = tuple[MocapClip, int, str, str]
 def collected(options: argparse.Namespace, recordings: Sequence[Recorded]) -> list[Case]:
     """The recordings, reconstructed."""
     return [
-        reconstructed(*one, options.seed, options.calibrate, options.lifter)
-        for one in track(recordings, "recordings")
+        reconstructed(*one, options.seed, options.calibrate, options.lifter) for one in track(recordings, "recordings")
     ]
 
 
 def fitted_on(corpus: Path) -> list[Recorded]:
     """What the inflation is fitted on."""
     return [
-        (clip, camera, "realistic", count)
-        for clip, camera, count in motions.recordings(motions.clips(corpus), SENSORS)
+        (clip, camera, "realistic", count) for clip, camera, count in motions.recordings(motions.clips(corpus), SENSORS)
     ]
 
 
@@ -72,8 +70,10 @@ def study(options: argparse.Namespace) -> None:
     recordings = [
         (clip, (i + k) % 4, *kind)  # the cameras take turns
         for i, clip in enumerate(harness.test_clips(options.corpus))
-        for k in range(options.cameras) for kind in KINDS if kind[0] in options.keypoints.split(",")
-    ]  # fmt: skip
+        for k in range(options.cameras)
+        for kind in KINDS
+        if kind[0] in options.keypoints.split(",")
+    ]
     cases = collected(options, recordings)
     how = f"The benchmark's motions, {options.cameras} of 4 cameras each, `calibrate={options.calibrate}`."
     write(cases, options.out, how)
@@ -108,14 +108,13 @@ def _rounded(value: Any) -> Any:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.confidence", description=__doc__,
+        prog="python -m benchmarks.confidence",
+        description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="fit the inflation that ships")
-    parser.add_argument(
-        "--calibrated", dest="calibrate", action="store_true", help="calibrate recordings first"
-    )
+    parser.add_argument("--calibrated", dest="calibrate", action="store_true", help="calibrate recordings first")
     parser.add_argument("--cameras", type=int, default=4, choices=range(1, 5))
     parser.add_argument("--keypoints", default="realistic,white,perfect", help="kinds of 2D")
     parser.add_argument("--seed", type=int, default=0)

@@ -21,11 +21,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import (
-    CovarianceInflation,
-    ResidualStatistics,
-    outer_squares,
-)
+from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, ResidualStatistics, outer_squares
 from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
 
@@ -83,16 +79,14 @@ class Errors:
 
 
 def reconstructed(
-    clip: MocapClip, camera: int, keypoints: str, sensors: str, seed: int, calibrate: bool,
-    lifter: str | None = None,
-) -> Case:  # fmt: skip
+    clip: MocapClip, camera: int, keypoints: str, sensors: str, seed: int, calibrate: bool, lifter: str | None = None
+) -> Case:
     """One motion seen by one camera."""
     own = harness.SENSOR_SETS.get(sensors, ())
     recording = harness.recorded(clip, camera, keypoints, own, seed)
     result = reconstruct(
-        recording, mode="rtof" if own else "rto", lifter=_lifter(lifter),
-        calibrate=calibrate and bool(own),
-    )  # fmt: skip
+        recording, mode="rtof" if own else "rto", lifter=_lifter(lifter), calibrate=calibrate and bool(own)
+    )
     return case_of(result, clip, camera, keypoints, sensors)
 
 
@@ -110,10 +104,7 @@ def case_of(result: Reconstruction, clip: MocapClip, camera: int, keypoints: str
     apart = disagreement(result.motion.poses, start, solution.confidence.pairs)[::EVERY]
     p_camera_joint = motion.poses.p_world_joint - result.keypoints.camera.center_world
     true = at_times(truth, motion.times)
-    return Case(
-        f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint,
-        clip.rig,
-    )  # fmt: skip
+    return Case(f"{clip.name}/{camera}", keypoints, sensors, stated, motion, true, apart, p_camera_joint, clip.rig)
 
 
 @cache

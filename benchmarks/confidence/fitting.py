@@ -85,9 +85,8 @@ def _sample(kind: str, both: Errors, lasting: float, doubt: float) -> _Sample:
         along = [np.einsum("nij,nik,nkj->nj", axes, part, axes) for part in shared]
     shape = error.shape
     return _Sample(
-        error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt),
-        np.stack(along, axis=-1),
-    )  # fmt: skip
+        error, np.maximum(variance, 0.0), np.full(shape, lasting), np.full(shape, doubt), np.stack(along, axis=-1)
+    )
 
 
 def _joined(own: Sequence[_Sample]) -> list[Array]:
@@ -108,19 +107,26 @@ def _fitted(kind: str, own: Sequence[_Sample], common: Array) -> Widening:
     axes = [slice(i, i + 1) for i in range(3)] if kind == "turn" else [slice(None)]
     found = [
         sharpest(
-            *(value[:, axis].ravel() for value in values), least=_LEAST[kind],
+            *(value[:, axis].ravel() for value in values),
+            least=_LEAST[kind],
             more=(shared[:, axis] @ common**2).ravel(),
         )
         for axis in axes
-    ]  # fmt: skip
+    ]
     factor, floor = np.transpose(found)
     return Widening(factor, floor) if kind == "turn" else Widening(factor[0], floor[0])
 
 
 def sharpest(
-    error: Array, variance: Array, lasting: Array, doubt: Array, *, least: float,
-    shared: Array | None = None, more: Array | float = 0.0,
-) -> Array:  # fmt: skip
+    error: Array,
+    variance: Array,
+    lasting: Array,
+    doubt: Array,
+    *,
+    least: float,
+    shared: Array | None = None,
+    more: Array | float = 0.0,
+) -> Array:
     """Fit the factor k >= 1, the floor b >= least and the factors a of `shared` of normal errors (n,).
 
     The variance is ``K^2 variance + B^2 + a^2 shared + more``, see

@@ -20,9 +20,7 @@ from rtof_kin.simulation.mocap import MocapClip
 FITTED_ON = {
     "CMU001": {"01_01": 2, "01_05": 2, "01_14[0:1516]": 2},
     "CMU003": {"03_01": 1},
-    "CMU005": {
-        "05_02[0:657]": 1, "05_04[0:684]": 1, "05_09[0:734]": 1, "05_12": 1, "gs_pirouette[280:591]": 1,
-    },
+    "CMU005": {"05_02[0:657]": 1, "05_04[0:684]": 1, "05_09[0:734]": 1, "05_12": 1, "gs_pirouette[280:591]": 1},
     "CMU006": {"06_01": 1, "06_05": 1, "06_07": 1, "06_10": 1, "06_13": 2},
     "CMU007": {"07_01": 1, "07_04": 1},
     "CMU010": {"10_04": 1},
@@ -35,7 +33,7 @@ FITTED_ON = {
     "CMU055": {"55_04": 1, "gs_lambada": 3},
     "CMU (renamed by repo: zombie)": {"gs_zombie": 2},
     "CMU (indian dance, 94?)": {"indian_06": 3},
-}  # fmt: skip
+}
 """Motions by subject, with the number of parts each is cut into."""
 SECONDS = (2.0, 10.0)
 """Shortest and longest recording, where the motion is that long."""

@@ -45,8 +45,7 @@ def _by_kind(case: Case, inflation: CovarianceInflation) -> dict[str, tuple[Arra
         sigma = np.sqrt(np.diagonal(both.covariance, axis1=1, axis2=2))
         parts[kind].append((both.error, sigma))
     return {
-        kind: (np.concatenate([e for e, _ in own]), np.concatenate([s for _, s in own]))
-        for kind, own in parts.items()
+        kind: (np.concatenate([e for e, _ in own]), np.concatenate([s for _, s in own])) for kind, own in parts.items()
     }
 
 

@@ -80,8 +80,7 @@ def _measured(kind: str, own: _Collected) -> Row:
         "width": float(scale * width),
         "ratio": float(width / rms),
         "coverage": {
-            f"{share:g}": float(np.mean(np.abs(error) <= norm.ppf((1 + share) / 2) * sigma))
-            for share in NOMINAL
+            f"{share:g}": float(np.mean(np.abs(error) <= norm.ppf((1 + share) / 2) * sigma)) for share in NOMINAL
         },
         "interval": interval,
     }

@@ -6,11 +6,7 @@ from collections.abc import Sequence
 
 from benchmarks.confidence.study import COVERED, WIDEST, Row, honest
 
-TITLES = {
-    "position": "Positions in world",
-    "relative": "Positions relative to the root",
-    "angle": "Clinical angles",
-}
+TITLES = {"position": "Positions in world", "relative": "Positions relative to the root", "angle": "Clinical angles"}
 
 
 def report(found: Sequence[Row], how: str) -> str:

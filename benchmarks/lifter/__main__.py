@@ -73,9 +73,7 @@ def write(out: Path, tables: Sequence[Table], facts: Row, rows: Sequence[Row]) -
 def _rounded(value: Any) -> Any:
     """The same as JSON has it: six significant digits are plenty, and what is not finite is nothing."""
     return json.loads(
-        json.dumps(value),
-        parse_float=lambda text: float(f"{float(text):.6g}"),
-        parse_constant=lambda text: None,
+        json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"), parse_constant=lambda text: None
     )
 
 
@@ -91,9 +89,10 @@ def main(arguments: list[str] | None = None) -> int:
             raise RtofError(f"no motion {', '.join(unknown)}; there are {', '.join(known)}")
         work = [
             Job(clip, placement, options.seed, lifters)
-            for clip in motions if not options.motions or clip.name in options.motions
+            for clip in motions
+            if not options.motions or clip.name in options.motions
             for placement in PLACEMENTS
-        ]  # fmt: skip
+        ]
         out = options.out / ("lifter" + _suffix(options))
         digests = {name: load(path).sha256 for name, path in zip(names, lifters, strict=True)}
         version = version_of(_sources(), [job.key for job in work], options.seed, digests)
@@ -107,8 +106,11 @@ def main(arguments: list[str] | None = None) -> int:
         sys.exit(f"error: {error}")
     facts = {
         "command": _command(options, names),
-        "version": version, "seed": options.seed, "subset": options.subset, "lifters": digests,
-    }  # fmt: skip
+        "version": version,
+        "seed": options.seed,
+        "subset": options.subset,
+        "lifters": digests,
+    }
     print(write(out, tables, facts, rows))
     kept.path.unlink()
     return 0
@@ -141,20 +143,13 @@ def _sources() -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.lifter", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.lifter", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
-    parser.add_argument(
-        "--lifter", nargs="+", metavar="FILE", help="checkpoints; the shipped one where not given"
-    )
-    parser.add_argument(
-        "--curves", nargs="+", type=Path, default=[], metavar="FILE", help="further .curves.json files"
-    )
+    parser.add_argument("--lifter", nargs="+", metavar="FILE", help="checkpoints; the shipped one where not given")
+    parser.add_argument("--curves", nargs="+", type=Path, default=[], metavar="FILE", help="further .curves.json files")
     parser.add_argument("--subset", default="test", choices=("test", "validation"))
-    parser.add_argument(
-        "--motions", default=[], type=lambda text: text.split(","), help="only these, by commas"
-    )
+    parser.add_argument("--motions", default=[], type=lambda text: text.split(","), help="only these, by commas")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1), choices=(1, 2))
     parser.add_argument("--restart", action="store_true", help="throw away rows of a run cut short")

@@ -75,10 +75,13 @@ def _placements(ax: Axes, rows: Sequence[Row], key: str) -> None:
         same = chosen(rows, lifter=name, sensors=count)
         means = [pooled(chosen(same, placement=place), key) or np.nan for place in places]
         ax.bar(
-            at + (i - (len(ways) - 1) / 2) * width, means, 0.9 * width,
-            color=COLORS[lifters.index(name) % len(COLORS)], label=f"{name}, {WORN[count]}",
+            at + (i - (len(ways) - 1) / 2) * width,
+            means,
+            0.9 * width,
+            color=COLORS[lifters.index(name) % len(COLORS)],
+            label=f"{name}, {WORN[count]}",
             alpha=1 - 0.7 * counts.index(count) / len(counts),
-        )  # fmt: skip
+        )
     ax.set_xticks(at, places)
     ax.set_xlabel("camera, realistic 2D")
     ax.grid(True, axis="y", alpha=0.3)
@@ -95,9 +98,11 @@ def _windows(ax: Axes, trainings: Sequence[tuple[str, dict[str, Any]]], key: str
             ax.plot(
                 [row["windows"] for row in history],
                 [row["validation"].get(kind, {}).get(key, np.nan) for row in history],
-                style, color=COLORS[names.index(what) % len(COLORS)], lw=1,
+                style,
+                color=COLORS[names.index(what) % len(COLORS)],
+                lw=1,
                 label=None if label in labels else label,
-            )  # fmt: skip
+            )
             labels.add(label)
     windows_axis(ax, "windows seen in training")
     ax.set_yscale("log")

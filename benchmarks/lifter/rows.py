@@ -134,9 +134,8 @@ def scored(lifted: LiftedPoses, recording: Recording) -> Row:
     R = np.where(np.isfinite(lifted.R_world_bone), lifted.R_world_bone, R)
     row |= torso_figures(R, truth, known)
     return row | calibration_figures(
-        p, lifted.R_world_bone, lifted.sigma_m, lifted.sigma_rad, truth,
-        recording.keypoints.camera.center_world,
-    )  # fmt: skip
+        p, lifted.R_world_bone, lifted.sigma_m, lifted.sigma_rad, truth, recording.keypoints.camera.center_world
+    )
 
 
 def _still(recording: Recording) -> Row:

@@ -91,11 +91,13 @@ def overall(rows: Sequence[Row]) -> Table:
         means = (pooled(same, name) for name in figures)
         lines.append((*_label(way), *means, f"{low:.1f}-{high:.1f}", seen))
     return Table(
-        "overall", "In all",
+        "overall",
+        "In all",
         ("2D", "lifter", "given", "rr mm", "abs mm", "MPJAE m/s2", "MPJJE m/s3", "rr 95 %", "seen %"),
-        (0, 0, 0, 1, 1, 2, 0, 0, 0), tuple(lines),
+        (0, 0, 0, 1, 1, 2, 0, 0, 0),
+        tuple(lines),
         (_POOLED, "Raw output of the lifter, not filtered; intervals are 95 % bootstraps over motions."),
-    )  # fmt: skip
+    )
 
 
 def torso(rows: Sequence[Row]) -> Table:
@@ -117,12 +119,16 @@ def by(field: str, title: str) -> Callable[[Sequence[Row]], Table]:
     def table(rows: Sequence[Row]) -> Table:
         found = values(rows, field)
         lines = [
-            (*_label(way), *(
-                pooled(chosen(_of(rows, way), **{field: value}), figure)
-                for value in found for figure in ERRORS.values()
-            ))
+            (
+                *_label(way),
+                *(
+                    pooled(chosen(_of(rows, way), **{field: value}), figure)
+                    for value in found
+                    for figure in ERRORS.values()
+                ),
+            )
             for way in _ways(rows)
-        ]  # fmt: skip
+        ]
         columns = ("2D", "lifter", "given", *(f"{v}: {e} mm" for v in found for e in ERRORS))
         digits = (0, 0, 0, *[1] * (len(columns) - 3))
         return Table(field, title, columns, digits, tuple(lines))
@@ -163,14 +169,16 @@ def calibration(rows: Sequence[Row]) -> Table:
 
 
 TABLES: tuple[Callable[[Sequence[Row]], Table], ...] = (
-    overall, by("placement", "By placement"), by("category", "By action"), torso, calibration, joints,
-)  # fmt: skip
+    overall,
+    by("placement", "By placement"),
+    by("category", "By action"),
+    torso,
+    calibration,
+    joints,
+)
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
     """A line for every way that ended with an error."""
     about = "motion", "placement", "keypoints", "lifter", "sensors"
-    return [
-        f"FAILED: {', '.join(row[name] for name in about)}: {row['error']}"
-        for row in rows if "error" in row
-    ]  # fmt: skip
+    return [f"FAILED: {', '.join(row[name] for name in about)}: {row['error']}" for row in rows if "error" in row]

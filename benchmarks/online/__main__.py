@@ -58,9 +58,8 @@ def _rounded(value: Any) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.online", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("study", choices=tuple(STUDIES))
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", choices=("test", "validation"), default="test", help="of accuracy")
@@ -73,8 +72,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--confidence", action="store_true", help="covariances too")
     parser.add_argument("--goals", action="store_true", help="of accuracy, only the lags with a goal")
     parser.add_argument("--keep", type=Path, help="folder for the poses of accuracy")
-    parser.add_argument("--work", type=Path, default=Path(gettempdir()) / "rtof_kin_online",
-                        help="folder of batch reconstructions, which are made once")  # fmt: skip
+    parser.add_argument(
+        "--work",
+        type=Path,
+        default=Path(gettempdir()) / "rtof_kin_online",
+        help="folder of batch reconstructions, which are made once",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, help="JSON to write; tables and figure beside it")

@@ -36,11 +36,10 @@ from rtof_kin.protocols.tables import Cell, Table
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8, 1.0)
 """[s]"""
 ONLINE, WINDOW, BATCH, CAUSAL = "online", "window of 1 s", "batch", "causal SF2"
-COLUMNS = {name: harness.COLUMNS[name] for name in (
-    "mpjpe_rr_mm", "mpjpe_mm", "flexion_deg", "hips_deg", "trunk_deg", "angle_deg", "mpjae"
-)} | {
-    "started_rr_mm": ("rr mm from 1 s on", 1), "root_mm": ("root mm", 1), "depth_mm": ("root depth mm", 1),
-}  # fmt: skip
+COLUMNS = {
+    name: harness.COLUMNS[name]
+    for name in ("mpjpe_rr_mm", "mpjpe_mm", "flexion_deg", "hips_deg", "trunk_deg", "angle_deg", "mpjae")
+} | {"started_rr_mm": ("rr mm from 1 s on", 1), "root_mm": ("root mm", 1), "depth_mm": ("root depth mm", 1)}
 BANDS = ("inside_relative", "inside_world")
 GOALS = {0.0: 15.0, 0.25: 5.0}
 """By lag, s: most per cent above batch."""
@@ -88,10 +87,12 @@ def measured(job: Job, lags: Sequence[float], confidence: bool, keep: Path | Non
         _keep(keep / f"{job.key}.npz", poses, truth)
     eye = recording.video.camera.center_world
     return [
-        job.about | {"estimate": name, "lag": lag, "frames": len(one)}
-        | figures(one, truth, skeleton, stated.get((name, lag))) | root_figures(one, truth, eye)
+        job.about
+        | {"estimate": name, "lag": lag, "frames": len(one)}
+        | figures(one, truth, skeleton, stated.get((name, lag)))
+        | root_figures(one, truth, eye)
         for (name, lag), one in poses.items()
-    ]  # fmt: skip
+    ]
 
 
 def _keep(path: Path, poses: dict[tuple[str, float], PoseSequence], truth: PoseSequence) -> None:
@@ -149,13 +150,14 @@ def _estimates(rows: Iterable[dict[str, Any]]) -> list[tuple[str, float]]:
     return sorted({(r["estimate"], r["lag"]) for r in rows}, key=lambda k: (order.index(k[0]), k[1]))
 
 
-def paired(
-    rows: Sequence[dict[str, Any]], sensors: str, lag: float, figure: str
-) -> tuple[list[str], Any, Any]:
+def paired(rows: Sequence[dict[str, Any]], sensors: str, lag: float, figure: str) -> tuple[list[str], Any, Any]:
     """Motions, online by batch, and the batch's weight (frames x error) of recordings of both."""
     own = {(r["estimate"], r["motion"], r["camera"], r["lag"]): r for r in rows if r["sensors"] == sensors}
-    both = [(r, own[BATCH, name, camera, 0.0]) for (estimate, name, camera, at), r in own.items()
-            if estimate == ONLINE and at == lag]  # fmt: skip
+    both = [
+        (r, own[BATCH, name, camera, 0.0])
+        for (estimate, name, camera, at), r in own.items()
+        if estimate == ONLINE and at == lag
+    ]
     ratio = np.array([online[figure] / whole[figure] for online, whole in both])
     weight = np.array([whole["frames"] * whole[figure] for _, whole in both])
     return [online["motion"] for online, _ in both], ratio, weight
@@ -172,10 +174,28 @@ def _ratios(rows: Sequence[dict[str, Any]]) -> Table:
                 by_motion = [np.mean(excess[np.array(names) == name]) for name in dict.fromkeys(names)]
                 own = float(np.average(excess, weights=weight))
                 goal = f"{most:g}" if figure == "mpjpe_rr_mm" else "-"
-                found.append((sensors, f"{lag:g}", heading, own, f"{low:.1f}-{high:.1f}",
-                              float(np.mean(by_motion)), float(np.max(by_motion)), goal))  # fmt: skip
-    columns = ("IMUs", "lag s", "error", "above batch %, pooled", "95 %", "mean of motions %",
-               "worst motion %", "goal %")  # fmt: skip
+                found.append(
+                    (
+                        sensors,
+                        f"{lag:g}",
+                        heading,
+                        own,
+                        f"{low:.1f}-{high:.1f}",
+                        float(np.mean(by_motion)),
+                        float(np.max(by_motion)),
+                        goal,
+                    )
+                )
+    columns = (
+        "IMUs",
+        "lag s",
+        "error",
+        "above batch %, pooled",
+        "95 %",
+        "mean of motions %",
+        "worst motion %",
+        "goal %",
+    )
     notes = ("Intervals are 95 % bootstraps over motions.",)
     return Table("ratios", "Online above batch", columns, (0, 0, 0, 1, 0, 1, 1, 0), tuple(found), notes)
 

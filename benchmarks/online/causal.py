@@ -25,18 +25,18 @@ class NewestLift:
         self.name = f"{self._lifter.name}, newest frames"
 
     def predict(
-        self, keypoints: KeypointSequence, joint_offsets: Array | None = None, *,
-        bone_imus: BoneImuSequence | None = None, floor_height: float | None = None,
-    ) -> LiftedPoses:  # fmt: skip
+        self,
+        keypoints: KeypointSequence,
+        joint_offsets: Array | None = None,
+        *,
+        bone_imus: BoneImuSequence | None = None,
+        floor_height: float | None = None,
+    ) -> LiftedPoses:
         """Poses of every frame from the frames up to it; without one, those of the frame before."""
-        stream = StreamingLifter(
-            self._lifter, keypoints.camera, joint_offsets, floor_height, names=keypoints.names
-        )
+        stream = StreamingLifter(self._lifter, keypoints.camera, joint_offsets, floor_height, names=keypoints.names)
         found: list[StreamedPose | None] = []
         for t, time in enumerate(keypoints.times.tolist()):
-            sensed = {} if bone_imus is None else dict(
-                zip(bone_imus.joints, bone_imus.R_world_bone[t], strict=True)
-            )  # fmt: skip
+            sensed = {} if bone_imus is None else dict(zip(bone_imus.joints, bone_imus.R_world_bone[t], strict=True))
             found += stream.push(time, keypoints.uv_px[t], keypoints.confidence[t], sensed)
         return _joined(found, keypoints.times, self._lifter.names)
 

@@ -79,8 +79,10 @@ def jobs(options: Namespace) -> list[Job]:
     clips = [replace(clip, poses=clip.poses[:most]) for clip in clips]
     return [
         Job(clip, (i + camera) % 4, sensors, options.seed)
-        for i, clip in enumerate(clips) for sensors in options.sensors for camera in range(options.cameras)
-    ]  # fmt: skip
+        for i, clip in enumerate(clips)
+        for sensors in options.sensors
+        for camera in range(options.cameras)
+    ]
 
 
 def measured(job: Job) -> list[dict[str, Any]]:
@@ -98,8 +100,9 @@ def measured(job: Job) -> list[dict[str, Any]]:
         if off == max(OFF):
             inertial = _from_sensors(recording, loss, loss + off)
             for name, poses in {CAMERA: usual, OFFLINE: without, IMU: inertial}.items():
-                rows += [about | {"kind": "since", "estimate": name} | one
-                         for one in since_loss(poses, recording, loss)]  # fmt: skip
+                rows += [
+                    about | {"kind": "since", "estimate": name} | one for one in since_loss(poses, recording, loss)
+                ]
     return rows + _late(job, recording, usual)
 
 
@@ -115,9 +118,11 @@ def _from_sensors(recording: Recording, start: float, stop: float) -> PoseSequen
     assert imus is not None
     first, last = np.searchsorted(imus.times, [start, stop])
     cut = replace(
-        imus, times=imus.times[first:last], R_inertial_sensor=imus.R_inertial_sensor[first:last],
+        imus,
+        times=imus.times[first:last],
+        R_inertial_sensor=imus.R_inertial_sensor[first:last],
         f_sensor=imus.f_sensor[first:last],
-    )  # fmt: skip
+    )
     poses = reconstruct(replace(recording, keypoints=None, imus=cut), mode="imu").motion.poses
     return comparable(poses, truth_of(recording), "imu")
 
@@ -173,10 +178,18 @@ def _late(job: Job, recording: Recording, usual: PoseSequence) -> list[dict[str,
     for (late, told), poses in found.items():
         metrics = evaluate(poses, truth_of(recording), recording.skeleton)
         own_figures = {name: metrics[f"mpjpe_{name}"] for name in ("rr_mm", "mm")}
-        rows.append(job.about | {
-            "kind": "late", "late": late, "told": told, "frames": len(poses),
-            "rr_mm": own_figures["rr_mm"], "abs_mm": own_figures["mm"], "mpjae": metrics["mpjae"],
-        })  # fmt: skip
+        rows.append(
+            job.about
+            | {
+                "kind": "late",
+                "late": late,
+                "told": told,
+                "frames": len(poses),
+                "rr_mm": own_figures["rr_mm"],
+                "abs_mm": own_figures["mm"],
+                "mpjae": metrics["mpjae"],
+            }
+        )
     return rows
 
 
@@ -216,10 +229,11 @@ def _since(rows: Sequence[dict[str, Any]]) -> Table:
                     for figure in ("rr_mm", "abs_mm", "drift_mm")
                     for name in (CAMERA, OFFLINE, IMU)
                 ]
-                lines.append((sensors, f"{low:g} to {high:g}", *cells))  # fmt: skip
+                lines.append((sensors, f"{low:g} to {high:g}", *cells))
     columns: tuple[str, ...] = ("IMUs", "s since the loss")
-    columns += tuple(f"{figure} mm: {name}" for figure in ("rr", "abs", "root drift")
-                     for name in ("camera", "online", "imu"))  # fmt: skip
+    columns += tuple(
+        f"{figure} mm: {name}" for figure in ("rr", "abs", "root drift") for name in ("camera", "online", "imu")
+    )
     notes = (
         "camera: the estimator with its camera; online: without since the loss; imu: mode imu of all samples "
         "from the loss on, the first frame at the truth. Root drift: error since the loss. Lag 0.",
@@ -238,8 +252,9 @@ def _recovery(rows: Sequence[dict[str, Any]]) -> Table:
                 spread = np.percentile(known, [50, 90, 100]).tolist() if len(known) else [None] * 3
                 lines.append((sensors, off, float(len(took)), *spread, float(np.isnan(took).sum())))
     columns = ("IMUs", "off s", "recordings", "median s", "90 % s", "longest s", "not to the end")
-    notes = (f"Until poses stay within {1e3 * RECOVERED:g} mm of those with a camera (mean of joints over "
-             f"{STEADY:g} s).",)  # fmt: skip
+    notes = (
+        f"Until poses stay within {1e3 * RECOVERED:g} mm of those with a camera (mean of joints over {STEADY:g} s).",
+    )
     return Table("recovery", "After the camera is back", columns, (0, 0, 0, 2, 2, 2, 0), tuple(lines), notes)
 
 
@@ -252,6 +267,8 @@ def _late_table(rows: Sequence[dict[str, Any]]) -> Table:
             figures = [_mean(own, figure) for figure in ("rr_mm", "abs_mm", "mpjae")]
             lines.append((sensors, 1e3 * late, told, *figures))
     columns = ("IMUs", "video late ms", "told", "rr mm", "abs mm", "MPJAE m/s2")
-    notes = ("Of the newest pose on the sensors' clock; the detector's own delay, 17 to 50 ms, comes on top "
-             "and is never told.",)  # fmt: skip
+    notes = (
+        "Of the newest pose on the sensors' clock; the detector's own delay, 17 to 50 ms, comes on top "
+        "and is never told.",
+    )
     return Table("late", "Late video", columns, (0, 0, 0, 1, 1, 2), tuple(lines), notes)

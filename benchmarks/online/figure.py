@@ -55,8 +55,7 @@ def _curve(ax: Any, rows: Sequence[dict[str, Any]], name: str, sensors: str) -> 
         ax.plot([lag, lag], [low, high], color=color, lw=0.8, alpha=0.5)
         goal = batch * (1 + most / 100)
         ax.plot([lag], [goal], "_", ms=16, mew=2, color=color)
-        ax.annotate(f"+{most:g} %", (lag, goal), xytext=(9, -3), textcoords="offset points", color=color,
-                    fontsize=7)  # fmt: skip
+        ax.annotate(f"+{most:g} %", (lag, goal), xytext=(9, -3), textcoords="offset points", color=color, fontsize=7)
 
 
 def _mean(rows: Sequence[dict[str, Any]], estimate: str, lag: float, name: str) -> float:

@@ -51,10 +51,14 @@ class Job:
         """What its rows have in common."""
         held_out = self.clip.rig in harness.split()["benchmark"]["rigs"]
         return {
-            "motion": self.clip.name, "rig": self.clip.rig, "subject": self.clip.subject,
-            "held out": "rigs" if held_out else "people", "category": self.clip.category,
-            "camera": self.camera, "sensors": self.sensors,
-        }  # fmt: skip
+            "motion": self.clip.name,
+            "rig": self.clip.rig,
+            "subject": self.clip.subject,
+            "held out": "rigs" if held_out else "people",
+            "category": self.clip.category,
+            "camera": self.camera,
+            "sensors": self.sensors,
+        }
 
     def recorded(self) -> Recording:
         """The harness's recording."""
@@ -73,8 +77,10 @@ def jobs(options: Namespace) -> list[Job]:
         motions = [harness.middle(clip, options.seconds) for clip in motions]
     return [
         Job(clip, (camera + i) % 4, sensors, options.seed, str(options.work))
-        for i, clip in enumerate(motions) for sensors in options.sensors for camera in range(options.cameras)
-    ]  # fmt: skip
+        for i, clip in enumerate(motions)
+        for sensors in options.sensors
+        for camera in range(options.cameras)
+    ]
 
 
 def batch(job: Job, recording: Recording) -> MotionSequence:

@@ -22,9 +22,15 @@ MakeEstimator = Callable[..., Any]
 """`OnlineEstimator` or what has its interface: (setup, landmarks, settings)."""
 
 _FIELDS = (
-    "times", "p_world_joint", "R_world_bone", "provenance", "valid", "sigma_rad", "orientation_observed",
+    "times",
+    "p_world_joint",
+    "R_world_bone",
+    "provenance",
+    "valid",
+    "sigma_rad",
+    "orientation_observed",
     "direction_observed",
-)  # fmt: skip
+)
 """Arrays of `PoseSequence` over time."""
 WIDER = 5 / 60
 """[s] by which a window is longer than its lag."""
@@ -66,9 +72,8 @@ def run(
 
 
 def tracks(
-    recording: Recording, make: MakeEstimator, settings: Any, lags: Sequence[float],
-    faults: Faults = NO_FAULTS,
-) -> dict[float, Track]:  # fmt: skip
+    recording: Recording, make: MakeEstimator, settings: Any, lags: Sequence[float], faults: Faults = NO_FAULTS
+) -> dict[float, Track]:
     """The poses of a recording at every lag, s, each from an estimator of its own.
 
     The last poses are as old as the recording's end makes them.
@@ -103,9 +108,7 @@ def joined(estimates: Iterable[OnlineEstimate]) -> Track:
     """Estimates of rising times as one track."""
     every = list(estimates)
     first = every[0].poses
-    whole: dict[str, Any] = {
-        name: np.concatenate([getattr(one.poses, name) for one in every]) for name in _FIELDS
-    }
+    whole: dict[str, Any] = {name: np.concatenate([getattr(one.poses, name) for one in every]) for name in _FIELDS}
     stated = [one.confidence for one in every if one.confidence is not None]
     known = confidences.joined(stated) if len(stated) == len(every) else None
     lag_s, seconds = (np.array([getattr(one, name) for one in every]) for name in ("lag_s", "seconds"))

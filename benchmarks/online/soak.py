@@ -58,8 +58,9 @@ def faults_of(recording: Recording, seed: int) -> Faults:
     """Loss, jitter, and one sensor after the other dying."""
     assert recording.imus is not None
     names = recording.imus.names
-    dead = tuple((names[i % len(names)], start, stop)
-                 for i, (start, stop) in enumerate(intervals(recording, SENSOR_OFF)))  # fmt: skip
+    dead = tuple(
+        (names[i % len(names)], start, stop) for i, (start, stop) in enumerate(intervals(recording, SENSOR_OFF))
+    )
     return Faults(loss=LOSS, jitter_s=JITTER, dead=dead, seed=seed)
 
 
@@ -100,9 +101,8 @@ def session(recording: Recording, faults: Faults, own: dict[str, Any]) -> dict[s
     replay, reach = replayed(recording, faults)
     setup = setup_of(recording)
     live = LiveSession(
-        setup, [replay], estimator(setup, recording.video.names, settings(**own)), sinks=[listener],
-        in_background=False,
-    )  # fmt: skip
+        setup, [replay], estimator(setup, recording.video.names, settings(**own)), sinks=[listener], in_background=False
+    )
 
     def steps() -> Iterator[tuple[float, Work]]:
         for now in recording.video.times.tolist():
@@ -151,14 +151,20 @@ def reports(recording: Recording, faults: Faults, told: Sequence[tuple[float, st
     for kind in dict.fromkeys(kind for kind, _, _ in events):
         own = [(name, at) for one, name, at in events if one == kind]
         waits = [
-            min((time - at for time, sentence in told if 0 <= time - at < REPORTED and name in sentence),
-                default=None)
+            min((time - at for time, sentence in told if 0 <= time - at < REPORTED and name in sentence), default=None)
             for name, at in own
-        ]  # fmt: skip
+        ]
         known = [wait for wait in waits if wait is not None]
-        rows.append({"kind": "reports", "fault": kind, "planted": len(own), "told": len(known),
-                     "median_s": float(np.median(known)) if known else None,
-                     "longest_s": max(known, default=None)})  # fmt: skip
+        rows.append(
+            {
+                "kind": "reports",
+                "fault": kind,
+                "planted": len(own),
+                "told": len(known),
+                "median_s": float(np.median(known)) if known else None,
+                "longest_s": max(known, default=None),
+            }
+        )
     return rows
 
 

@@ -164,8 +164,9 @@ def row_of(spent: Spent) -> dict[str, Any]:
     return {
         "frames": len(spent.clock),
         "poses": len(spent.times),
-        "ms": {kind: dict(zip(NAMES, np.percentile(ms, PERCENTILES).tolist(), strict=True))
-               for kind, ms in times.items()},
+        "ms": {
+            kind: dict(zip(NAMES, np.percentile(ms, PERCENTILES).tolist(), strict=True)) for kind, ms in times.items()
+        },
         "above_10_ms": {kind: float(np.mean(ms > 10.0)) for kind, ms in times.items()},
         "counts": np.histogram(np.minimum(spent.processor, MOST - STEP / 2), edges)[0].tolist(),
         "memory_s": spent.memory_times.tolist(),
@@ -173,7 +174,7 @@ def row_of(spent: Spent) -> dict[str, Any]:
         "after_1_min_mb": float(known[late][0]) if late.any() else None,
         "at_end_mb": float(known[-1]) if len(known) else None,
         "drift_mb_per_hour": drift_mb_per_hour(spent.memory_times, known),
-    }  # fmt: skip
+    }
 
 
 def rows_of(options: Namespace) -> list[dict[str, Any]]:
@@ -197,8 +198,9 @@ def times_table(rows: Sequence[dict[str, Any]]) -> Table:
     """How long frames take."""
     lines = [
         (row["case"], kind, *row["ms"][kind].values(), 100 * row["above_10_ms"][kind])
-        for row in rows for kind in ("processor", "clock")
-    ]  # fmt: skip
+        for row in rows
+        for kind in ("processor", "clock")
+    ]
     columns = ("case", "time", *(f"{name} ms" for name in NAMES), "above 10 ms %")
     machine = rows[0].get("host", {})
     notes = (

@@ -29,9 +29,7 @@ def setup_of(recording: Recording) -> Recording:
     return replace(recording, keypoints=first, imus=None, truth=None)
 
 
-def replayed(
-    recording: Recording, faults: Faults = NO_FAULTS
-) -> tuple[RecordingReplay, Callable[[float], None]]:
+def replayed(recording: Recording, faults: Faults = NO_FAULTS) -> tuple[RecordingReplay, Callable[[float], None]]:
     """A replay whose time passes by hand, and what sets it, s of the recording."""
     streams = [stream for stream in (recording.keypoints, recording.imus) if stream is not None]
     first, passed = min(float(stream.times[0]) for stream in streams), 0.0

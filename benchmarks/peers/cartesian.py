@@ -74,10 +74,13 @@ class CartesianScene:
         uv, a, b, j, prior = (
             v[name].T.reshape(n, -1, c)
             for name, n, c in (
-                ("uv_px", N, 2), ("a_world", N - 2, 3), ("b_world", N, 3), ("j_world", N - 3, 3),
+                ("uv_px", N, 2),
+                ("a_world", N - 2, 3),
+                ("b_world", N, 3),
+                ("j_world", N - 3, 3),
                 ("p_prior", N, 3),
             )
-        )  # fmt: skip
+        )
         w_visual = v["w_visual"].reshape(N, -1)
 
         def energy(z: torch.Tensor) -> torch.Tensor:
@@ -90,12 +93,11 @@ class CartesianScene:
             smooth = torch.diff(X, n=3, dim=0) * rate**3 - j
             return torch.as_tensor(
                 k[0] * torch.sum(w_visual[..., None] * visual**2)
-                + k[1] * torch.sum(v["w_acceleration"].T[..., None] * acceleration**2)
-                / s.sigma_acceleration**2
+                + k[1] * torch.sum(v["w_acceleration"].T[..., None] * acceleration**2) / s.sigma_acceleration**2
                 + k[2] * torch.sum(v["w_bone"].T[..., None] * bone**2) / s.sigma_bone**2
                 + k[3] * torch.sum(v["w_smooth"][:, None, None] * smooth**2) / s.sigma_jerk**2
                 + k[5] * torch.mean(((X - prior) / s.sigma_prior) ** 2)
-            )  # fmt: skip
+            )
 
         return energy
 
@@ -109,26 +111,32 @@ class CartesianScene:
         bones = self.problem.sensor_bones
         X = ca.SX.sym("X", 3, J)
         P = symbols(
-            w=(J + len(bones) + 1, 1), R_camera_world=(3, 3), t_camera_world=(3, 1), K=(3, 3),
-            uv_px=(2, J), b_world=(3, len(bones)), p_prior=(3, J),
-        )  # fmt: skip
+            w=(J + len(bones) + 1, 1),
+            R_camera_world=(3, 3),
+            t_camera_world=(3, 1),
+            K=(3, 3),
+            uv_px=(2, J),
+            b_world=(3, len(bones)),
+            p_prior=(3, J),
+        )
         weight = P["w"]
         camera = P["R_camera_world"] @ X + ca.repmat(P["t_camera_world"], 1, J)
         rows = [energies.reprojection(camera, P["uv_px"], P["K"]) * ca.repmat(weight[:J].T, 2, 1)]
         rows += [
-            energies.bone_vector(X[:, a], X[:, b], P["b_world"][:, i]) * weight[J + i]
-            for i, (a, b) in enumerate(bones)
+            energies.bone_vector(X[:, a], X[:, b], P["b_world"][:, i]) * weight[J + i] for i, (a, b) in enumerate(bones)
         ]
         rows.append(energies.position(X, P["p_prior"]) * weight[-1])
 
         def parameters(f: Fragment) -> Array:
             d = f.data
             k = np.sqrt(2 * d["k"])
-            w = np.column_stack([
-                k[0] / d["sigma_reprojection"] * np.sqrt(d["w_visual"]).reshape(N, J),
-                k[2] / s.sigma_bone * np.sqrt(d["w_bone"]).T,
-                np.full(N, k[5] / s.sigma_prior / np.sqrt(3 * J * N)),
-            ])  # fmt: skip
+            w = np.column_stack(
+                [
+                    k[0] / d["sigma_reprojection"] * np.sqrt(d["w_visual"]).reshape(N, J),
+                    k[2] / s.sigma_bone * np.sqrt(d["w_bone"]).T,
+                    np.full(N, k[5] / s.sigma_prior / np.sqrt(3 * J * N)),
+                ]
+            )
             camera = [column(d[n], N) for n in ("R_camera_world", "t_camera_world", "K")]
             uv = d["uv_px"].T.reshape(N, -1)
             return np.column_stack([w, *camera, uv, d["b_world"].T, d["p_prior"].T])

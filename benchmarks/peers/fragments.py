@@ -39,9 +39,7 @@ class Material:
         return cls(recording.skeleton, start, recording.keypoints, imus)
 
     def __getitem__(self, frames: slice) -> Material:
-        return replace(
-            self, start=self.start[frames], keypoints=self.keypoints[frames], imus=self.imus[frames]
-        )
+        return replace(self, start=self.start[frames], keypoints=self.keypoints[frames], imus=self.imus[frames])
 
     def tiled(self, frames: int) -> Material:
         """Repeat the material forwards and backwards up to a number of frames, without jumps in position."""

@@ -142,9 +142,7 @@ class JointScene:
             r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
             rows.append(cauchy(r, O["w_bone"][i]))
         rows.append(cauchy(energies.position(p[0], O["p_root"]), O["w_root"]))
-        vectors = [
-            energies.rotation_vector(quats[a + 1], C["quat_mean"][:, a]) for a in range(len(quats) - 1)
-        ]
+        vectors = [energies.rotation_vector(quats[a + 1], C["quat_mean"][:, a]) for a in range(len(quats) - 1)]
         # C["precision"] is given as its Cholesky factor, transposed (`parameters`).
         rows.append(ca.sqrt(O["w_prior"]) * (C["precision"] @ ca.vertcat(*vectors)))
 
@@ -163,10 +161,7 @@ class JointScene:
         energy, shape, A = self.problem.energy, self.problem.energy.shape, len(self.space.joints)
         S, robust = len(shape.sensors), self.settings.robust_acceleration
         x, z = ca.SX.sym("x", 3 + 4 * A, 3), ca.SX.sym("z", self.space.size, 3)
-        P = symbols(
-            a_world=(3, S), w=(S, 1), rate_hz=(1, 1), offsets=energy.constant["offsets"].shape,
-            levers=(3, S),
-        )  # fmt: skip
+        P = symbols(a_world=(3, S), w=(S, 1), rate_hz=(1, 1), offsets=energy.constant["offsets"].shape, levers=(3, S))
         frames = [self._posed(*self._moved(x[:, t], z[:, t]), P["offsets"]) for t in range(3)]
         rows = []
         for s, j in enumerate(shape.sensors):

@@ -63,9 +63,14 @@ class Lbfgs(Peer):
         energy = self.scene.torch_energy(fragment)
         z = torch.from_numpy(self.scene.variables(fragment)).requires_grad_()
         optimiser = torch.optim.LBFGS(
-            [z], max_iter=self.steps, max_eval=4 * self.steps, tolerance_grad=1e-9,
-            tolerance_change=1e-14, history_size=self.history, line_search_fn="strong_wolfe",
-        )  # fmt: skip
+            [z],
+            max_iter=self.steps,
+            max_eval=4 * self.steps,
+            tolerance_grad=1e-9,
+            tolerance_change=1e-14,
+            history_size=self.history,
+            line_search_fn="strong_wolfe",
+        )
 
         def closure() -> float:
             optimiser.zero_grad()
@@ -127,9 +132,15 @@ class ScipyLeastSquares(Peer):
             value,
             z0.ravel(),
             jac=jacobian,
-            method="trf", tr_solver="lsmr", x_scale="jac", max_nfev=self.evaluations,
-            ftol=1e-10, xtol=1e-12, gtol=1e-10, callback=kept,
-        )  # fmt: skip
+            method="trf",
+            tr_solver="lsmr",
+            x_scale="jac",
+            max_nfev=self.evaluations,
+            ftol=1e-10,
+            xtol=1e-12,
+            gtol=1e-10,
+            callback=kept,
+        )
         return np.asarray(result.x), int(result.nfev), result.status > 0
 
     def _evaluated(self, functions: list[Buffered], z: Array, output: int) -> Array:

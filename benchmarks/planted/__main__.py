@@ -40,9 +40,14 @@ def others(scene: Scene, known: Sequence[Scene]) -> dict[str, Scene]:
 
 
 def collected(
-    chosen: Sequence[Scene], known: Sequence[Scene], names: list[str], with_faults: int, calibrate: bool,
-    kept: RowFile, workers: int,
-) -> list[Row]:  # fmt: skip
+    chosen: Sequence[Scene],
+    known: Sequence[Scene],
+    names: list[str],
+    with_faults: int,
+    calibrate: bool,
+    kept: RowFile,
+    workers: int,
+) -> list[Row]:
     """Rows of all recordings in their order; those done earlier are taken from the file."""
     left = [(i, scene) for i, scene in enumerate(chosen) if scene.key not in kept.rows]
     right = [name for name in names if name in RIGHT]
@@ -67,13 +72,10 @@ def collected(
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.planted", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
-    parser.add_argument(
-        "--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME"
+        prog="python -m benchmarks.planted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
+    parser.add_argument("--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME")
     parser.add_argument("--motions", type=int, default=8, help="recordings that faults are planted in")
     parser.add_argument("--right", type=int, help="recordings without one; all by default")
     parser.add_argument("--sensors", default="8,0,8,10", help="numbers of sensors, in turn")

@@ -256,10 +256,11 @@ def legs_off(recording: Recording, px: float, draws: Draws) -> Recording:
     return replace(
         recording,
         keypoints=replace(
-            video, uv_px=video.uv_px + below[:, None] * shift,
+            video,
+            uv_px=video.uv_px + below[:, None] * shift,
             confidence=np.where(below & seen, np.maximum(video.confidence, 0.9), video.confidence),
         ),
-    )  # fmt: skip
+    )
 
 
 def _hidden(recording: Recording, seconds: float, draws: Draws, points: Mask) -> Recording:
@@ -268,9 +269,7 @@ def _hidden(recording: Recording, seconds: float, draws: Draws, points: Mask) ->
     draws.start, draws.stop = middle - seconds / 2, middle + seconds / 2
     gone = ((video.times >= draws.start) & (video.times < draws.stop))[:, None] & points
     uv = np.where(gone[..., None], np.nan, video.uv_px)
-    return replace(
-        recording, keypoints=replace(video, uv_px=uv, confidence=np.where(gone, 0.0, video.confidence))
-    )
+    return replace(recording, keypoints=replace(video, uv_px=uv, confidence=np.where(gone, 0.0, video.confidence)))
 
 
 def gap(recording: Recording, seconds: float, draws: Draws) -> Recording:
@@ -300,9 +299,7 @@ def other_rate(recording: Recording, hz: float, draws: Draws) -> Recording:
 
 _CLOCK = r"clock|delay|\blate\b|\bearly\b|offset|synchron|time stamps|began .* (after|before)"
 _RATE = r"frame rate|frames (a|per) second|frames/s|\bHz\b|sampling rate|speed of the video|video runs"
-_BONES = (
-    r"\bbones? |bone length|bones are|\bheight of the (person|subject|body)|body height|stature|\bskeleton"
-)
+_BONES = r"\bbones? |bone length|bones are|\bheight of the (person|subject|body)|body height|stature|\bskeleton"
 _BONES += r"|size of the (person|body|subject)|the (person|subject|body)'s (size|height)"
 _TURN = r"camera.{0,40}(turn|rotat|orient|roll|tilt|lean|pitch|yaw|upright|level|pose)|\bhorizon\b"
 _TURN += r"|(turn|rotat|orient|roll|tilt|pitch|yaw|pose).{0,40}camera|\btilt of|\broll of"
@@ -317,70 +314,92 @@ FAULTS: Final[dict[str, Fault]] = {
     "sensors' clock drifts": Fault(
         drift, (0.003, 0.01, 0.02), "", _CLOCK + r"|drift", "angles", True, sensor_clock=_drifting
     ),
-    "focal length wrong": Fault(
-        focal, (0.8, 0.9, 1.1, 1.2), "x", r"focal|field of view|zoom", "world", floor=False
-    ),
+    "focal length wrong": Fault(focal, (0.8, 0.9, 1.1, 1.2), "x", r"focal|field of view|zoom", "world", floor=False),
     "focal length wrong, floor known": Fault(
         focal, (0.8, 0.9, 1.1, 1.2), "x", r"focal|field of view|zoom", "world", floor=True
     ),
     "principal point off": Fault(
-        principal_point, (50.0, 100.0, 200.0), "px",
-        r"principal point|(centre|center) of the image|cropp|" + _TURN, "world",
+        principal_point,
+        (50.0, 100.0, 200.0),
+        "px",
+        r"principal point|(centre|center) of the image|cropp|" + _TURN,
+        "world",
     ),
     "bones too long": Fault(bones, (1.05, 1.1, 1.15), "x", _BONES, "world"),
     "bones too short": Fault(bones, (0.95, 0.9, 0.85), "x", _BONES, "world"),
     "height too large": Fault(height_alone, (1.05, 1.1, 1.15), "x", _BONES + r"|height", "world"),
     "height too small": Fault(height_alone, (0.95, 0.9, 0.85), "x", _BONES + r"|height", "world"),
     "camera too high or low, floor known": Fault(
-        camera_height, (0.3, 0.6, 1.0), "m",
+        camera_height,
+        (0.3, 0.6, 1.0),
+        "m",
         r"camera.{0,40}(high|low|height|position|place|off)|(height|position|place) of the camera|lens height"
-        r"|floor", "world", floor=True,
+        r"|floor",
+        "world",
+        floor=True,
     ),
     "floor too high or low": Fault(
-        floor, (0.05, 0.1, 0.3), "m", r"floor|(height|position) of the camera|camera.{0,20}(height|position)",
-        "world", floor=True,
+        floor,
+        (0.05, 0.1, 0.3),
+        "m",
+        r"floor|(height|position) of the camera|camera.{0,20}(height|position)",
+        "world",
+        floor=True,
     ),
     "camera turned about the vertical": Fault(
         _turned_camera("z", of_world=True), (5.0, 10.0, 20.0), "deg", _TURN + "|" + _HEADING, "world", True
     ),
     "camera rolled": Fault(_turned_camera("z"), (3.0, 6.0, 10.0), "deg", _TURN, "world"),
     "camera tilted": Fault(_turned_camera("x"), (3.0, 6.0, 10.0), "deg", _TURN, "world"),
-    "one sensor turned about its bone": Fault(
-        turned_sensor, (15.0, 30.0, 60.0), "deg", _SENSOR, "angles", True
-    ),
+    "one sensor turned about its bone": Fault(turned_sensor, (15.0, 30.0, 60.0), "deg", _SENSOR, "angles", True),
     "one sensor frozen": Fault(
-        frozen_sensor, (0.66, 0.33, 0.0), "of the time before",
-        r"frozen|freez|stuck|stands still|does not move|constant|repeats|same sample", "angles", True,
+        frozen_sensor,
+        (0.66, 0.33, 0.0),
+        "of the time before",
+        r"frozen|freez|stuck|stands still|does not move|constant|repeats|same sample",
+        "angles",
+        True,
     ),
-    "references tilted": Fault(
-        _turned_references(True), (5.0, 10.0, 20.0), "deg", _REFERENCE, "relative", True
-    ),
-    "headings off": Fault(
-        _turned_references(False), (15.0, 30.0, 60.0), "deg", _HEADING, "relative", True
-    ),
+    "references tilted": Fault(_turned_references(True), (5.0, 10.0, 20.0), "deg", _REFERENCE, "relative", True),
+    "headings off": Fault(_turned_references(False), (15.0, 30.0, 60.0), "deg", _HEADING, "relative", True),
     "legs of the keypoints exchanged": Fault(
-        legs_exchanged, (0.25, 0.5, 1.0), "of the time",
-        r"exchang|swap|left and right|right and left|mirror|sides", "relative", accuses=False,
+        legs_exchanged,
+        (0.25, 0.5, 1.0),
+        "of the time",
+        r"exchang|swap|left and right|right and left|mirror|sides",
+        "relative",
+        accuses=False,
     ),
     "sensors of another take": Fault(
-        of_another_take, ("same person", "another person"), "",
-        r"another|belong to|no offset|(other|different|same) (take|recording|person|motion)", "angles", True,
+        of_another_take,
+        ("same person", "another person"),
+        "",
+        r"another|belong to|no offset|(other|different|same) (take|recording|person|motion)",
+        "angles",
+        True,
     ),
     "30 Hz called": Fault(other_rate, (25.0, 50.0, 60.0), "Hz", _RATE, "relative"),
     "nobody seen": Fault(gap, (1.0, 2.0, 5.0), "s", _GONE, "relative", accuses=False),
     "sensors end": Fault(
-        ending_sensors, (0.9, 0.7, 0.5), "of the time",
+        ending_sensors,
+        (0.9, 0.7, 0.5),
+        "of the time",
         r"sensors?.{0,40}(end|stop|missing|until|no samples|without)|(ends?|stops?|missing).{0,40}sensor"
-        r"|samples missing", "angles", True,
+        r"|samples missing",
+        "angles",
+        True,
     ),
     "legs unseen": Fault(legs_unseen, (1.0, 2.0, 5.0), "s", _GONE, "relative", False, accuses=False),
     "legs seen beside where they are": Fault(
-        legs_off, (20.0, 40.0, 60.0), "px",
+        legs_off,
+        (20.0, 40.0, 60.0),
+        "px",
         r"(legs?|knees?|ankles?|foot|feet|toes?|heels?)\b.{0,60}(reprojection|beside|displaced|detector"
         r"|where (it|they) (was|were) seen|keypoints are (off|wrong))|keypoints.{0,30}of the (legs|feet"
-        r"|knees).{0,30}(off|wrong|beside|displaced)", "relative",
+        r"|knees).{0,30}(off|wrong|beside|displaced)",
+        "relative",
     ),
-}  # fmt: skip
+}
 """Name -> fault. What nothing in a recording contradicts, like a room turned about the vertical without
 sensors, is not among them: it is no error of the motion in the camera's room."""
 RIGHT: Final = {"right": 0.0, "right, of the body the height alone": 1.0}

@@ -87,15 +87,11 @@ OF_CAMERA: Final[dict[str, Gross]] = {
     "bones x 1.2": Gross(lambda r: replace(r, joint_offsets=1.2 * r.joint_offsets), "bones"),
     "floor 1 m too high": Gross(floor(1.0), "floor"),
     "floor 1 m too low": Gross(floor(-1.0), "floor"),
-    "keypoints of a half-size picture": Gross(
-        seen(lambda k: replace(k, uv_px=k.uv_px / 2)), "picture 2 times smaller"
-    ),
+    "keypoints of a half-size picture": Gross(seen(lambda k: replace(k, uv_px=k.uv_px / 2)), "picture 2 times smaller"),
     "names of left and right exchanged": Gross(seen(exchanged_sides), "left and right"),
     "mirrored picture": Gross(seen(mirrored), "picture is mirrored"),
     "u and v exchanged": Gross(seen(exchanged_axes), "u and v"),
-    "world y up": Gross(
-        camera(R_camera_world=lambda R: R @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "+y points up"
-    ),
+    "world y up": Gross(camera(R_camera_world=lambda R: R @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]), "+y points up"),
     "upside down": Gross(seen(upside_down), "upside down"),
     "turned by 90 degrees": Gross(turned(True), "90 degrees clockwise"),
     "turned by -90 degrees": Gross(turned(False), "90 degrees anticlockwise"),
@@ -158,10 +154,7 @@ def _pairs(recording: Recording, left: str, right: str) -> list[tuple[int, int]]
     """Indices of sensors in the calibration; of sides, all pairs."""
     assert recording.calibration is not None
     joints = recording.calibration.joints
-    if left == "Left":
-        pairs = [(a, a.replace(left, right)) for a in joints if a.startswith(left)]
-    else:
-        pairs = [(left, right)]
+    pairs = [(a, a.replace(left, right)) for a in joints if a.startswith(left)] if left == "Left" else [(left, right)]
     return [(joints.index(a), joints.index(b)) for a, b in pairs]
 
 
@@ -191,9 +184,7 @@ def _segments_swapped(left: str, right: str) -> Plant:
             order[a], order[b] = b, a
         joints = tuple(recording.calibration.joints[s] for s in order)
         levers = recording.calibration.p_bone_sensor[order]
-        return replace(
-            recording, calibration=replace(recording.calibration, joints=joints, p_bone_sensor=levers)
-        )
+        return replace(recording, calibration=replace(recording.calibration, joints=joints, p_bone_sensor=levers))
 
     return plant
 
@@ -213,22 +204,16 @@ OF_SENSORS: Final[dict[str, Gross]] = {
     "samples of the forearms swapped": Gross(
         _samples_swapped(*_FOREARMS), "samples of LeftForeArm and RightForeArm are swapped"
     ),
-    "samples of left and right swapped": Gross(
-        _samples_swapped(*_SIDES), "samples of all left and right sensors"
-    ),
+    "samples of left and right swapped": Gross(_samples_swapped(*_SIDES), "samples of all left and right sensors"),
     "samples of an arm and a thigh swapped": Gross(
         _samples_swapped(*_ARM_THIGH), "samples of LeftArm and RightUpLeg are swapped"
     ),
-    "forearms swapped": Gross(
-        _segments_swapped(*_FOREARMS), "sensors of LeftForeArm and RightForeArm are swapped"
-    ),
+    "forearms swapped": Gross(_segments_swapped(*_FOREARMS), "sensors of LeftForeArm and RightForeArm are swapped"),
     "left and right swapped": Gross(_segments_swapped(*_SIDES), "all left and right sensors"),
     "an arm and a thigh swapped": Gross(
         _segments_swapped(*_ARM_THIGH), "sensors of LeftArm and RightUpLeg are swapped"
     ),
-    "upper arm and forearm swapped": Gross(
-        _segments_swapped(*_ARM), "sensors of LeftArm and LeftForeArm are swapped"
-    ),
+    "upper arm and forearm swapped": Gross(_segments_swapped(*_ARM), "sensors of LeftArm and LeftForeArm are swapped"),
 }
 
 

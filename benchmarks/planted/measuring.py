@@ -99,14 +99,15 @@ def _possible(fault: Fault, right: Recording, floor: bool, size: Size, others: d
 
 def _about(scene: Scene, name: str, size: Size) -> Row:
     return {
-        "motion": scene.clip.name, "person": scene.clip.subject, "sensors": scene.sensors, "fault": name,
+        "motion": scene.clip.name,
+        "person": scene.clip.subject,
+        "sensors": scene.sensors,
+        "fault": name,
         "size": size if isinstance(size, str) else f"{size:g}",
-    }  # fmt: skip
+    }
 
 
-def judged(
-    planted: Recording, right: Recording, fault: Fault | None, size: Size, draws: Draws, calibrate: bool
-) -> Row:
+def judged(planted: Recording, right: Recording, fault: Fault | None, size: Size, draws: Draws, calibrate: bool) -> Row:
     """What is said of a recording, and how right its motion is.
 
     Args:
@@ -149,9 +150,12 @@ def _said(line: str, fault: Fault | None, draws: Draws) -> Row:
     words = cause(line)
     accused = not draws.culprits or any(one.lower() in line.lower() for one in draws.culprits)
     return {
-        "line": line, "grade": re.split(":| for ", line)[0], "causes": matching(words),
-        "culprits": draws.culprits, "named": fault is not None and fault.names(words) and accused,
-    }  # fmt: skip
+        "line": line,
+        "grade": re.split(":| for ", line)[0],
+        "causes": matching(words),
+        "culprits": draws.culprits,
+        "named": fault is not None and fault.names(words) and accused,
+    }
 
 
 def cause(line: str) -> str:

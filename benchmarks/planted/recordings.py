@@ -60,13 +60,16 @@ class Scene:
         """Simulate it, without any fault; its floor is at z = 0."""
         own = self.seed * 1_000_003 + zlib.crc32(self.clip.name.encode())
         settings = SimulationSettings(
-            keypoints=DetectorErrors(camera=0.0, delay_frames=(0,)),
-            sensors=harness.SENSOR_SETS.get(self.sensors, ()),
+            keypoints=DetectorErrors(camera=0.0, delay_frames=(0,)), sensors=harness.SENSOR_SETS.get(self.sensors, ())
         )
         found = simulate(
-            self.clip.poses, self.clip.joint_offsets, camera=cameras(self.clip.poses, own), settings=settings,
-            seed=own, name=self.key,
-        )  # fmt: skip
+            self.clip.poses,
+            self.clip.joint_offsets,
+            camera=cameras(self.clip.poses, own),
+            settings=settings,
+            seed=own,
+            name=self.key,
+        )
         return replace(found, floor_height=0.0)
 
 
@@ -96,10 +99,7 @@ def scenes(folders: Sequence[Path], sensors: Sequence[str], seed: int) -> list[S
         for clip in _clips(folder):
             by_person.setdefault(clip.subject, []).append(clip)
     rounds = [clips[i] for i in range(_EACH) for clips in by_person.values() if i < len(clips)]
-    return [
-        Scene(clip, sensors[i % len(sensors)], i // len(sensors) % 2 == 0, seed)
-        for i, clip in enumerate(rounds)
-    ]
+    return [Scene(clip, sensors[i % len(sensors)], i // len(sensors) % 2 == 0, seed) for i, clip in enumerate(rounds)]
 
 
 @cache
@@ -119,10 +119,13 @@ def _second_collection(folder: Path) -> Iterator[MocapClip]:
     rows = list(csv.DictReader((folder / "index.csv").read_text(encoding="utf-8").splitlines()))
     for number in PEOPLE:
         own = [
-            row for row in rows
-            if row["subject"] == number and float(row["max_joint_speed"]) < _FASTEST
-            and float(row["seconds"]) > _SHORTEST and float(row["root_path_m"]) > 0.3
-        ]  # fmt: skip
+            row
+            for row in rows
+            if row["subject"] == number
+            and float(row["max_joint_speed"]) < _FASTEST
+            and float(row["seconds"]) > _SHORTEST
+            and float(row["root_path_m"]) > 0.3
+        ]
         for i in range(min(_EACH, len(own))):
             row = own[(2 * i + 1) * len(own) // (2 * min(_EACH, len(own)))]
             clip = _read(folder / f"s{row['set']}.npz", row["clip"], f"CMU{int(number):03d}")

@@ -54,17 +54,19 @@ def totals(rows: Sequence[Row]) -> dict[str, Any]:
     alarms = sum(map(false_alarm, right))
     bands = [share for row in unnamed if np.isfinite(share := _inside(row))]
     found: dict[str, Any] = {
-        "faults": len(wrong), "right": len(right),
+        "faults": len(wrong),
+        "right": len(right),
         "named": _mean([row["named"] for row in wrong]),
         "named_interval": _interval(sum(row["named"] for row in wrong), len(wrong)),
         "named or said to be unverified": _mean([row["named"] or unverified(row) for row in wrong]),
         "named or within bands": _mean([not silent(row) for row in wrong]),
-        "false alarms": alarms, "false_alarm_interval": _interval(alarms, len(right)),
+        "false alarms": alarms,
+        "false_alarm_interval": _interval(alarms, len(right)),
         "coverage under unnamed": _mean(bands),
         "unnamed with bands that hold": _mean([covered(row) for row in unnamed]),
         "other causes in a naming line": _mean([len(row["causes"]) - 1 for row in wrong if row["named"]]),
         "crashes": sum(row["grade"] == "crash" for row in rows),
-    }  # fmt: skip
+    }
     return found
 
 
@@ -85,29 +87,39 @@ def markdown(rows: Sequence[Row], how: str) -> str:
     t = totals(rows)
     (low, high), (least, most) = t["named_interval"], t["false_alarm_interval"]
     lines = [
-        "# Planted faults", "", how, "",
+        "# Planted faults",
+        "",
+        how,
+        "",
         f"- named in the first line: **{t['named']:.0%}** of {t['faults']} ({low:.0%} to {high:.0%})",
         f"- named, or within the band that the line says is not verified because of it: "
         f"{t['named or said to be unverified']:.0%}",
         f"- named or within their bands: {t['named or within bands']:.0%}",
-        f"- false alarms in right recordings: **{t['false alarms']}** of {t['right']} "
-        f"({least:.1%} to {most:.1%})",
+        f"- false alarms in right recordings: **{t['false alarms']}** of {t['right']} ({least:.1%} to {most:.1%})",
         f"- coverage of the 95 % bands under faults that are not named: "
         f"**{t['coverage under unnamed']:.0%}**; {t['unnamed with bands that hold']:.0%} of them have at "
         f"least {COVERED:.0%}",
         f"- other faults that a naming first line names too: {t['other causes in a naming line']:.1f}; "
         f"crashes: {t['crashes']}",
-        "", *_by_fault(rows), *_of_gross(rows), "", "## Right recordings", "", *_of_right(rows), "",
-    ]  # fmt: skip
+        "",
+        *_by_fault(rows),
+        *_of_gross(rows),
+        "",
+        "## Right recordings",
+        "",
+        *_of_right(rows),
+        "",
+    ]
     return "\n".join(lines)
 
 
 def _by_fault(rows: Sequence[Row]) -> list[str]:
     lines = [
         "| fault | size | n | named | silent | band | inside where not named | "
-        + " | ".join(ERRORS.values()) + " | first line where not named |",
+        + " | ".join(ERRORS.values())
+        + " | first line where not named |",
         "|---" * (8 + len(ERRORS)) + "|",
-    ]  # fmt: skip
+    ]
     for name, fault in FAULTS.items():
         for size in fault.sizes:
             key = size if isinstance(size, str) else f"{size:g}"
@@ -119,21 +131,22 @@ def _by_fault(rows: Sequence[Row]) -> list[str]:
             within = f"{np.nanmean(shares):.0%}" if np.isfinite(shares).any() else ""
             errors = [f"{np.mean([r[e] for r in own if e in r] or [np.nan]):.1f}" for e in ERRORS]
             cells = [
-                name, f"{key} {fault.unit}".strip(), str(len(own)), f"{_mean([r['named'] for r in own]):.0%}",
-                f"{_mean([silent(r) for r in own]):.0%}", fault.band, within, *errors, _typical(left),
-            ]  # fmt: skip
+                name,
+                f"{key} {fault.unit}".strip(),
+                str(len(own)),
+                f"{_mean([r['named'] for r in own]):.0%}",
+                f"{_mean([silent(r) for r in own]):.0%}",
+                fault.band,
+                within,
+                *errors,
+                _typical(left),
+            ]
             lines.append("| " + " | ".join(cells) + " |")
     return lines
 
 
 def _of_gross(rows: Sequence[Row]) -> list[str]:
-    lines = [
-        "",
-        "## Gross faults",
-        "",
-        "| fault | n | named | first line where not named |",
-        "|---|---|---|---|",
-    ]
+    lines = ["", "## Gross faults", "", "| fault | n | named | first line where not named |", "|---|---|---|---|"]
     for name in GROSS:
         own = [row for row in rows if row["fault"] == name]
         left = [row for row in own if not row["named"]]
@@ -149,9 +162,7 @@ def _typical(rows: Sequence[Row]) -> str:
 
 def _of_right(rows: Sequence[Row]) -> list[str]:
     lines = [
-        "| | n | false alarms | world | relative | angles | "
-        + " | ".join(ERRORS.values())
-        + " | world stated mm |",
+        "| | n | false alarms | world | relative | angles | " + " | ".join(ERRORS.values()) + " | world stated mm |",
         "|---" * (7 + len(ERRORS)) + "|",
     ]
     alarms = []

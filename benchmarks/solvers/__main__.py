@@ -58,9 +58,12 @@ def main(arguments: list[str] | None = None) -> int:
         task = progress.add_task("...", total=None)
         measured = everything(effort, lambda what: progress.update(task, description=what))
     machine = {
-        "processor": platform.processor(), "cores": os.cpu_count(), "threads": threads, "N": N,
+        "processor": platform.processor(),
+        "cores": os.cpu_count(),
+        "threads": threads,
+        "N": N,
         "seconds": perf_counter() - began,
-    }  # fmt: skip
+    }
     command = "python -m benchmarks.solvers" + (" --quick" if options.quick else "")
     result = {"command": command, "machine": machine, "effort": asdict(effort), **measured}
     options.out.parent.mkdir(parents=True, exist_ok=True)

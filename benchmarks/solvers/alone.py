@@ -34,9 +34,7 @@ SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {
     **{f"cartesian, energy as printed, {name}": s for name, s in CARTESIAN_BACKENDS.items()},
     "cartesian, IPOPT": CartesianSettings(backend="ipopt"),
     "cartesian, real time": CartesianSettings(backend="realtime"),
-    "cartesian, bone lengths as constraints, IPOPT": CartesianSettings(
-        bone_lengths="constraint", backend="ipopt"
-    ),
+    "cartesian, bone lengths as constraints, IPOPT": CartesianSettings(bone_lengths="constraint", backend="ipopt"),
 }
 
 
@@ -122,9 +120,12 @@ def build_times(material: Material, effort: Effort, notify: Notify) -> dict[str,
             seconds = []
             for _ in range(1 if "RTOF_KIN_CACHE" in change else effort.runs):
                 done = subprocess.run(
-                    [sys.executable, "-c", _BUILD, str(path)], env={**os.environ, **change},
-                    check=True, capture_output=True, text=True,
-                )  # fmt: skip
+                    [sys.executable, "-c", _BUILD, str(path)],
+                    env={**os.environ, **change},
+                    check=True,
+                    capture_output=True,
+                    text=True,
+                )
                 seconds.append(float(done.stdout))
             out[kind] = median(seconds)
     return out
@@ -144,9 +145,13 @@ def by_duration(material: Material, effort: Effort, notify: Notify) -> list[dict
             del block
         took = perf_counter() - began
         rows.append(
-            {"recording_seconds": seconds, "seconds": took, "seconds_per_second": took / seconds,
-             "resident_growth_mb": most}
-        )  # fmt: skip
+            {
+                "recording_seconds": seconds,
+                "seconds": took,
+                "seconds_per_second": took / seconds,
+                "resident_growth_mb": most,
+            }
+        )
     return rows[1:]
 
 

@@ -44,9 +44,18 @@ class Effort:
     def quick(cls) -> Effort:
         """Little of everything."""
         return cls(
-            fragments=3, slow_fragments=1, agreement_every=30, lengths=(20,), frames=100, runs=1,
-            patience_s=0.0, tiled_s=(1, 2), long_run=40, scipy_cap=5, first_compilation=False,
-        )  # fmt: skip
+            fragments=3,
+            slow_fragments=1,
+            agreement_every=30,
+            lengths=(20,),
+            frames=100,
+            runs=1,
+            patience_s=0.0,
+            tiled_s=(1, 2),
+            long_run=40,
+            scipy_cap=5,
+            first_compilation=False,
+        )
 
 
 @dataclass

@@ -76,10 +76,15 @@ def markdown(result: dict[str, Any]) -> str:
     }
     builds = [{"how": name, "s": value} for name, value in result["build_seconds"].items()]
     filled = {
-        "command": result["command"], "N": N, "threads": result["machine"]["threads"],
-        "cartesian": table(c["rows"], {**_COMMON, **_RATE}), "runs": effort["runs"],
-        "cartesian_share": 100 * c["ceres_share_in_python"], "frames": effort["frames"],
-        "joint_share": 100 * j["ceres_share_in_python"], **j["degrees_of_freedom"],
+        "command": result["command"],
+        "N": N,
+        "threads": result["machine"]["threads"],
+        "cartesian": table(c["rows"], {**_COMMON, **_RATE}),
+        "runs": effort["runs"],
+        "cartesian_share": 100 * c["ceres_share_in_python"],
+        "frames": effort["frames"],
+        "joint_share": 100 * j["ceres_share_in_python"],
+        **j["degrees_of_freedom"],
         "without_limits": table(j["without_limits"], joint_columns),
         "with_limits": table(j["with_limits"], joint_columns),
         "agreement": "\n".join(_agreement_lines(j["agreement"])),
@@ -87,7 +92,7 @@ def markdown(result: dict[str, Any]) -> str:
         "by_settings": table(result["by_settings"], settings_columns),
         "builds": table(builds, _BUILDS),
         "by_duration": table(result["by_duration"], durations),
-    }  # fmt: skip
+    }
     return _TEXT.format(**filled)
 
 
@@ -167,13 +172,13 @@ def _agreement_lines(found: dict[str, Any]) -> list[str]:
     ):
         rows = [
             {
-                "first": r["first_frame"], "mm": r["distance_mm"],
-                **{f"{s}_{what}": r[s][what] for s in ("real_time", "ipopt")
-                   for what in ("energy", "violation_deg")},
+                "first": r["first_frame"],
+                "mm": r["distance_mm"],
+                **{f"{s}_{what}": r[s][what] for s in ("real_time", "ipopt") for what in ("energy", "violation_deg")},
                 **{f"{s}_ok": "yes" if r[f"{s}_converged"] else "no" for s in ("real_time", "ipopt")},
             }
             for r in found[kind]
-        ]  # fmt: skip
+        ]
         if rows:
             lines += ["", f"{heading}:", "", table(rows, _BASINS)]
     return lines

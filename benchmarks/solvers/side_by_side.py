@@ -15,18 +15,7 @@ from benchmarks.peers.cartesian import CartesianScene
 from benchmarks.peers.fragments import Answer, Fragment, Material, Trace
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
-from benchmarks.solvers.measuring import (
-    Choice,
-    Effort,
-    Entry,
-    Notify,
-    Row,
-    compared,
-    curve,
-    rising,
-    spread,
-    summaries,
-)
+from benchmarks.solvers.measuring import Choice, Effort, Entry, Notify, Row, compared, curve, rising, spread, summaries
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
@@ -73,9 +62,13 @@ class Joint:
     """The real-time solver or IPOPT on the joint-space problem, with limits or without."""
 
     def __init__(
-        self, scene: JointScene, kind: type[LevenbergMarquardt] | type[Ipopt], limits: Limits | None,
-        tolerance: float, iterations: int,
-    ) -> None:  # fmt: skip
+        self,
+        scene: JointScene,
+        kind: type[LevenbergMarquardt] | type[Ipopt],
+        limits: Limits | None,
+        tolerance: float,
+        iterations: int,
+    ) -> None:
         self.scene, self._solver = scene, kind(scene.problem, limits)
         self._iterations, self._tolerance = iterations, tolerance
 
@@ -96,10 +89,11 @@ def peers(scene: Scene, effort: Effort, scipy_is_slow: bool) -> list[Entry]:
         Entry(f"PyTorch L-BFGS, at most {effort.long_run}", Lbfgs(scene, effort.long_run), slow=True),
         Entry(
             f"SciPy least_squares, at most {effort.scipy_cap}",
-            ScipyLeastSquares(scene, effort.scipy_cap), slow=scipy_is_slow,
+            ScipyLeastSquares(scene, effort.scipy_cap),
+            slow=scipy_is_slow,
         ),
         Entry("Ceres", Ceres(scene, CERES_CAP)),
-    ]  # fmt: skip
+    ]
 
 
 def cartesian(material: Material, effort: Effort, notify: Notify) -> dict[str, Any]:

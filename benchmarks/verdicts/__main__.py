@@ -48,8 +48,13 @@ def write(rows: Sequence[Row], out: Path, facts: dict[str, Any]) -> str:
     """Write the tables, their numbers and the figure; the tables as Markdown."""
     failed = [f"{row['motion']}, {row['fault']}: {row['failed']}" for row in rows if "failed" in row]
     shown, numbers = tables([row for row in rows if "failed" not in row])
-    text = "\n".join(["# Detection of bad frames by sigma and verdicts\n", facts["how"] + "\n",
-                      *(table.markdown() for table in shown)])  # fmt: skip
+    text = "\n".join(
+        [
+            "# Detection of bad frames by sigma and verdicts\n",
+            facts["how"] + "\n",
+            *(table.markdown() for table in shown),
+        ]
+    )
     if failed:
         text += "\n".join(["\nNot reconstructed:\n", *(f"- {line}" for line in failed)]) + "\n"
     content = json.loads(json.dumps(facts | numbers | {"failed": failed}), parse_float=_rounded)
@@ -67,9 +72,8 @@ def _rounded(text: str) -> float:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.verdicts", description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
+        prog="python -m benchmarks.verdicts", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--detector-errors", type=Path, help="Python file, sampler of real 2D errors")
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))

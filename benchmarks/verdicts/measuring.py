@@ -54,9 +54,7 @@ def measured(job: Job) -> Row:
     try:
         recording = job.recording()
         inertial = recording.imus is not None
-        result = reconstruct(
-            recording, mode="rtof" if inertial else "rto", lifter=_lifter(), calibrate=inertial
-        )
+        result = reconstruct(recording, mode="rtof" if inertial else "rto", lifter=_lifter(), calibrate=inertial)
     except RtofError as error:  # reported in the table, instead of losing the other recordings
         return _about(job) | {"failed": str(error)}
     return row_of(job, result)
@@ -64,9 +62,13 @@ def measured(job: Job) -> Row:
 
 def _about(job: Job) -> Row:
     return {
-        "group": job.group, "person": job.clip.subject, "motion": job.clip.name,
-        "keypoints": job.keypoints, "sensors": job.sensors, "fault": job.fault,
-    }  # fmt: skip
+        "group": job.group,
+        "person": job.clip.subject,
+        "motion": job.clip.name,
+        "keypoints": job.keypoints,
+        "sensors": job.sensors,
+        "fault": job.fault,
+    }
 
 
 def row_of(job: Job, result: Reconstruction) -> Row:
@@ -103,10 +105,9 @@ def stated(result: Reconstruction) -> dict[str, Stated]:
             stated.names[1:], 1000 * relative[:, 1:], 1e6 * stated.relative_covariance[:, 1:], doubted[:, 1:]
         ),
         "orientation": _of_vectors(
-            names, np.degrees(_turns(estimate, truth)[:, turned]), np.degrees(np.degrees(turns)),
-            doubted[:, turned],
+            names, np.degrees(_turns(estimate, truth)[:, turned]), np.degrees(np.degrees(turns)), doubted[:, turned]
         ),
-    }  # fmt: skip
+    }
     angles = clinical_angles(motion)
     true = clinical_angles(all_observed(truth), motion.skeleton)
     assert angles.sigma is not None
@@ -114,9 +115,8 @@ def stated(result: Reconstruction) -> dict[str, Stated]:
     joints = angle_table(motion.skeleton.table).joints
     of = motion.skeleton.index(*(joint.child for joint in joints for _ in joint.angles))
     found["angle"] = Stated(
-        angles.names, np.degrees(off), np.degrees(angles.sigma), np.ones(off.shape),
-        doubted[:, of] + angles.singular,
-    )  # fmt: skip
+        angles.names, np.degrees(off), np.degrees(angles.sigma), np.ones(off.shape), doubted[:, of] + angles.singular
+    )
     return found
 
 
@@ -124,9 +124,7 @@ def _of_vectors(names: tuple[str, ...], error: Array, covariance: Array, flags: 
     """Error lengths and sigmas from error vectors (T, n, 3) with covariances (T, n, 3, 3)."""
     mean = np.trace(covariance, axis1=-2, axis2=-1)
     spread = np.sum(covariance**2, axis=(-2, -1))
-    return Stated(
-        names, np.linalg.norm(error, axis=-1), np.sqrt(mean), mean**2 / np.maximum(spread, 1e-12), flags
-    )
+    return Stated(names, np.linalg.norm(error, axis=-1), np.sqrt(mean), mean**2 / np.maximum(spread, 1e-12), flags)
 
 
 def _turns(estimate: PoseSequence, truth: PoseSequence) -> Array:

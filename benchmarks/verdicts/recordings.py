@@ -127,9 +127,8 @@ class Job:
 
 
 def jobs(
-    clips: Sequence[tuple[str, MocapClip]], kinds: Sequence[str], seed: int, detector: Path | None,
-    cameras: int = 1,
-) -> list[Job]:  # fmt: skip
+    clips: Sequence[tuple[str, MocapClip]], kinds: Sequence[str], seed: int, detector: Path | None, cameras: int = 1
+) -> list[Job]:
     """Every motion with every kind of 2D and number of sensors, as it is and with a fault; cameras and
     faults take turns.
 
@@ -180,13 +179,17 @@ def sampled(recording: Recording, detector: Path, seed: int) -> Recording:
     assert truth is not None
     camera = video.camera
     uv, visibility = _sampler(detector)(
-        truth.p_world_joint, truth.R_world_bone, camera.K, camera.R_camera_world,
-        camera.t_camera_world, seed, rate=truth.rate_hz, size=(camera.width_px, camera.height_px),
+        truth.p_world_joint,
+        truth.R_world_bone,
+        camera.K,
+        camera.R_camera_world,
+        camera.t_camera_world,
+        seed,
+        rate=truth.rate_hz,
+        size=(camera.width_px, camera.height_px),
         camera_error=False,
-    )  # fmt: skip
-    found = keypoints_from_detections(
-        Detections(uv[:, None], visibility[:, None]), truth.times, camera, "mediapipe33"
     )
+    found = keypoints_from_detections(Detections(uv[:, None], visibility[:, None]), truth.times, camera, "mediapipe33")
     return replace(recording, keypoints=found.keypoints)
 
 

@@ -92,9 +92,7 @@ def quantile(share: float, freedom: Array) -> Array:
 
 def interval_error(error: Array, sigma: Array, freedom: Array) -> float:
     """The mean difference of the shares that intervals are meant to cover and that they cover."""
-    covered = [
-        np.mean(error**2 * freedom / sigma**2 <= quantile(share, freedom)) - share for share in NOMINAL
-    ]
+    covered = [np.mean(error**2 * freedom / sigma**2 <= quantile(share, freedom)) - share for share in NOMINAL]
     return float(np.mean(np.abs(covered)))
 
 

@@ -15,9 +15,13 @@ from rtof_kin.core.array_types import Array
 Ints = NDArray[np.int64]
 Row = dict[str, Any]
 THRESHOLDS = (
-    ("position", 50.0), ("relative", 50.0), ("orientation", 5.0), ("orientation", 10.0),
-    ("angle", 5.0), ("angle", 10.0),
-)  # fmt: skip
+    ("position", 50.0),
+    ("relative", 50.0),
+    ("orientation", 5.0),
+    ("orientation", 10.0),
+    ("angle", 5.0),
+    ("angle", 10.0),
+)
 """Quantity, and the error in mm or deg above which it is called bad."""
 _LEAST = 1e-3
 """mm or deg: the least standard deviation that counts as stated."""
@@ -52,10 +56,17 @@ def samples(rows: Sequence[Row], quantity: str) -> Samples:
         entry = 1000 * r + np.arange(len(error))[:, None] + np.zeros(error.shape, dtype=int)
         known = np.isfinite(error + sigma + freedom) & (sigma > _LEAST)
         count = int(known.sum())
-        parts.append((
-            error[known], sigma[known], freedom[known], flags[known], np.full(count, r), entry[known],
-            np.full(count, people.index(row["person"])),
-        ))  # fmt: skip
+        parts.append(
+            (
+                error[known],
+                sigma[known],
+                freedom[known],
+                flags[known],
+                np.full(count, r),
+                entry[known],
+                np.full(count, people.index(row["person"])),
+            )
+        )
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -65,7 +76,8 @@ def figures(own: Samples, threshold: float) -> Row:
     stated = scores.probability_above(threshold, own.sigma, own.freedom)
     inside = own.error**2 * own.freedom / own.sigma**2 <= scores.quantile(0.95, own.freedom)
     return {
-        "count": len(bad), "share": float(bad.mean()),
+        "count": len(bad),
+        "share": float(bad.mean()),
         "auc": scores.area(own.sigma, bad),
         "auc_recording": scores.area_within(own.sigma, bad, own.recording),
         "auc_entry": scores.area_within(own.sigma, bad, own.entry),
@@ -75,7 +87,7 @@ def figures(own: Samples, threshold: float) -> Row:
         "rho": scores.rank_correlation(own.sigma, own.error),
         "rho_recording": scores.rank_correlation_within(own.sigma, own.error, own.recording),
         "rho_entry": scores.rank_correlation_within(own.sigma, own.error, own.entry),
-    }  # fmt: skip
+    }
 
 
 def intervals(own: Samples, threshold: float) -> Row:
@@ -105,14 +117,15 @@ def verdict_figures(rows: Sequence[Row], quantity: str, threshold: float) -> Row
     everything = samples(rows, quantity)
     bad = error > threshold
     return {
-        "recordings": len(rows), "bad": int(bad.sum()),
+        "recordings": len(rows),
+        "bad": int(bad.sum()),
         "auc_grades": scores.area(np.array([g for g, _ in grades]), bad),
         "auc_excess": scores.area(np.array([e for _, e in grades]), bad),
         "auc_sigma": scores.area(sigma, bad),
         "rho_excess": scores.rank_correlation(np.array([e for _, e in grades]), error),
         "rho_sigma": scores.rank_correlation(sigma, error),
         "auc_flags": scores.area(everything.flags, everything.error > threshold),
-    }  # fmt: skip
+    }
 
 
 def curves(own: Samples, threshold: float) -> Row:

@@ -13,9 +13,11 @@ from benchmarks.verdicts.study import THRESHOLDS, Row
 from rtof_kin.protocols.tables import Table
 
 LABELS = {
-    "position": "positions in world", "relative": "positions relative to the root",
-    "orientation": "segment orientations", "angle": "clinical angles",
-}  # fmt: skip
+    "position": "positions in world",
+    "relative": "positions relative to the root",
+    "orientation": "segment orientations",
+    "angle": "clinical angles",
+}
 UNITS = {"position": "mm", "relative": "mm", "orientation": "deg", "angle": "deg"}
 
 
@@ -27,13 +29,9 @@ def label(quantity: str, threshold: float) -> str:
 def tables(rows: Sequence[Row]) -> tuple[list[Table], Row]:
     """All tables, and their figures for the JSON."""
     parts = study.parts(rows)
-    pools = {
-        quantity: {name: study.samples(own, quantity) for name, own in parts.items()} for quantity in LABELS
-    }
+    pools = {quantity: {name: study.samples(own, quantity) for name, own in parts.items()} for quantity in LABELS}
     found = {
-        label(quantity, threshold): {
-            name: study.figures(own, threshold) for name, own in pools[quantity].items()
-        }
+        label(quantity, threshold): {name: study.figures(own, threshold) for name, own in pools[quantity].items()}
         for quantity, threshold in THRESHOLDS
     }
     intervals = {label(q, t): study.intervals(pools[q]["all"], t) for q, t in THRESHOLDS}
@@ -51,57 +49,97 @@ def _everything(found: Mapping[str, Row], intervals: Mapping[str, Row]) -> Table
             f"{own[key]:.2f} ({low:.2f}-{high:.2f})"
             for key, (low, high) in ((key, intervals[name][key]) for key in ("auc", "ece", "rho"))
         ]
-        rows.append((
-            name, 100 * own["share"], with_interval[0], own["auc_recording"], own["auc_entry"],
-            with_interval[1], own["interval_error"], 100 * own["coverage"], with_interval[2],
-            own["rho_recording"], own["rho_entry"],
-        ))  # fmt: skip
+        rows.append(
+            (
+                name,
+                100 * own["share"],
+                with_interval[0],
+                own["auc_recording"],
+                own["auc_entry"],
+                with_interval[1],
+                own["interval_error"],
+                100 * own["coverage"],
+                with_interval[2],
+                own["rho_recording"],
+                own["rho_entry"],
+            )
+        )
     return Table(
-        "sigma", "Stated sigma against the error, frame by frame",
-        ("error", "bad %", "AUC", "in a recording", "of one entry", "ECE", "of intervals",
-         "95 % bands cover %", "rank correlation", "in a recording", "of one entry"),
-        (0, 0, 2, 2, 2, 2, 2, 0, 2, 2, 2), tuple(rows),
-        ("AUC of sigma for frames whose error is above the threshold, and Spearman's rank correlation of "
-         "sigma and error: over everything; over frames and entries (joints, segments, angles) of one "
-         "recording; over the frames of one entry alone.",
-         "ECE: expected calibration error of the probability that the error is above the threshold; and "
-         "the mean difference between meant and seen coverage of six intervals. In brackets: 95 % "
-         "bootstrap over people.",
-         "Of positions and orientations the error is the length of a vector, of angles the difference."),
-    )  # fmt: skip
+        "sigma",
+        "Stated sigma against the error, frame by frame",
+        (
+            "error",
+            "bad %",
+            "AUC",
+            "in a recording",
+            "of one entry",
+            "ECE",
+            "of intervals",
+            "95 % bands cover %",
+            "rank correlation",
+            "in a recording",
+            "of one entry",
+        ),
+        (0, 0, 2, 2, 2, 2, 2, 0, 2, 2, 2),
+        tuple(rows),
+        (
+            "AUC of sigma for frames whose error is above the threshold, and Spearman's rank correlation of "
+            "sigma and error: over everything; over frames and entries (joints, segments, angles) of one "
+            "recording; over the frames of one entry alone.",
+            "ECE: expected calibration error of the probability that the error is above the threshold; and "
+            "the mean difference between meant and seen coverage of six intervals. In brackets: 95 % "
+            "bootstrap over people.",
+            "Of positions and orientations the error is the length of a vector, of angles the difference.",
+        ),
+    )
 
 
 def _by_part(found: Mapping[str, Row]) -> Table:
     names = list(next(iter(found.values())))
     rows = tuple(
-        (part, *(" / ".join(f"{own[part][key]:.2f}" for key in ("auc", "ece", "rho"))
-                 for own in found.values()))
+        (part, *(" / ".join(f"{own[part][key]:.2f}" for key in ("auc", "ece", "rho")) for own in found.values()))
         for part in names
-    )  # fmt: skip
+    )
     return Table(
-        "parts", "The same by recordings: AUC / ECE / rank correlation", ("recordings", *found),
-        (0,) * (1 + len(found)), rows,
-        ("independent: errors of each joint by itself; mediapipe: drawn from a model fitted to real "
-         "detections. Rigs: motions on skeletons other than those of any fit.",),
-    )  # fmt: skip
+        "parts",
+        "The same by recordings: AUC / ECE / rank correlation",
+        ("recordings", *found),
+        (0,) * (1 + len(found)),
+        rows,
+        (
+            "independent: errors of each joint by itself; mediapipe: drawn from a model fitted to real "
+            "detections. Rigs: motions on skeletons other than those of any fit.",
+        ),
+    )
 
 
 def _verdicts(found: Mapping[str, Row]) -> Table:
     keys = ("auc_grades", "auc_excess", "auc_sigma", "rho_excess", "rho_sigma", "auc_flags")
     rows = tuple(
-        (name, f"{own['bad']} of {own['recordings']}", *(own[key] for key in keys))
-        for name, own in found.items()
+        (name, f"{own['bad']} of {own['recordings']}", *(own[key] for key in keys)) for name, own in found.items()
     )
     return Table(
-        "verdicts", "Verdicts against the error",
-        ("error", "bad recordings", "AUC of grades", "AUC of excess", "AUC of sigma",
-         "rank correlation of excess", "of sigma", "frames: AUC of flags"),
-        (0, 0, 2, 2, 2, 2, 2, 2), rows,
-        ("Of recordings with a root mean square error above the threshold: the report's sections' grades "
-         "added up; the figures of its audit over the limits at which they warn, added up; root mean "
-         "square of the stated sigma.",
-         "Flags of a frame: beyond an anatomical limit, in a fault of the streams, a singular angle."),
-    )  # fmt: skip
+        "verdicts",
+        "Verdicts against the error",
+        (
+            "error",
+            "bad recordings",
+            "AUC of grades",
+            "AUC of excess",
+            "AUC of sigma",
+            "rank correlation of excess",
+            "of sigma",
+            "frames: AUC of flags",
+        ),
+        (0, 0, 2, 2, 2, 2, 2, 2),
+        rows,
+        (
+            "Of recordings with a root mean square error above the threshold: the report's sections' grades "
+            "added up; the figures of its audit over the limits at which they warn, added up; root mean "
+            "square of the stated sigma.",
+            "Flags of a frame: beyond an anatomical limit, in a fault of the streams, a singular angle.",
+        ),
+    )
 
 
 def draw(curves: Mapping[str, Any], path: Path) -> None:

@@ -15,9 +15,18 @@ from tempfile import TemporaryDirectory
 from docs.pictures.studio import Studio
 
 PICTURES = (
-    "placement", "report", "view", "overlay", "compare", "follow", "live", "skeletons", "study",
-    "sensors_only", "gallery",
-)  # fmt: skip
+    "placement",
+    "report",
+    "view",
+    "overlay",
+    "compare",
+    "follow",
+    "live",
+    "skeletons",
+    "study",
+    "sensors_only",
+    "gallery",
+)
 """Modules of this folder, each with ``make(studio) -> paths``."""
 
 

@@ -51,9 +51,13 @@ def _recorded(rate_hz: float, factor: float, seed: int, day: str) -> Recording:
     clip = _bent(clip, factor)
     camera = standard_cameras(clip.poses, 7)[1]
     recording = simulate(
-        clip.poses, clip.joint_offsets, camera=camera, settings=SimulationSettings.realistic(), seed=seed,
+        clip.poses,
+        clip.joint_offsets,
+        camera=camera,
+        settings=SimulationSettings.realistic(),
+        seed=seed,
         name=f"{day}, {rate_hz:.1f} Hz",
-    )  # fmt: skip
+    )
     return replace(recording, session=Session(subject="Example", date=day, protocol="walk 4 m"))
 
 

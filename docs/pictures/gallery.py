@@ -74,8 +74,7 @@ ENTRIES = (
     ),
     Entry(
         "rtof-kin follow visits -o out/follow",
-        "[Visits of one person](follow.md): improved, worse or not shown, and the smallest change that could "
-        "be.",
+        "[Visits of one person](follow.md): improved, worse or not shown, and the smallest change that could be.",
         "follow.png",
         "The page of three visits",
     ),

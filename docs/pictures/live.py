@@ -27,10 +27,23 @@ def make(studio: Studio) -> list[Path]:
 
     demo, port, picture = model_path("demo"), free_port(), studio.folder / "live.png"
     session = subprocess.Popen(
-        [sys.executable, "-m", "rtof_kin.cli", "live", str(demo), "--camera", str(demo), "--imus", str(demo),
-         "--out", f"ws:{port}", "--seconds", "60"],
+        [
+            sys.executable,
+            "-m",
+            "rtof_kin.cli",
+            "live",
+            str(demo),
+            "--camera",
+            str(demo),
+            "--imus",
+            str(demo),
+            "--out",
+            f"ws:{port}",
+            "--seconds",
+            "60",
+        ],
         env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    )
     try:
         wait_for(port, 60)
         with BrowserPage(studio.folder / "live", *SIZE) as page:

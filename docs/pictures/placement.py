@@ -83,20 +83,20 @@ def places() -> Path:
             (j,) = skeleton.index(segment)
             place = p[j] + R[j] @ np.asarray(lever)
             group = (
-                "eight limb sensors"
-                if name in EIGHT
-                else "ten: + trunk"
-                if name in TEN
-                else "thirteen: + head, feet"
+                "eight limb sensors" if name in EIGHT else "ten: + trunk" if name in TEN else "thirteen: + head, feet"
             )
             ax.scatter(place[across], place[2], s=60, marker="s", color=COLOURS[group], zorder=2)
             if across == 1:
                 right, low = place[1] < 0, "UpArm" in name  # labels of an arm would overlap
                 offset = (-7 if right else 7, -14 if low else 7)
                 ax.annotate(
-                    name, (place[1], place[2]), offset, textcoords="offset points", fontsize=8,
+                    name,
+                    (place[1], place[2]),
+                    offset,
+                    textcoords="offset points",
+                    fontsize=8,
                     ha="right" if right else "left",
-                )  # fmt: skip
+                )
         ax.set_title(title)
         ax.set_xlim((-0.9, 0.9) if across == 1 else (-0.4, 0.4))
         ax.set_aspect("equal")

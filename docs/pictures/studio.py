@@ -14,9 +14,15 @@ from PIL import Image
 DOCS = Path(__file__).parent.parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
-    "--headless", "--no-sandbox", "--hide-scrollbars", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--hide-scrollbars",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
 
 
 class Studio:
@@ -33,9 +39,7 @@ class Studio:
     def printed(self, *arguments: str | Path) -> str:
         """Return what one command prints on a terminal 100 columns wide."""
         command = [sys.executable, "-m", "rtof_kin.cli", *map(str, arguments)]
-        done = subprocess.run(
-            command, check=True, capture_output=True, text=True, env=os.environ | {"COLUMNS": "100"}
-        )
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | {"COLUMNS": "100"})
         return done.stdout
 
     @cached_property
@@ -45,20 +49,36 @@ class Studio:
         return self.folder / "demo"
 
     def photograph(
-        self, page: Path | str, picture: Path, width: int, height: int, milliseconds: int = 4000,
-        flags: tuple[str, ...] = ("--disable-gpu",), scale: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        page: Path | str,
+        picture: Path,
+        width: int,
+        height: int,
+        milliseconds: int = 4000,
+        flags: tuple[str, ...] = ("--disable-gpu",),
+        scale: float = 1.0,
+    ) -> None:
         """Write what a browser shows of a page, width x height in CSS pixels, as a PNG."""
         browser = next(filter(None, map(shutil.which, BROWSERS)), None)
         if browser is None:
             sys.exit(f"no browser: install one of {', '.join(BROWSERS)}")
         address = page if isinstance(page, str) else page.as_uri()
         subprocess.run(
-            [browser, *FLAGS, *flags, f"--user-data-dir={self.folder / 'profile'}",
-             f"--window-size={width},{height}", f"--force-device-scale-factor={scale}",
-             f"--virtual-time-budget={milliseconds}", f"--screenshot={picture}", address],
-            check=True, timeout=180, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [
+                browser,
+                *FLAGS,
+                *flags,
+                f"--user-data-dir={self.folder / 'profile'}",
+                f"--window-size={width},{height}",
+                f"--force-device-scale-factor={scale}",
+                f"--virtual-time-budget={milliseconds}",
+                f"--screenshot={picture}",
+                address,
+            ],
+            check=True,
+            timeout=180,
+            stderr=subprocess.DEVNULL,
+        )
 
 
 def save(image: Image.Image, name: str, width: int | None = None) -> Path:

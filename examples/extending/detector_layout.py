@@ -22,11 +22,23 @@ CROWDPOSE = Layout.of(
     "crowdpose14",
     "CrowdPose, 14 points",
     [
-        "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
-        "left_hip", "right_hip", "left_knee", "right_knee", "left_ankle", "right_ankle", "top_head", "neck",
+        "left_shoulder",
+        "right_shoulder",
+        "left_elbow",
+        "right_elbow",
+        "left_wrist",
+        "right_wrist",
+        "left_hip",
+        "right_hip",
+        "left_knee",
+        "right_knee",
+        "left_ankle",
+        "right_ankle",
+        "top_head",
+        "neck",
     ],
     {"top_head": "HeadTop", "neck": "UpperNeck"},
-)  # fmt: skip
+)
 # [end]
 
 
@@ -52,9 +64,7 @@ def main() -> None:
     uv = recording.video.camera.project(truth.p_world_joint)
     joints = found.keypoints.select(skeleton.names)
     error = np.linalg.norm(joints.uv_px - uv, axis=-1)
-    print(
-        f"{len(skeleton.names)} joints regressed from {len(CROWDPOSE)} points, {np.nanmean(error):.1f} px off"
-    )
+    print(f"{len(skeleton.names)} joints regressed from {len(CROWDPOSE)} points, {np.nanmean(error):.1f} px off")
     measured = detector_points(CROWDPOSE.name)
     print(f"{len(measured)} points are compared with the body; sizes of their errors, mm:")
     print({name: round(1000 * point.size) for name, point in measured.items() if not name.startswith("Left")})

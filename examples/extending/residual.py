@@ -56,9 +56,7 @@ def main() -> None:
             solution = solver.solve(start, keypoints, observed=observed)
             off = np.linalg.norm(solution.poses.p_world_joint[:, 0] - truth.p_world_joint[:, 0], axis=1)
             name = f"{solver.space}, {'with' if observed else 'without'} distances"
-            print(
-                f"{name}: root {1000 * off.mean():.0f} mm off, {solution.energy['anchor']:.2f} of the energy"
-            )
+            print(f"{name}: root {1000 * off.mean():.0f} mm off, {solution.energy['anchor']:.2f} of the energy")
 
 
 if __name__ == "__main__":

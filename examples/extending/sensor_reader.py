@@ -35,9 +35,7 @@ def is_acme(head: str) -> bool:
 def read_acme(path: Path, **declared: Any) -> SensorLog:
     """Read all sensors of a trial; `declared` are the fields that the user sets."""
     declaration = Declaration(acceleration_unit="g", angular_unit="deg/s").changed(**declared)
-    table = read_table(
-        path, lambda names: "ms" in names, lambda name: name == "ms" or bool(COLUMN.match(name))
-    )
+    table = read_table(path, lambda names: "ms" in names, lambda name: name == "ms" or bool(COLUMN.match(name)))
     times = table.columns("ms")[:, 0] / 1000
     if not np.all(np.diff(times) > 0):
         raise FileFormatError(path, "the times in column ms do not increase; sort the lines")
@@ -61,9 +59,7 @@ ACME = Format(TITLE, "CSV that begins with '# Acme Motion'", is_acme, read_acme,
 def write_sample(path: Path, seconds: float = 2.0) -> None:
     """Write two sensors that lie still, with noise."""
     rng, lines = np.random.default_rng(0), ["# Acme Motion recorder, firmware 2.4"]
-    lines.append(
-        "ms;" + ";".join(f"{name}.{k}{axis}" for name in ("A17", "A18") for k in "ag" for axis in "xyz")
-    )
+    lines.append("ms;" + ";".join(f"{name}.{k}{axis}" for name in ("A17", "A18") for k in "ag" for axis in "xyz"))
     for ms in range(0, int(1000 * seconds), 10):
         at_rest = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 2) + 0.01 * rng.normal(size=12)
         lines.append(f"{ms};" + ";".join(f"{value:.4f}" for value in at_rest))

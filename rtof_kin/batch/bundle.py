@@ -29,15 +29,42 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.session import Session
 
 _SUMMARY: Final = (
-    "mode", "verdict", "frames", "rate_hz", "parts", "skeleton", "height_m", "sensors", "provenance",
-    "valid_share", "dofs_from_prior", "limit_violations_deg", "singular_share", "mean_sigma_m", "settings",
-    "inputs", "audit", "stream_faults", "warnings", "root_drift_sigma_m", "solver", "metrics",
-    "metrics_per_joint", "run",
-)  # fmt: skip
+    "mode",
+    "verdict",
+    "frames",
+    "rate_hz",
+    "parts",
+    "skeleton",
+    "height_m",
+    "sensors",
+    "provenance",
+    "valid_share",
+    "dofs_from_prior",
+    "limit_violations_deg",
+    "singular_share",
+    "mean_sigma_m",
+    "settings",
+    "inputs",
+    "audit",
+    "stream_faults",
+    "warnings",
+    "root_drift_sigma_m",
+    "solver",
+    "metrics",
+    "metrics_per_joint",
+    "run",
+)
 _INPUTS: Final = (
-    "software", "first_frame", "subject", "floor_height_m", "camera", "cameras", "camera_estimate", "sensors",
+    "software",
+    "first_frame",
+    "subject",
+    "floor_height_m",
+    "camera",
+    "cameras",
+    "camera_estimate",
+    "sensors",
     "calibration",
-)  # fmt: skip
+)
 """Fields of ``summary.json``, and of its inputs, that are kept."""
 _OF_RUN: Final = ("recording", "joined")
 """Recordings beside the motion in the output of `run`."""
@@ -73,15 +100,17 @@ class _Source:
 
 
 def write_bundle(
-    path: Path, outputs: Sequence[Path], recordings: Sequence[Path], files: Sequence[Path] = (),
-    choice: Choice | None = None, overwrite: bool = False,
-) -> Bundle:  # fmt: skip
+    path: Path,
+    outputs: Sequence[Path],
+    recordings: Sequence[Path],
+    files: Sequence[Path] = (),
+    choice: Choice | None = None,
+    overwrite: bool = False,
+) -> Bundle:
     """Write reconstructions with their recordings and settings to one file.
 
     Args:
-        path: of the bundle. outputs: folders of `reconstruct` or `run`. recordings: folders in which theirs
-            are looked for. files: weights and calibrations that the runs were given. choice: what is kept.
-        overwrite: replace an existing file.
+        outputs: folders of `reconstruct` or `run`. overwrite: replace an existing file.
 
     Raises:
         InvalidInputError: a recording or file of a run is not there, or something that identifies would be
@@ -149,9 +178,7 @@ def _search(sources: Iterable[_Source], subjects: Sequence[str], choice: Choice)
         phrases.append(session.place)
         allowed += [text for label, text in session.plain().items() if label in choice.keep]
         titles = (source.recording.name, source.folder.resolve().name)
-        phrases += [
-            title for title in titles if not title.isalpha() or not title.islower()
-        ]  # walk is no name
+        phrases += [title for title in titles if not title.isalpha() or not title.islower()]  # walk is no name
     return Search(names, phrases, allowed)
 
 
@@ -159,9 +186,13 @@ def _search(sources: Iterable[_Source], subjects: Sequence[str], choice: Choice)
 
 
 def _collect(
-    folder: Path, sources: Sequence[_Source], subjects: Sequence[str], files: Sequence[Path],
-    choice: Choice, search: Search,
-) -> tuple[list[Run], list[str], list[str]]:  # fmt: skip
+    folder: Path,
+    sources: Sequence[_Source],
+    subjects: Sequence[str],
+    files: Sequence[Path],
+    choice: Choice,
+    search: Search,
+) -> tuple[list[Run], list[str], list[str]]:
     """Write all members but the manifest; return the runs, what was kept and what was left out."""
     places: dict[Path, str] = {}
     runs, kept, left_out = list[Run](), list[str](), list[str]()
@@ -206,15 +237,10 @@ def _subjects(sources: Sequence[_Source], choice: Choice) -> list[str]:
 
 def _bare(recording: Recording, name: str, subject: str, choice: Choice) -> tuple[Recording, list[str]]:
     """Return a recording without labels, and which of them it had."""
-    texts = asdict(recording.session) | {
-        "notes": recording.notes,
-        "acknowledgement": recording.acknowledgement,
-    }
+    texts = asdict(recording.session) | {"notes": recording.notes, "acknowledgement": recording.acknowledgement}
     own = {label: texts[label] if label in choice.keep else "" for label in LABELS}
     session = Session(subject, *(own[label] for label in ("operator", "date", "place", "protocol")))
-    bare = replace(
-        recording, name=name, session=session, notes=own["notes"], acknowledgement=own["acknowledgement"]
-    )
+    bare = replace(recording, name=name, session=session, notes=own["notes"], acknowledgement=own["acknowledgement"])
     gone = [label for label in LABELS if texts[label] and not own[label]]
     gone = (["name of the subject"] if texts["subject"] else []) + gone
     return bare, ["title", *gone]

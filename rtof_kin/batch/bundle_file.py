@@ -54,10 +54,7 @@ class Run:
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON values."""
-        return {
-            "recording": self.recording, "result": self.result, "run": dict(self.record),
-            "files": dict(self.files),
-        }  # fmt: skip
+        return {"recording": self.recording, "result": self.result, "run": dict(self.record), "files": dict(self.files)}
 
 
 @dataclass(frozen=True)
@@ -74,9 +71,13 @@ class Bundle:
     def text(self) -> str:
         """Return the text of `MANIFEST`."""
         content = {
-            "format": FORMAT, "version": VERSION, "runs": [run.plain() for run in self.runs],
-            "kept": list(self.kept), "left_out": list(self.left_out), "sha256": dict(self.sha256),
-        }  # fmt: skip
+            "format": FORMAT,
+            "version": VERSION,
+            "runs": [run.plain() for run in self.runs],
+            "kept": list(self.kept),
+            "left_out": list(self.left_out),
+            "sha256": dict(self.sha256),
+        }
         return json.dumps(content, indent=1, sort_keys=True) + "\n"
 
 
@@ -84,7 +85,7 @@ def read_bundle(path: Path, folder: Path | None = None) -> Bundle:
     """Verify every member of a bundle, and unpack it if a folder is named.
 
     Args:
-        path: of the bundle. folder: existing and empty.
+        folder: existing and empty.
 
     Raises:
         FileFormatError: no bundle, hostile, of a newer version, or a member is missing, added or changed.
@@ -93,9 +94,7 @@ def read_bundle(path: Path, folder: Path | None = None) -> Bundle:
         bundle = _manifest(path, archive)
         names = {info.filename for info in archive.infolist()} - {MANIFEST}
         if missing := sorted({*bundle.sha256} - names):
-            raise FileFormatError(
-                path, f"changed: the member {missing[0]} is missing; ask for the file again"
-            )
+            raise FileFormatError(path, f"changed: the member {missing[0]} is missing; ask for the file again")
         if added := sorted(names - {*bundle.sha256}):
             raise FileFormatError(path, f"changed: the member {added[0]} was added; ask for the file again")
         if other := sorted(name for name in names if not _MEMBER.fullmatch(name)):
@@ -131,8 +130,7 @@ def _manifest(path: Path, archive: zipfile.ZipFile) -> Bundle:
             raise ValueError(f"format {content['format']!r}")
         if content["version"] != VERSION:
             raise FileFormatError(
-                path,
-                f"a bundle of version {content['version']}, this package reads {VERSION}; use a newer one",
+                path, f"a bundle of version {content['version']}, this package reads {VERSION}; use a newer one"
             )
         runs = tuple(_run(run, content["sha256"]) for run in content["runs"])
         sha256 = {str(name): str(value) for name, value in content["sha256"].items()}

@@ -53,17 +53,13 @@ class Step:
         """Return the command line.
 
         Args:
-            recording, out: folders. overwrite: replace the output.
+            overwrite: replace the output.
         """
         own = [a.replace(RECORDING, str(recording)).replace(OUT, str(out)) for a in self.arguments]
         return [self.command, *own, *(["--overwrite"] if overwrite and self.output else [])]
 
     def with_options(self, options: Iterable[str]) -> Step:
-        """Return the step with more options.
-
-        Args:
-            options: of the command.
-        """
+        """Return the step with more options."""
         return Step(self.command, (*self.arguments, *options))
 
 
@@ -71,7 +67,7 @@ def read_chain(text: str, commands: Collection[str]) -> tuple[Step, ...]:
     """Return the steps of a chain.
 
     Args:
-        text: see the top of this module. commands: all that there are.
+        text: see the top of this module.
 
     Raises:
         InvalidInputError: a command does not exist or needs its files named, or two write the same.
@@ -88,9 +84,7 @@ def read_chain(text: str, commands: Collection[str]) -> tuple[Step, ...]:
         raise InvalidInputError(f"chain: {error}") from error
     names = [output_name(step) for step in steps]
     if double := sorted({name for name in names if names.count(name) > 1}):
-        raise InvalidInputError(
-            f"chain: two commands write {double[0]}; name outputs of their own, -o {OUT}/..."
-        )
+        raise InvalidInputError(f"chain: two commands write {double[0]}; name outputs of their own, -o {OUT}/...")
     return steps
 
 
@@ -118,9 +112,6 @@ def _step(words: list[str], commands: Collection[str]) -> Step:
 def steps_of(chain: Iterable[Step], entry: Entry) -> tuple[Step, ...]:
     """Return the steps for one recording, with its own options.
 
-    Args:
-        chain: of the batch. entry: the recording.
-
     Raises:
         InvalidInputError: it has options of a command that is not in the chain.
     """
@@ -132,21 +123,13 @@ def steps_of(chain: Iterable[Step], entry: Entry) -> tuple[Step, ...]:
 
 
 def files_in(steps: Iterable[Step]) -> tuple[tuple[str, str], ...]:
-    """Return the files that options name, such as a model, with fingerprints of their contents.
-
-    Args:
-        steps: of a chain.
-    """
+    """Return the files that options name, such as a model, with fingerprints of their contents."""
     words = {word for step in steps for word in step.arguments if "{" not in word}
     values = {value for word in words for value in (word, word.partition("=")[2]) if value}
     return tuple((value, fingerprint(Path(value))) for value in sorted(values) if Path(value).is_file())
 
 
 def with_absolute_files(step: Step) -> Step:
-    """Return a step whose options name files by absolute paths, for a worker with another current folder.
-
-    Args:
-        step: of a chain.
-    """
+    """Return a step whose options name files by absolute paths, for a worker with another current folder."""
     words = (str(Path(word).resolve()) if Path(word).is_file() else word for word in step.arguments)
     return Step(step.command, tuple(words))

@@ -27,7 +27,7 @@ def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None
     """Write ``index.html``, and ``index-2.html`` and so on where there are very many recordings.
 
     Args:
-        out: folder. rows: worst first. total: number of recordings of the batch. source: its title.
+        rows: worst first.
     """
     pages = [rows[k : k + ROWS_PER_PAGE] for k in range(0, len(rows), ROWS_PER_PAGE)] or [()]
     for number, part in enumerate(pages, start=1):

@@ -55,18 +55,12 @@ class Place:
 def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Place]:
     """Make or reopen the folder of a batch, and keep other processes from the same shard.
 
-    Args:
-        out: folder. source: of the recordings. shard: to be claimed.
-        overwrite: do everything again, and accept another source.
-
     Raises:
         OutputExistsError: it holds other files or results of another source, or another process is at work.
         WritingError: it cannot be written. InvalidInputError: a shard cannot overwrite.
     """
     if overwrite and shard.count > 1:
-        raise InvalidInputError(
-            "a shard does not overwrite what others may just have made; name a new folder"
-        )
+        raise InvalidInputError("a shard does not overwrite what others may just have made; name a new folder")
     books = out / BOOKS
     _check_own(out)
     try:

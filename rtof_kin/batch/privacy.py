@@ -59,9 +59,7 @@ class Finding:
 class Search:
     """Search for words and for what looks like a path, an address, a date or a video."""
 
-    def __init__(
-        self, names: Iterable[str], phrases: Iterable[str] = (), allowed: Iterable[str] = ()
-    ) -> None:
+    def __init__(self, names: Iterable[str], phrases: Iterable[str] = (), allowed: Iterable[str] = ()) -> None:
         """Compile the search.
 
         Args:
@@ -77,19 +75,11 @@ class Search:
         self._free = free
 
     def allow(self, found: Iterable[str]) -> None:
-        """Let what the patterns find be, from now on.
-
-        Args:
-            found: whole findings, such as paths of members.
-        """
+        """Let what the patterns find be, from now on."""
         self._free |= {one.casefold() for one in found}
 
     def in_text(self, where: str, text: str, known: bool = True) -> list[Finding]:
-        """Return what is found in a text.
-
-        Args:
-            where: for the findings. text: to search. known: search for patterns too.
-        """
+        """Return what is found in a text."""
         found = []
         if self._words is not None and (word := self._words.search(text)):
             found.append(Finding(where, "a name", word.group()))
@@ -99,11 +89,7 @@ class Search:
         return found
 
     def in_data(self, where: str, data: Any) -> Iterator[Finding]:
-        """Yield what is found in plain data, its keys included.
-
-        Args:
-            where: for the findings. data: of JSON.
-        """
+        """Yield what is found in plain data, its keys included."""
         for place, text in texts(data):
             yield from self.in_text(f"{where}, {place}" if place else where, text)
 
@@ -111,7 +97,7 @@ class Search:
         """Return what is found in a file.
 
         Args:
-            name: for the findings; its ending tells the kind. path: of the file.
+            name: for the findings; its ending tells the kind.
         """
         if name.endswith(".json"):
             return list(self.in_data(name, load_json(path)))
@@ -148,11 +134,7 @@ class Search:
 
 
 def texts(data: Any, place: str = "") -> Iterator[tuple[str, str]]:
-    """Yield every text in plain data with its place, keys too.
-
-    Args:
-        data: of JSON. place: of it.
-    """
+    """Yield every text in plain data with its place, keys too."""
     if isinstance(data, str):
         yield place, data
     elif isinstance(data, dict):

@@ -68,11 +68,7 @@ class Shard:
         return f"{self.number}/{self.count}"
 
     def has(self, name: str) -> bool:
-        """Return whether a recording belongs to this shard.
-
-        Args:
-            name: of the recording.
-        """
+        """Return whether a recording belongs to this shard."""
         digest = hashlib.sha256(name.encode()).digest()
         return int.from_bytes(digest[:8], "big") % self.count == self.number - 1
 
@@ -81,7 +77,7 @@ def find_recordings(source: Path, out: Path) -> list[Entry]:
     """Return the recordings of a folder or a manifest, sorted by name.
 
     Args:
-        source: folder, or CSV file. out: folder of the output, in which none are looked for.
+        out: folder of the output, in which none are looked for.
 
     Raises:
         FileFormatError: there is no such source, or the manifest has an error.

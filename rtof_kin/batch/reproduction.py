@@ -58,22 +58,13 @@ class Comparison:
         if self.arrays and not any(".npz " in name for name in self.arrays):
             differ = f"the motion is the same, but not {', '.join(self.arrays)}: changed after the run"
         elif np.isfinite(self.position_mm):
-            differ = (
-                f"joints differ by up to {self.position_mm:.2g} mm, segments by up to {self.turn_deg:.2g} deg"
-            )
-        why = (
-            "; likely since " + ", ".join(causes)
-            if causes
-            else ", though code, libraries and processor agree"
-        )
+            differ = f"joints differ by up to {self.position_mm:.2g} mm, segments by up to {self.turn_deg:.2g} deg"
+        why = "; likely since " + ", ".join(causes) if causes else ", though code, libraries and processor agree"
         return f"{self.agreement.value}: {differ}{why}"
 
 
 def compare_results(bundled: Path, again: Path) -> Comparison:
     """Compare a result with the bundled one.
-
-    Args:
-        bundled, again: folders of both.
 
     Raises:
         FileFormatError: a file is missing or damaged.
@@ -89,9 +80,7 @@ def compare_results(bundled: Path, again: Path) -> Comparison:
     a, b = before.poses, after.poses
     if a.names != b.names or len(a) != len(b) or not np.allclose(a.times, b.times, rtol=0, atol=1e-6):
         return Comparison(Agreement.DIFFERENT, frames, np.nan, np.nan, arrays)
-    finite = [
-        np.isfinite(one.p_world_joint).all(-1) & np.isfinite(one.R_world_bone).all((-2, -1)) for one in (a, b)
-    ]
+    finite = [np.isfinite(one.p_world_joint).all(-1) & np.isfinite(one.R_world_bone).all((-2, -1)) for one in (a, b)]
     known = finite[0] & finite[1]
     same_flags = np.array_equal(a.valid, b.valid) and np.array_equal(finite[0], finite[1])
     apart = np.linalg.norm(a.p_world_joint[known] - b.p_world_joint[known], axis=-1)
@@ -131,7 +120,8 @@ def _unequal(bundled: Path, again: Path) -> list[str]:
     return [
         f"{bundled.name} {name}"
         for name in sorted({*before, *after})
-        if name not in before or name not in after
+        if name not in before
+        or name not in after
         or (before[name].dtype, before[name].shape) != (after[name].dtype, after[name].shape)
         or before[name].tobytes() != after[name].tobytes()
-    ]  # fmt: skip
+    ]

@@ -24,8 +24,10 @@ ERROR: Final = "error"
 DONE: Final = "done"
 """Verdict of one without a motion, whose commands all succeeded."""
 WORST_FIRST: Final = (
-    ERROR, *(g.value for g in (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.NOT_CHECKED, Grade.PASS)), DONE,
-)  # fmt: skip
+    ERROR,
+    *(g.value for g in (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.NOT_CHECKED, Grade.PASS)),
+    DONE,
+)
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,7 @@ class Row:
 
     @classmethod
     def of_plain(cls, plain: Any) -> Self | None:
-        """Return a row, or None if it is none.
-
-        Args:
-            plain: as in JSON.
-        """
+        """Return a row, or None if it is none."""
         if not isinstance(plain, dict) or not isinstance(plain.get("recording"), str):
             return None
         row = cls("")
@@ -94,19 +92,12 @@ class RowFile:
     """Rows of one shard, kept as they come."""
 
     def __init__(self, path: Path, run: int, rows: Mapping[str, Numbered]):
-        """Write the rows of earlier runs anew, without what a killed process left, and open for more.
-
-        Args:
-            path: file. run: number of this one. rows: of earlier runs.
-        """
+        """Write the rows of earlier runs anew, without what a killed process left, and open for more."""
         self.path, self.run, self.rows = path, run, dict(rows)
         write_text(path, "".join(_line(n, row) for n, row in rows.values()), overwrite=True)
 
     def add(self, row: Row) -> None:
         """Append a row.
-
-        Args:
-            row: of a recording that ended.
 
         Raises:
             WritingError: it cannot be written; the file is as before then.

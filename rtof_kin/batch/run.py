@@ -60,8 +60,7 @@ def run_batch(
     """Run a batch, or what is left of it.
 
     Args:
-        batch: to be run. command: runs one command line; at the top level of a module.
-        engine: where. overwrite: do everything again. progress: called after every recording.
+        command: runs one command line; at the top level of a module.
 
     Returns:
         Rows of this shard's recordings, in their order.
@@ -119,21 +118,14 @@ def _tasks(
         own = steps[entry.name]
         if own not in known:
             marks = [
-                fingerprint(batch.version, place.generation, own[:k], files_in(own[:k]))
-                for k in range(1, len(own) + 1)
+                fingerprint(batch.version, place.generation, own[:k], files_in(own[:k])) for k in range(1, len(own) + 1)
             ]
             known[own] = tuple(map(with_absolute_files, own)), tuple(marks)
         absolute, made_from = known[own]
         yield (
             entry.name,
             Task(
-                entry.name,
-                entry.folder.resolve(),
-                batch.out.resolve(),
-                place.token,
-                absolute,
-                made_from,
-                batch.version,
+                entry.name, entry.folder.resolve(), batch.out.resolve(), place.token, absolute, made_from, batch.version
             ),
         )
 
@@ -183,9 +175,6 @@ Check = Callable[[list[str]], object]
 
 def check_chain(batch: Batch, check: Check) -> None:
     """Check the command lines of all recordings before the first of them is run; equal ones once.
-
-    Args:
-        batch: to be run. check: of one command line.
 
     Raises:
         RtofError: a command line is wrong; the message names the recording.

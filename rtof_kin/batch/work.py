@@ -53,20 +53,12 @@ class Task:
 
 
 def mark_of(out: Path) -> Path:
-    """Return the file that marks the folder of a batch.
-
-    Args:
-        out: the folder.
-    """
+    """Return the file that marks the folder of a batch."""
     return out / ".batch" / "mark.json"
 
 
 def process(command: Command, task: Task) -> dict[str, Any]:
-    """Run the steps of a recording that are not done, and return its row as plain data.
-
-    Args:
-        command: the command line. task: the recording.
-    """
+    """Run the steps of a recording that are not done, and return its row as plain data."""
     state = None
     try:
         _check_shared(task)
@@ -168,9 +160,12 @@ class _State:
         """Note the result of a step, which is written with the next one or with the row."""
         output = _digest(self.folder / (step.output or _log_name(step)))
         self.steps[output_name(step)] = {
-            "made_from": made_from, "output": output, "seconds": round(seconds, 3),
-            "cpu_seconds": round(cpu_seconds, 3), "peak_memory_mb": round((peak_memory() or 0) / _MB, 1),
-        }  # fmt: skip
+            "made_from": made_from,
+            "output": output,
+            "seconds": round(seconds, 3),
+            "cpu_seconds": round(cpu_seconds, 3),
+            "peak_memory_mb": round((peak_memory() or 0) / _MB, 1),
+        }
 
     def keep(self, row: Row) -> None:
         """Write the row of a recording all of whose steps are done, unless it is there."""
@@ -187,9 +182,7 @@ def _check_shared(task: Task) -> None:
     except OSError:
         same = False
     if not same:
-        raise RtofError(
-            f"{task.out}: is not the batch's folder on this machine; all must share it under one name"
-        )
+        raise RtofError(f"{task.out}: is not the batch's folder on this machine; all must share it under one name")
 
 
 def _run_step(command: Command, task: Task, state: _State, step: Step, made_from: str) -> None:
@@ -268,9 +261,12 @@ def _verdict(task: Task, state: _State) -> Row:
     found = json.loads(summary.read_text(encoding="utf-8"))
     frames, verdict = int(found["frames"]), found["verdict"]
     return replace(
-        row, verdict=verdict["grade"], sentence=verdict["headline"], frames=frames,
+        row,
+        verdict=verdict["grade"],
+        sentence=verdict["headline"],
+        frames=frames,
         duration_s=round(frames / found["rate_hz"], 3),
-    )  # fmt: skip
+    )
 
 
 def _with_figures(row: Row, task: Task, state: _State | None) -> Row:

@@ -20,20 +20,12 @@ _TWIST_RETURN = np.radians(5.0)
 
 
 def children_of(parents: Sequence[int], joint: int) -> list[int]:
-    """Return the indices of the children of a joint.
-
-    Args:
-        parents: tree. joint: index.
-    """
+    """Return the indices of the children of a joint."""
     return [child for child, parent in enumerate(parents) if parent == joint]
 
 
 def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
-    """Return the indices of a joint and its ancestors, up to the root.
-
-    Args:
-        parents: tree. joint: index.
-    """
+    """Return the indices of a joint and its ancestors, up to the root."""
     line = [joint]
     while parents[line[-1]] >= 0:
         line.append(parents[line[-1]])
@@ -44,13 +36,11 @@ def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bon
     """Return joint positions (..., J, 3) in world, m.
 
     Args:
-        parents, offsets: tree. p_root: (..., 3) m. R_world_bone: (..., J, 3, 3).
+        p_root: (..., 3) m. R_world_bone: (..., J, 3, 3).
     """
     p = np.empty((*R_world_bone.shape[:-2], 3))
     for j, parent in enumerate(parents):
-        p[..., j, :] = (
-            p_root if parent < 0 else p[..., parent, :] + R_world_bone[..., parent, :, :] @ offsets[j]
-        )
+        p[..., j, :] = p_root if parent < 0 else p[..., parent, :] + R_world_bone[..., parent, :, :] @ offsets[j]
     return p
 
 
@@ -58,7 +48,7 @@ def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
     """Return R_world_bone (..., J, 3, 3).
 
     Args:
-        parents: tree. R_parent_bone: (..., J, 3, 3), the root's relative to world.
+        R_parent_bone: (..., J, 3, 3), the root's relative to world.
     """
     R = np.empty_like(R_parent_bone)
     for j, parent in enumerate(parents):
@@ -71,7 +61,7 @@ def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
     """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`.
 
     Args:
-        parents: tree. R_world_bone: (..., J, 3, 3).
+        R_world_bone: (..., J, 3, 3).
     """
     R = R_world_bone.copy()
     for j, parent in enumerate(parents):
@@ -82,14 +72,13 @@ def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
 
 
 def segment_rotation(parents: Sequence[int], offsets: Array, joint: int, p: Array, R_parent: Array) -> Array:
-    """Return R_world_bone (T, 3, 3) of a segment from joint positions (SolveRotation in Algorithm 1 of the
-    paper).
+    """Return R_world_bone (T, 3, 3) of a segment from joint positions (SolveRotation in Algorithm 1 of the paper).
 
     Several children determine it (Kabsch). One child determines the direction of the bone; the twist follows
     the parent. A leaf has the orientation of its parent.
 
     Args:
-        parents, offsets: tree. joint: index of the segment. p: (T, J, 3) m, finite, of any bone lengths.
+        p: (T, J, 3) m, finite, of any bone lengths.
         R_parent: (T, 3, 3) orientation of the parent in world; identity for the root.
     """
     children = children_of(parents, joint)
@@ -134,7 +123,7 @@ def rotations_from_positions(parents: Sequence[int], offsets: Array, p: Array) -
     """Return R_world_bone (T, J, 3, 3) from joint positions by `segment_rotation`; NaN in incomplete frames.
 
     Args:
-        parents, offsets: tree. p: (T, J, 3) m.
+        p: (T, J, 3) m.
     """
     known = np.isfinite(p).all(axis=(1, 2))
     R = np.full((*p.shape[:2], 3, 3), np.nan)

@@ -13,18 +13,10 @@ LIMBS = tuple(
 
 
 def bare(sensors: Collection[str]) -> set[str]:
-    """Return the segments of limbs without any sensor.
-
-    Args:
-        sensors: joints whose segments carry a sensor.
-    """
+    """Return the segments of limbs without any sensor."""
     return {name for limb in LIMBS if not {*limb} & {*sensors} for name in limb}
 
 
 def both_bones_sensed(sensors: Collection[str]) -> bool:
-    """Return whether a limb has sensors on both long bones, which makes the root position observable.
-
-    Args:
-        sensors: joints whose segments carry a sensor.
-    """
+    """Return whether a limb has sensors on both long bones, which makes the root position observable."""
     return any({*limb[:2]} <= {*sensors} for limb in LIMBS)

@@ -61,8 +61,7 @@ def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonMode
     """Compute all metrics over the frames in which estimate and truth have all joints and the truth is valid.
 
     Args:
-        estimate: poses. truth: poses of the same joints, interpolated at the times of the estimate.
-        skeleton: of both.
+        truth: poses of the same joints, interpolated at the times of the estimate.
 
     Raises:
         UnknownNameError, InvalidInputError: joints differ from the skeleton's; fewer than four common frames.
@@ -118,7 +117,7 @@ def stage_metrics(
     """Compute all metrics of every stage of a mode; empty without truth or with fewer than four frames of it.
 
     Args:
-        stages: poses at the same times by stage. truth, skeleton: see `evaluate`. mode: see `core.choices`.
+        truth, skeleton: see `evaluate`. mode: see `core.choices`.
     """
     if truth is None:
         return {}
@@ -137,7 +136,7 @@ def comparable(estimate: PoseSequence, truth: PoseSequence, mode: str) -> PoseSe
     The shift is constant; the roots coincide in the first frame with both, see `BEGUN_TOGETHER`.
 
     Args:
-        estimate, truth: poses of the same joints. mode: see `core.choices`.
+        mode: see `core.choices`.
     """
     if mode != "imu":
         return estimate
@@ -154,9 +153,6 @@ def aligned_worlds(estimate: PoseSequence, truth: PoseSequence) -> tuple[PoseSeq
 
     One rotation about the vertical and one translation for all frames, by least squares over all joints
     (Umeyama 1991, in the horizontal plane): two systems share the vertical, not where they count from.
-
-    Args:
-        estimate, truth: poses of the same joints.
     """
     true = at_times(truth, estimate.times).p_world_joint
     known = np.isfinite(estimate.p_world_joint + true).all(axis=2)
@@ -172,20 +168,14 @@ def aligned_worlds(estimate: PoseSequence, truth: PoseSequence) -> tuple[PoseSeq
 
 
 def motionless(truth: PoseSequence) -> PoseSequence:
-    """Return the mean position and orientation of the truth in every frame (zero-motion baseline).
-
-    Args:
-        truth: poses.
-    """
+    """Return the mean position and orientation of the truth in every frame (zero-motion baseline)."""
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)
     mean = [[_mean(p[:, j, i]) for i in range(3)] for j in range(p.shape[1])]
     R = truth.R_world_bone
     known = truth.valid & np.isfinite(R).all(axis=(2, 3))
     still = so3.nearest_rotation(np.sum(R, axis=0, where=known[..., None, None]))
     still[~known.any(axis=0)] = np.nan
-    return PoseSequence(
-        truth.times, np.broadcast_to(mean, p.shape), np.broadcast_to(still, R.shape), truth.names
-    )
+    return PoseSequence(truth.times, np.broadcast_to(mean, p.shape), np.broadcast_to(still, R.shape), truth.names)
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
@@ -206,7 +196,7 @@ def flexion(p: Array, skeleton: SkeletonModel) -> Array:
     """Return the angle (T, J), rad, between the bones at knees and elbows; NaN elsewhere.
 
     Args:
-        p: (T, J, 3) m. skeleton: of the joints.
+        p: (T, J, 3) m.
     """
     out = np.full(p.shape[:2], np.nan)
     for j in hinges(skeleton):
@@ -218,11 +208,7 @@ def flexion(p: Array, skeleton: SkeletonModel) -> Array:
 
 
 def hinges(skeleton: SkeletonModel) -> list[int]:
-    """Return the indices of knees and elbows.
-
-    Args:
-        skeleton: with clinical names.
-    """
+    """Return the indices of knees and elbows."""
     wanted, joints = ("knee flexion", "elbow flexion"), skeleton.table.joints
     return [i for i, j in enumerate(joints) if any(dof.clinical.endswith(wanted) for dof in j.dofs)]
 
@@ -237,7 +223,7 @@ def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
     """Interpolate a truth at other times; NaN where it is invalid or missing.
 
     Args:
-        truth: poses. times: (T,) s.
+        times: (T,) s.
     """
     if np.array_equal(truth.times, times):
         return truth

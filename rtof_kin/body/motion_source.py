@@ -56,7 +56,7 @@ class MotionSource:
         """Read nothing yet.
 
         Args:
-            skeleton: of the subject. times: (T,) s.
+            times: (T,) s.
             read: returns frames [start, stop), which have to have their confidence if the third is True.
             masks: of all frames; by default the first pass over the motion collects them.
         """

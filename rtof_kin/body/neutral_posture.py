@@ -1,8 +1,7 @@
 """A person's neutral posture: how the joints stand when the person stands in the T-pose.
 
-Pelvis tilt, bends of the spine and the height of the clavicles differ between persons, and from the zero
-pose of the rig, by 5 to 20 degrees. One camera and sensors at the ends of the spine do not show them; a
-reference pose does.
+Pelvis tilt, bends of the spine and the height of the clavicles differ between persons, and from the zero pose of the
+rig, by 5 to 20 degrees. One camera and sensors at the ends of the spine do not show them; a reference pose does.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class NeutralPosture:
         """Return the mean posture of poses.
 
         Args:
-            poses: (T) in the T-pose. parents: (J,) of their joints. joints: K of them.
+            poses: (T) in the T-pose. parents: (J,) of their joints.
         """
         known = poses.R_world_bone[np.isfinite(poses.R_world_bone).all(axis=(1, 2, 3))]
         if len(known) == 0:
@@ -77,9 +76,7 @@ def standing_frames(poses: PoseSequence, rate_hz: float | None = None) -> Mask:
     turns = so3.angle_between(R[:-1], R[1:]) * (rate_hz or poses.rate_hz)
     fast = np.nan_to_num(turns, nan=np.inf).max(axis=1) > _STILL
     still = ~np.append(fast, fast[-1:]) & ~np.append(fast[:1], fast)
-    upright = R[:, [poses.names.index(n) for n in ("LeftUpLeg", "RightUpLeg", "Spine3")], 2, 2] > np.cos(
-        _UPRIGHT
-    )
+    upright = R[:, [poses.names.index(n) for n in ("LeftUpLeg", "RightUpLeg", "Spine3")], 2, 2] > np.cos(_UPRIGHT)
     return np.asarray(still & upright.all(axis=1))
 
 

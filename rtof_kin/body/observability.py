@@ -72,35 +72,28 @@ class ObservationMasks:
 
     @classmethod
     def of_poses(cls, poses: PoseSequence, skeleton: SkeletonModel) -> ObservationMasks:
-        """Return the masks of poses; their configuration counts as unknown.
-
-        Args:
-            poses: of all joints. skeleton: of the poses.
-        """
+        """Return the masks of poses; their configuration counts as unknown."""
         return ObservationMasks(
-            skeleton, **{name: getattr(poses, name) for name in _MASKS},
+            skeleton,
+            **{name: getattr(poses, name) for name in _MASKS},
             posed=np.asarray(np.isfinite(poses.R_world_bone).all(axis=(-2, -1))),
-            known=np.zeros(len(poses), dtype=np.bool_), largest=np.zeros(len(skeleton.dof_names)),
+            known=np.zeros(len(poses), dtype=np.bool_),
+            largest=np.zeros(len(skeleton.dof_names)),
             has_provenance=bool(poses.provenance.any()),
             has_orientations=bool(poses.orientation_observed.any()),
-        )  # fmt: skip
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[ObservationMasks]) -> ObservationMasks:
-        """Return the masks of consecutive parts of one motion as those of the whole.
-
-        Args:
-            parts: at least one.
-        """
-        whole: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS
-        }
+        """Return the masks of consecutive parts of one motion as those of the whole."""
+        whole: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
         return replace(
-            parts[0], **whole,
+            parts[0],
+            **whole,
             largest=np.max([part.largest for part in parts], axis=0),
             has_provenance=any(part.has_provenance for part in parts),
             has_orientations=any(part.has_orientations for part in parts),
-        )  # fmt: skip
+        )
 
     def __len__(self) -> int:
         return len(self.known)
@@ -140,11 +133,7 @@ _ROWS: Final = (*_MASKS, "posed", "known")
 
 
 def segment_levels(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[np.int8]:
-    """Return `NOTHING`, `DIRECTION` (of the bone) or `WHOLE` for each segment (T, J).
-
-    Args:
-        poses: of all joints. skeleton: of the poses.
-    """
+    """Return `NOTHING`, `DIRECTION` (of the bone) or `WHOLE` for each segment (T, J)."""
     return ObservationMasks.of_poses(poses, skeleton).levels
 
 
@@ -154,7 +143,7 @@ def levels_by_points(skeleton: SkeletonModel, keypoints: KeypointSequence) -> ND
     A joint is a point of its own segment and of its parent's.
 
     Args:
-        skeleton: of the person. keypoints: landmarks that the skeleton does not have are ignored.
+        keypoints: landmarks that the skeleton does not have are ignored.
     """
     places: list[list[tuple[int, Array]]] = [[] for _ in skeleton.names]
     for i, name in enumerate(keypoints.names):
@@ -187,9 +176,6 @@ def observed_dofs(motion: MotionSequence | ObservationMasks) -> Mask:
     """Return a mask (T, D) of observed degrees of freedom, in the order of `SkeletonModel.dof_names`.
 
     A motion without provenance (mocap) is observed wherever it is finite.
-
-    Args:
-        motion: with poses and provenance, or its masks.
     """
     masks = ObservationMasks.of(motion)
     skeleton, levels = masks.skeleton, masks.levels
@@ -235,13 +221,13 @@ def never_observed(motion: MotionSequence | ObservationMasks) -> tuple[str, ...]
     observed = np.any(observed_dofs(masks), axis=0)
     zero = masks.largest <= _FIXED
     ends = {
-        dof.urdf for j, joint in enumerate(skeleton.table.joints) for dof in joint.dofs
-        if j not in skeleton.parents
-    }  # fmt: skip
+        dof.urdf for j, joint in enumerate(skeleton.table.joints) for dof in joint.dofs if j not in skeleton.parents
+    }
     return tuple(
-        name for name, seen, none in zip(skeleton.dof_names, observed, zero, strict=True)
+        name
+        for name, seen, none in zip(skeleton.dof_names, observed, zero, strict=True)
         if not seen and (none or name in ends)
-    )  # fmt: skip
+    )
 
 
 def observed_landmarks(motion: MotionSequence | ObservationMasks) -> Mask:

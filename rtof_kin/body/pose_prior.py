@@ -64,7 +64,7 @@ class PosePrior:
         """Load a prior.
 
         Args:
-            joints: of the skeleton. path: file; default: the shipped prior.
+            path: file; default: the shipped prior.
 
         Raises:
             FileFormatError: not a prior of these joints.
@@ -79,9 +79,6 @@ class PosePrior:
     @classmethod
     def from_arrays(cls, joints: Sequence[str], arrays: Mapping[str, Array]) -> PosePrior:
         """Return the prior of `arrays`.
-
-        Args:
-            joints: of the skeleton. arrays: by field.
 
         Raises:
             KeyError, InvalidInputError: one is missing or wrong.
@@ -107,9 +104,6 @@ class PosePrior:
         Where a take begins with a T-pose, the bends of the spine there are those of its median; arms hang
         in the mean, which lowers the clavicles as the covariance of the two says; hips are flexed from the
         person's T-pose as from anybody's.
-
-        Args:
-            posture: in the T-pose.
         """
         mean = so3.from_quat_wxyz(self.mean_quat_wxyz)
         for joint, R in zip(posture.joints, posture.R_parent_bone, strict=True):
@@ -141,8 +135,7 @@ class PosePrior:
         """Return the inverse covariance (3A, 3A) of the rotations of some joints.
 
         Args:
-            joints: A names, without the root. inflation: factor of the standard deviations.
-            least: standard deviation added in quadrature, rad.
+            joints: A names, without the root. least: standard deviation added in quadrature, rad.
         """
         index = [i - 1 for i in indices_of("joint of the pose prior", joints, self.joints)]
         rows = (3 * np.repeat(index, 3) + np.tile(range(3), len(index))).astype(int)
@@ -151,21 +144,13 @@ class PosePrior:
 
 
 def has_prior(skeleton: str) -> bool:
-    """Return whether a prior is shipped for a skeleton.
-
-    Args:
-        skeleton: name.
-    """
+    """Return whether a prior is shipped for a skeleton."""
     return skeleton == "total_capture"
 
 
 @cache
 def shipped_prior(joints: tuple[str, ...]) -> PosePrior:
-    """Return the shipped prior, read once.
-
-    Args:
-        joints: of the skeleton.
-    """
+    """Return the shipped prior, read once."""
     return PosePrior.load(joints)
 
 

@@ -1,7 +1,6 @@
 """Fit of a pose prior to free motion.
 
-Every motion counts twice, as it is and mirrored; orientations are low-passed at 10 Hz, as optical markers
-jitter.
+Every motion counts twice, as it is and mirrored; orientations are low-passed at 10 Hz, as optical markers jitter.
 
 Rigs differ in where the trunk bends (CMU's at two of four joints, others at one or at all) and in how much
 clavicles move (hardly, in free corpora). So where they are mixed, the bend between pelvis and upper trunk,
@@ -64,7 +63,7 @@ def of_one_rig(names: Sequence[str], joint_offsets: Array) -> bool:
     """Return whether skeletons divide the trunk alike, as those that one rig makes of several persons do.
 
     Args:
-        names: J joints. joint_offsets: (C, J, 3) of each skeleton, m.
+        joint_offsets: (C, J, 3) of each skeleton, m.
     """
     lengths = np.linalg.norm(joint_offsets[:, [names.index(joint) for joint in TRUNK]], axis=-1)
     shares = lengths / lengths.sum(axis=1, keepdims=True)
@@ -82,11 +81,10 @@ def fit_pose_prior(
     """Return the prior of motions.
 
     Args:
-        names: J joints of the 21-joint skeleton. parents: (J,). motions: one or more, longer than
-            three frames.
+        names: J joints of the 21-joint skeleton. parents: (J,). motions: one or more, longer than three frames.
         even_spine: whether the motions are of several rigs, see the module.
-        postures: of subjects whose T-pose is known; from `LEAST_SUBJECTS` on, the covariance about the
-            person's own posture is estimated too, and kept if it is the smaller one.
+        postures: of subjects whose T-pose is known; from `LEAST_SUBJECTS` on, the covariance about the person's own
+            posture is estimated too, and kept if it is the smaller one.
         known: prior that counts as `SHRINK_S` of motion beside the motions; None counts nothing.
     """
     other = _other_side(names)
@@ -98,10 +96,12 @@ def fit_pose_prior(
         mean, covariance = of_mixed_rigs(names, mean, covariance)
     size = np.sqrt((np.concatenate(jerk) ** 2).sum(axis=-1).mean(axis=0) / 3)
     prior = PosePrior(
-        tuple(names), so3.to_quat_wxyz(mean), _firm(covariance),
+        tuple(names),
+        so3.to_quat_wxyz(mean),
+        _firm(covariance),
         np.maximum((size + size[other]) / 2, LEAST_JERK),
         float(np.sqrt((np.concatenate(root_jerk) ** 2).mean())),
-    )  # fmt: skip
+    )
     persons = {
         subject: np.concatenate([own for m, own in zip(motions, local, strict=True) if m.subject == subject])
         for subject in sorted({m.subject for m in motions} & (postures or {}).keys())
@@ -137,9 +137,7 @@ def _mean(local: Array) -> tuple[Array, Array]:
     return mean, vectors
 
 
-def _with_postures(
-    prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Array]], even_spine: bool
-) -> PosePrior:
+def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Array]], even_spine: bool) -> PosePrior:
     """Add the covariance of rotations (T, J, 3, 3) of persons about the means that their postures give them,
     if the posture's joints have less variance about these.
     """
@@ -164,7 +162,7 @@ def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
     """Return the prior with the moments of a mixture of two.
 
     Args:
-        prior: of some motions. known: of the same joints. share: of the known one, 0 to 1.
+        share: of the known one, 0 to 1.
     """
     mean, other = (so3.from_quat_wxyz(p.mean_quat_wxyz) for p in (prior, known))
     apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
@@ -196,7 +194,7 @@ def of_mixed_rigs(names: Sequence[str], mean: Array, covariance: Array) -> tuple
     """Return the prior of motions of several rigs: with an even spine and clavicles that follow the arms.
 
     Args:
-        names: J joints. mean: (J - 1, 3, 3). covariance: (3 (J - 1), 3 (J - 1)) of rotation vectors.
+        mean: (J - 1, 3, 3). covariance: (3 (J - 1), 3 (J - 1)) of rotation vectors.
     """
     return _with_moving_clavicles(names, *_with_even_spine(names, mean, covariance))
 

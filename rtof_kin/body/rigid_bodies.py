@@ -3,6 +3,8 @@
 from rtof_kin.core.packages import optional
 
 pin = optional(
-    "pinocchio", "", "a skeleton",
+    "pinocchio",
+    "",
+    "a skeleton",
     "pip install pin (Linux, macOS), or conda install -c conda-forge pinocchio (Windows too)",
-)  # fmt: skip
+)

@@ -124,7 +124,7 @@ class SkeletonModel:
         Bone offsets, limits and inertias are those of the file, everything else is that of the table.
 
         Args:
-            path: URDF. table: its skeleton table; default: the 21-joint table.
+            table: its skeleton table; default: the 21-joint table.
 
         Raises:
             FileFormatError: not a URDF of this skeleton.
@@ -166,9 +166,6 @@ class SkeletonModel:
 
     def check_joints(self, names: tuple[str, ...], what: str = "poses") -> None:
         """Check that names are all joints of this skeleton in its order.
-
-        Args:
-            names: joints. what: whose names, for the error message.
 
         Raises:
             UnknownNameError: an unknown joint. InvalidInputError: missing joints or another order.
@@ -220,9 +217,11 @@ class SkeletonModel:
             if not (np.isfinite(length) and length > 0):
                 raise InvalidInputError(f"bone length of {name}: {length} m is not a positive length")
         return self.with_offsets(
-            {n: self.joint_offsets[self.names.index(n)] * (length / self.bone_lengths[n])
-             for n, length in lengths.items()}
-        )  # fmt: skip
+            {
+                n: self.joint_offsets[self.names.index(n)] * (length / self.bone_lengths[n])
+                for n, length in lengths.items()
+            }
+        )
 
     def with_height(self, height: float) -> SkeletonModel:
         """Return the skeleton scaled to another standing height.
@@ -362,17 +361,11 @@ class SkeletonModel:
         return ConfigurationReport(singular, excess, self.dof_names)
 
     def motion(self, poses: PoseSequence, confidence: Confidence | None = None) -> MotionSequence:
-        """Return the motion of this skeleton with the root positions and the orientations of poses.
-
-        Args:
-            poses: of all joints. confidence: of the motion.
-        """
+        """Return the motion of this skeleton with the root positions and the orientations of poses."""
         self.check_joints(poses.names)
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
         p, R = self.forward_kinematics(q)
-        return MotionSequence(
-            self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q), confidence
-        )
+        return MotionSequence(self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q), confidence)
 
     def landmark_positions(self, p: Array, R: Array) -> Array:
         """Return landmark positions (T, L, 3) in world, m, in the order of `landmarks`.
@@ -385,11 +378,7 @@ class SkeletonModel:
         return np.asarray(p[:, joints] + np.einsum("tlij,lj->tli", R[:, joints], offsets))
 
     def orientation_observed(self, sensor_joints: tuple[str, ...] = ()) -> Mask:
-        """Return a mask (J,) of segments whose three angles follow from joint positions and sensors.
-
-        Args:
-            sensor_joints: segments with a sensor.
-        """
+        """Return a mask (J,) of segments whose three angles follow from joint positions and sensors."""
         count = np.bincount([p for p in self.parents if p >= 0], minlength=len(self.names))
         count[self.index(*sensor_joints)] = 2
         return np.asarray(count > 1)
@@ -403,9 +392,7 @@ class SkeletonModel:
 
 
 @lru_cache(maxsize=8)
-def known_body(
-    name: str, offsets: bytes, mass_kg: float | None = None, sex: str | None = None
-) -> SkeletonModel:
+def known_body(name: str, offsets: bytes, mass_kg: float | None = None, sex: str | None = None) -> SkeletonModel:
     """Return a shipped skeleton of a person; the last ones are kept, as one takes a tenth of a second.
 
     Args:

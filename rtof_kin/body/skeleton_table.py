@@ -141,9 +141,6 @@ class SkeletonTable:
 def read_skeleton_table(path: str | Path) -> SkeletonTable:
     """Read and check a skeleton table.
 
-    Args:
-        path: TOML file.
-
     Raises:
         FileFormatError: not TOML, or an invalid field; the message names the joint or point.
     """
@@ -177,9 +174,7 @@ def _joint(path: Path, entry: dict[str, Any]) -> Joint:
     urdf = [f"{name}_{axis}" for axis in axes]
     clinical, opensim = entry.get("clinical", [""] * 3), entry.get("opensim", [""] * 3)
     if sorted(axes) != (["x", "y", "z"] if "parent" in entry else []):
-        raise FileFormatError(
-            path, f"joint {name}: axes '{axes}' are not x, y and z in some order (none for the root)"
-        )
+        raise FileFormatError(path, f"joint {name}: axes '{axes}' are not x, y and z in some order (none for the root)")
     if axes and not len(clinical) == len(opensim) == 3:
         raise FileFormatError(path, f"joint {name}: needs three clinical and three OpenSim names")
     return Joint(
@@ -230,9 +225,7 @@ def _check_table(path: Path, table: SkeletonTable) -> None:
     if not table.joints:
         raise FileFormatError(path, "there is no joint in it")
     if not 0 < table.mass_kg < np.inf or table.sex not in (None, *SEXES):
-        raise FileFormatError(
-            path, f"mass_kg {table.mass_kg} must be positive and sex {table.sex!r} one of {SEXES}"
-        )
+        raise FileFormatError(path, f"mass_kg {table.mass_kg} must be positive and sex {table.sex!r} one of {SEXES}")
     for kind, points in (("landmark", table.landmarks), ("sensor", table.sensors)):
         names = [point.name for point in points] + list(table.names if kind == "landmark" else ())
         for point in points:

@@ -29,11 +29,7 @@ _AXIS = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
 
 
 def to_urdf(table: SkeletonTable) -> str:
-    """Return the URDF of a skeleton; all link frames are parallel when all angles are zero.
-
-    Args:
-        table: skeleton.
-    """
+    """Return the URDF of a skeleton; all link frames are parallel when all angles are zero."""
     robot = ET.Element("robot", name=table.name)
     ET.SubElement(ET.SubElement(robot, "material", name="body"), "color", rgba="0.45 0.6 0.75 1")
     for joint in table.joints:
@@ -54,9 +50,6 @@ def to_urdf(table: SkeletonTable) -> str:
 
 def read_urdf(path: str | Path, table_path: str | Path) -> tuple[SkeletonTable, str]:
     """Read a URDF that was made from a skeleton table.
-
-    Args:
-        path: URDF. table_path: its skeleton table.
 
     Returns:
         The table scaled to the bone offsets of the URDF, and the text of the URDF.
@@ -118,14 +111,8 @@ def _revolute(robot: ET.Element, joint: Joint, i: int, parent: str, child: str, 
 
 
 def segment_inertia(joint: Joint, table: SkeletonTable) -> tuple[float, Array, Array]:
-    """Return mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, in the link frame.
-
-    Args:
-        joint: proximal joint of the segment. table: skeleton.
-    """
-    masses = [
-        (name, share * mass_fraction(name, table.sex) * table.mass_kg) for name, share in joint.mass_shares
-    ]
+    """Return mass, kg, centre of mass (3,), m, and inertia about it (3, 3), kg m^2, in the link frame."""
+    masses = [(name, share * mass_fraction(name, table.sex) * table.mass_kg) for name, share in joint.mass_shares]
     total = sum(mass for _, mass in masses)
     parts = [inertia(name, mass, joint.end, table.sex) for name, mass in masses]
     center = np.sum([m * c for (_, m), (c, _) in zip(masses, parts, strict=True)], axis=0) / total
@@ -157,9 +144,7 @@ def _visual(link: ET.Element, xyz: Array, rpy: Iterable[float] = (0, 0, 0)) -> E
     return geometry
 
 
-def _inertial(
-    link: ET.Element, mass_kg: float, center: Array | None = None, matrix: Array | None = None
-) -> None:
+def _inertial(link: ET.Element, mass_kg: float, center: Array | None = None, matrix: Array | None = None) -> None:
     center = np.zeros(3) if center is None else center
     matrix = LIGHT_INERTIA * np.eye(3) if matrix is None else matrix
     element = ET.SubElement(link, "inertial")

@@ -86,7 +86,6 @@ def bone_images(
     """Return the bones with sensors between joints of the detector; None where there are none.
 
     Args:
-        keypoints: evenly spaced. bone_imus: at the sensors' own times. skeleton: the body.
         poses: at the keypoints' times, for the depth of the root.
     """
     times = keypoints.times
@@ -130,11 +129,7 @@ def _nearest(times: Array, at: Array) -> Index:
 
 
 def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
-    """Return the sensors with left and right exchanged, where both sides have one.
-
-    Args:
-        bone_imus: the sensors.
-    """
+    """Return the sensors with left and right exchanged, where both sides have one."""
     sides = {"Left": "Right", "Right": "Left"}
 
     def other(joint: str) -> str:
@@ -146,9 +141,8 @@ def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
 
 
 def best_exchange(
-    keypoints: KeypointSequence, readings: Iterable[BoneImuSequence], poses: PoseSequence,
-    skeleton: SkeletonModel,
-) -> float:  # fmt: skip
+    keypoints: KeypointSequence, readings: Iterable[BoneImuSequence], poses: PoseSequence, skeleton: SkeletonModel
+) -> float:
     """Return the largest decrease of the difference by exchanging two sensors, nats per frame.
 
     Args:

@@ -86,9 +86,7 @@ class CameraEstimate:
     def found(self) -> Camera:
         """The corrected camera, with what remains as its uncertainty."""
         f, pitch, roll, height, k1 = self.sigma
-        left = CameraUncertainty(
-            float(f), float(pitch), float(height), float(k1), float(roll), of_motion=True
-        )
+        left = CameraUncertainty(float(f), float(pitch), float(height), float(k1), float(roll), of_motion=True)
         return replace(corrected(self.assumed, self.value), uncertainty=left)
 
     def deviations(self) -> list[Camera]:
@@ -125,8 +123,10 @@ class CameraEstimate:
         prior = prior_sigma(self.assumed)
         off = np.abs(self.value) > 3 * np.where(prior > 0, prior, np.inf)
         for i in np.flatnonzero(off):
-            out += (f"camera: the {UNKNOWNS[i]} found is more than three standard deviations from the one "
-                    "assumed; check the video's size, the floor and the person's height",)  # fmt: skip
+            out += (
+                f"camera: the {UNKNOWNS[i]} found is more than three standard deviations from the one "
+                "assumed; check the video's size, the floor and the person's height",
+            )
         if prior[FOCAL] > 0 and self.sigma[FOCAL] > _SHARE_FOUND * prior[FOCAL]:
             out += (
                 f"the focal length is not found from this recording, and distances from the camera are "
@@ -151,7 +151,7 @@ def corrected(camera: Camera, y: Array) -> Camera:
     """Return a camera corrected by its unknowns.
 
     Args:
-        camera: as assumed. y: (5,) of `UNKNOWNS`.
+        y: (5,) of `UNKNOWNS`.
     """
     K, distortion = camera.K.copy(), camera.distortion.copy()
     K[:2, :2] *= 1 + y[FOCAL]
@@ -191,8 +191,9 @@ def estimate_camera(
     the floor; the covariance is the inverse of the Hessian.
 
     Args:
-        camera: with an uncertainty. evidence: of the recording, reconstructed with a camera; always of the
-            same length, the height of the floor first. progress: called with (steps done, steps in all).
+        evidence: of the recording, reconstructed with a camera; always of the same length, the height of the floor
+            first.
+        progress: called with (steps done, steps in all).
 
     Raises:
         ViewError: with the declared camera the person is behind it.
@@ -239,9 +240,14 @@ def _level(J: Array, moving: Sequence[int]) -> float:
 
 
 def _slopes(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, moving: Sequence[int],
-    steps: Array, before: Array,
-) -> Array:  # fmt: skip
+    camera: Camera,
+    evidence: Callable[[Camera], Evidence],
+    now: Evidence,
+    y: Array,
+    moving: Sequence[int],
+    steps: Array,
+    before: Array,
+) -> Array:
     """Derivatives (n, m) of the evidence by the m moving unknowns, of which the height is the first.
 
     Where the floor sinks away from the feet, lifted bodies lean: pitch is varied together with the height, by
@@ -259,9 +265,8 @@ def _slopes(
 
 
 def _best_pitch(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, moving: Sequence[int],
-    prior: Array, J: Array,
-) -> tuple[Array, Evidence]:  # fmt: skip
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, moving: Sequence[int], prior: Array, J: Array
+) -> tuple[Array, Evidence]:
     """The likeliest of some pitches, each at the height at which the feet stand on the floor."""
     rise, slope = _level(J, moving), J[0, moving.index(HEIGHT)] if J.size else 0.0
     best = _unlikely(now, np.zeros(5), prior), np.zeros(5), now
@@ -288,9 +293,8 @@ def _unlikely(now: Evidence, y: Array, prior: Array) -> float:
 
 
 def _slope(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, direction: Array,
-    step: float,
-) -> Array:  # fmt: skip
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, direction: Array, step: float
+) -> Array:
     """Derivative (n,) of the evidence along a direction, to that side on which the person is in view."""
     for signed in (step, -step):
         try:
@@ -302,9 +306,8 @@ def _slope(
 
 
 def _moved(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, moving: Sequence[int],
-    step: Array,
-) -> tuple[Array, Evidence]:  # fmt: skip
+    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, moving: Sequence[int], step: Array
+) -> tuple[Array, Evidence]:
     """The unknowns after a step, shortened until the person is in view, and their evidence."""
     for _ in range(_HALVINGS):
         other = y.copy()

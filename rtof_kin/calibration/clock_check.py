@@ -81,11 +81,7 @@ class ClockScan:
 
 
 def scan_clocks(images: BoneImages) -> ClockScan | None:
-    """Return the gains of all offsets with enough overlap; None where none within `LIMIT` has it.
-
-    Args:
-        images: directions of bones.
-    """
+    """Return the gains of all offsets with enough overlap; None where none within `LIMIT` has it."""
     costs = dict(_costs(images))
     near = [k for k in costs if abs(k) <= round(LIMIT / STEP)]
     if not near:
@@ -151,12 +147,15 @@ def check_clocks(
         )
         return Check.unknown(NAME, what, "s", text)
     return Check(
-        NAME, what, abs(scan.best), LIMIT, "s",
+        NAME,
+        what,
+        abs(scan.best),
+        LIMIT,
+        "s",
         f"The limbs turn alike when {-scan.best:+.2f} s are added to the video's times (start_s of "
         f"[keypoints]); no offset within {LIMIT:g} s explains the video nearly as well "
         f"({scan.gain:.0f} nats, to within {scan.width:.2g} s).{rival}",
         cause=(
-            f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about "
-            f"{abs(scan.best):.1f} s"
+            f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about {abs(scan.best):.1f} s"
         ),
-    )  # fmt: skip
+    )

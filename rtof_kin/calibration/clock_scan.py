@@ -6,10 +6,9 @@ best heading gives
 
     c = max_h sum w_v . Rz(h) w_s = |sum conj(x_v + i y_v) (x_s + i y_s)| + sum z_v z_s,
 
-so all offsets at once take a few FFTs. The sensor then explains ``2 g c - g^2 sum |w_s|^2`` of the image's
-sum of squares, with a factor g = c / sum |w_s|^2, limited as the image cannot show more than there is. The
-gain of an offset is the log-likelihood ratio of this regression to none, the image's whole duration counted
-at every offset.
+so all offsets at once take a few FFTs. The sensor then explains ``2 g c - g^2 sum |w_s|^2`` of the image's sum of
+squares, with a factor g = c / sum |w_s|^2, limited as the image cannot show more than there is. The gain of an offset
+is the log-likelihood ratio of this regression to none, the image's whole duration counted at every offset.
 """
 
 from __future__ import annotations
@@ -106,11 +105,7 @@ class Scan:
         return float(_BELIEF * (gains[0] - gains[1]) / np.sqrt(np.sum(self.segments >= 0)))
 
     def rivals(self, share: float) -> tuple[float, ...]:
-        """Return other offsets, s, the best first.
-
-        Args:
-            share: least gain relative to that of the best offset.
-        """
+        """Return other offsets, s, the best first."""
         return tuple(offset for offset, gain in self.peaks[1:] if gain > share * self.peaks[0][1])
 
     def vertex(self) -> tuple[float, float]:

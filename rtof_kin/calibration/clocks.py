@@ -62,8 +62,7 @@ class ClockEstimate:
     """[s] Standard deviation of the offset; of one in doubt by `find_clock`, the way to the furthest of the
     next best."""
     margin: float
-    """[nats] of the best offset to the next one, per independent sensor and with allowance for correlated
-    errors."""
+    """[nats] of the best offset to the next one, per independent sensor and with allowance for correlated errors."""
     doubt: str = ""
     """What may be wrong and what to do, in a sentence; empty if the offset is sure."""
     sigma_drift: float = _SIGMA_DRIFT
@@ -84,15 +83,8 @@ class ClockEstimate:
         return self.offset + self.drift * (times - self.offset - self.middle)
 
     def apply(self, log: SensorLog) -> SensorLog:
-        """Return sensors on the video's clock.
-
-        Args:
-            log: on the sensors' clock.
-        """
-        moved = (
-            replace(s, times=s.times + self.offset + self.drift * (s.times - self.middle))
-            for s in log.streams
-        )
+        """Return sensors on the video's clock."""
+        moved = (replace(s, times=s.times + self.offset + self.drift * (s.times - self.middle)) for s in log.streams)
         return replace(log, streams=tuple(moved))
 
 
@@ -111,7 +103,6 @@ def find_clock(
     A detector's delay counts as part of the offset, as nothing tells one from the other.
 
     Args:
-        poses: lifted from the keypoints, at their times. keypoints: T frames. skeleton: of the poses.
         log: sensors on their own clock, at any rates; orientation is estimated where a stream has none.
         joints: sensor -> segment that carries it; other sensors are ignored. None: unknown, all are used.
         around, reach: offsets from around - reach to around + reach are searched, s.
@@ -181,9 +172,6 @@ def _moving(sensed: Turning) -> Turning:
 def small_offset(seen: Turning, sensed: Turning) -> ClockEstimate:
     """Estimate offset and drift of clocks that agree within `REACH`; 0 drift unless it is sure.
 
-    Args:
-        seen: segments that carry the sensors. sensed: sensors in the order of their segments.
-
     Raises:
         CalibrationError: they have too little in common.
     """
@@ -191,9 +179,16 @@ def small_offset(seen: Turning, sensed: Turning) -> ClockEstimate:
     offset, sigma = scan.vertex()
     middle = sum(_common(seen, sensed, offset)) / 2
     line = ClockEstimate(
-        offset, 0.0, sigma, scan.margin, _doubt(scan, 0.0, REACH, _SURE_NEAR), np.inf, middle - offset,
-        scan.rivals(REPEATED), explained=scan.explained,
-    )  # fmt: skip
+        offset,
+        0.0,
+        sigma,
+        scan.margin,
+        _doubt(scan, 0.0, REACH, _SURE_NEAR),
+        np.inf,
+        middle - offset,
+        scan.rivals(REPEATED),
+        explained=scan.explained,
+    )
     around = replace(line, offset=0.0, middle=middle)
     for _ in range(3):  # of a large drift, only the windows near the middle are found at first
         found = _windows(seen, sensed, around, _PART, _MOST_PARTS, REACH)
@@ -226,15 +221,12 @@ def _common(seen: Turning, sensed: Turning, offset: float) -> tuple[float, float
     return max(seen.start, sensed.start + offset), min(ends[0], ends[1] + offset)
 
 
-def _windows(
-    seen: Turning, sensed: Turning, line: ClockEstimate, seconds: float, most: int, reach: float
-) -> Array:
+def _windows(seen: Turning, sensed: Turning, line: ClockEstimate, seconds: float, most: int, reach: float) -> Array:
     """Offsets (K, 4) of windows in which the motion agrees: time from the middle of the video, offset, its
     standard deviation, part explained.
 
     Args:
-        line: offsets about which those of the windows are searched. seconds: least length of a window.
-        most: number of windows. reach: s.
+        reach: s.
     """
     start, stop = _common(seen, sensed, line.offset)
     count, found = min(int((stop - start) / seconds), most), list[tuple[float, ...]]()
@@ -263,9 +255,13 @@ def _fitted(found: Array, middle: float, sigma_drift: float = _SIGMA_DRIFT) -> C
         weights = 4 / (3 + square) / sigmas**2  # Student's t with 3 degrees of freedom
     sigma, after = np.sqrt(np.diag(covariance))
     return ClockEstimate(
-        float(solution[0]), float(solution[1]), float(np.hypot(sigma, SIGMA_LEAST)), 0.0,
-        sigma_drift=float(after), middle=middle - float(solution[0]),
-    )  # fmt: skip
+        float(solution[0]),
+        float(solution[1]),
+        float(np.hypot(sigma, SIGMA_LEAST)),
+        0.0,
+        sigma_drift=float(after),
+        middle=middle - float(solution[0]),
+    )
 
 
 def _cut(turning: Turning, middle: float, half: float) -> Turning:

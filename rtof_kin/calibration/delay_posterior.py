@@ -89,8 +89,7 @@ class DelayPosterior:
         """Return the sensors at the frames of a window, for the present delay and for all others.
 
         Args:
-            times: (N,) stamps of the video, evenly spaced, s. rate_hz: of the frames.
-            sampled: the sensors at any times.
+            times: (N,) stamps of the video, evenly spaced, s. sampled: the sensors at any times.
         """
         mean, sigma = self._prior
         parts = int(np.ceil(1 / (_COARSEST * sigma * rate_hz)))
@@ -109,19 +108,11 @@ class DelayPosterior:
         return np.asarray(CubicSpline(delays, energies - energies.min())(_FINE))
 
     def add(self, interpolated: Array, kept: float) -> None:
-        """Add the energies of a window.
-
-        Args:
-            interpolated: on the grid. kept: factor on those before.
-        """
+        """Add the energies of a window."""
         self._energies = kept * self._energies + interpolated
 
     def estimate(self, weight: float) -> None:
-        """Set delay, deviation and doubt; a saved delay that the search leads away from is forgotten.
-
-        Args:
-            weight: of the energies.
-        """
+        """Set delay, deviation and doubt; a saved delay that the search leads away from is forgotten."""
         mean, sigma = self._prior
         nats = weight * self._energies + _FINE**2 / 2
         p = np.exp(nats.min() - nats)

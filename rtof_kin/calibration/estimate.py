@@ -57,12 +57,9 @@ def calibrate(
     """Estimate the unknowns of a recording.
 
     Args:
-        slices: the recording, or parts of it in the order of time; of a long one some tens of seconds, spread
-            over it, are enough.
-        priors: by default `CalibrationPriors.of` the recording.
-        settings: of the joint-space solver. frames: N of a fragment.
-        progress: called with (steps done, steps in all).
-        without_slipped: leave out sensors where they contradict the motion.
+        slices: the recording, or parts of it in the order of time; of a long one some tens of seconds, spread over
+            it, are enough.
+        priors: by default `CalibrationPriors.of` the recording. progress: called with (steps done, steps in all).
 
     Raises:
         CalibrationError: there are no IMUs, or they and the video have too little time in common.
@@ -77,9 +74,7 @@ def calibrate(
         fragments = _fragments(replace(fragments.excerpt, left_out=slipped), priors, settings)
         fragments.begin()
     shared = fragments.estimate(priors.rounds, progress, priors.overcount)
-    quantities = quantities_of(
-        fragments.unknowns, shared.y, shared.hessian, fragments.prior, priors.overcount
-    )
+    quantities = quantities_of(fragments.unknowns, shared.y, shared.hessian, fragments.prior, priors.overcount)
     times = fragments.excerpt.times
     return SelfCalibration(
         quantities=tuple(with_places(_doubted(q, slices, shared), recording.skeleton) for q in quantities),
@@ -97,8 +92,7 @@ def shared_fragments(
         recording = part.recording
         if recording.imus is None or recording.calibration is None or recording.keypoints is None:
             raise CalibrationError(
-                f"recording {recording.name}: without calibrated IMUs and a video there is nothing to "
-                "calibrate by"
+                f"recording {recording.name}: without calibrated IMUs and a video there is nothing to calibrate by"
             )
     _check_long_enough(slices, priors)
     return _fragments(Excerpt.chosen(slices, frames, settings, priors.most_seconds), priors, settings)
@@ -121,9 +115,11 @@ def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpace
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
     share = priors.effective_seconds / max(seconds, priors.effective_seconds)
     weights = Weights(
-        vision=share * priors.weight_vision, sensors=share * priors.weight_sensors, motion=share,
+        vision=share * priors.weight_vision,
+        sensors=share * priors.weight_sensors,
+        motion=share,
         prior=share * priors.weight_poses,
-    )  # fmt: skip
+    )
     return SharedFragments(excerpt, unknowns, weights)
 
 
@@ -176,19 +172,19 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Samp
     if p.sigma_size is not None:
         names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
         groups = bone_groups(skeleton, names)
-        found.append(Bones(
-            tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached
-        ))  # fmt: skip
+        found.append(Bones(tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached))
     if p.sigma_image_bias is not None:
         tall = _height_px(excerpt.slices)
         sigma_px = p.sigma_image_bias * tall / _USUAL_HEIGHT_PX * data.points.sizes
         found.append(seeing.ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
-        slopes = excerpt.joined([
-            data.points.slopes(part.recording.video.camera, start.p_world_joint, start.R_world_bone)
-            for part in excerpt.slices
-            for start in [part.guess.poses]
-        ])  # fmt: skip
+        slopes = excerpt.joined(
+            [
+                data.points.slopes(part.recording.video.camera, start.p_world_joint, start.R_world_bone)
+                for part in excerpt.slices
+                for start in [part.guess.poses]
+            ]
+        )
         found.append(seeing.Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
         found.append(seeing.Focal(p.sigma_focal))
@@ -216,9 +212,7 @@ def with_places(quantity: Quantity, skeleton: SkeletonModel) -> Quantity:
 
 def _height_px(slices: Sequence[Slice]) -> float:
     """Median extent of the landmarks in the image, px."""
-    seen = np.concatenate(
-        [k.uv_px[k.seen.sum(axis=1) > 1] for k in (s.recording.video.landmarks for s in slices)]
-    )
+    seen = np.concatenate([k.uv_px[k.seen.sum(axis=1) > 1] for k in (s.recording.video.landmarks for s in slices)])
     if len(seen) == 0:
         raise CalibrationError("the video sees nothing of the person: there is nothing to calibrate by")
     extent = np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)
@@ -226,9 +220,14 @@ def _height_px(slices: Sequence[Slice]) -> float:
 
 
 def quantities_of(
-    unknowns: Sequence[Unknown], y: Array, hessian: Array, prior: Array, overcount: float,
-    variance_prior: Array | None = None, significant: float = 0.0,
-) -> tuple[Quantity, ...]:  # fmt: skip
+    unknowns: Sequence[Unknown],
+    y: Array,
+    hessian: Array,
+    prior: Array,
+    overcount: float,
+    variance_prior: Array | None = None,
+    significant: float = 0.0,
+) -> tuple[Quantity, ...]:
     """Return every item with its standard deviations. Unobserved and insignificant items, except nuisances,
     are fixed at zero, and the others estimated given that.
 
@@ -236,9 +235,8 @@ def quantities_of(
     covariance is (P + D)^-1 (P + k D) (P + D)^-1 (White 1982, eq. 3.3).
 
     Args:
-        unknowns: kinds, in the order of y. y: (G,) the estimate. hessian: (G, G) P + D. prior: (G, G) P.
-        overcount: k. variance_prior: (G,) that verdicts refer to; by default that of P.
-        significant: least size of an estimate, in its standard deviations.
+        y: (G,) the estimate. hessian: (G, G) P + D. prior: (G, G) P.
+        variance_prior: (G,) that verdicts refer to; by default that of P.
     """
     P, S = prior, hessian
     inverse = np.linalg.inv(S)
@@ -254,10 +252,9 @@ def quantities_of(
 
     def listed(y: Array, variance_now: Array) -> tuple[Quantity, ...]:
         return tuple(
-            Quantity(kind, item, y[own], np.sqrt(variance_now[own]), np.sqrt(variance[own]),
-                     float(known[own].max()))
+            Quantity(kind, item, y[own], np.sqrt(variance_now[own]), np.sqrt(variance[own]), float(known[own].max()))
             for kind, item, own in parts
-        )  # fmt: skip
+        )
 
     kept, told = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool)
     nuisances = {u.name for u in unknowns if u.nuisance}
@@ -272,9 +269,7 @@ def quantities_of(
 
 
 def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Quantity:
-    """A delay in doubt, by the search or by `check_clocks` of most slices, gets its prior's standard
-    deviation.
-    """
+    """A delay in doubt, by the search or by `check_clocks` of most slices, gets its prior's standard deviation."""
     if quantity.kind != "delay" or quantity.verdict is Verdict.PRIOR:
         return quantity
     checks = [

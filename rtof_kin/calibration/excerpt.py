@@ -52,15 +52,12 @@ class Excerpt:
     """Intervals of sensors that are not used, by segment."""
 
     @classmethod
-    def chosen(
-        cls, slices: Sequence[Slice], frames: int, settings: JointSpaceSettings, most_seconds: float
-    ) -> Self:
+    def chosen(cls, slices: Sequence[Slice], frames: int, settings: JointSpaceSettings, most_seconds: float) -> Self:
         """Choose fragments of slices: the liveliest of each of so many equal parts.
 
         Args:
-            slices: of one recording, in the order of time; those in which other sensors have data than in
-                the one with most of them are left out.
-            frames: N of a fragment. settings: of the joint-space solver.
+            slices: of one recording, in the order of time; those in which other sensors have data than in the one
+                with most of them are left out.
             most_seconds: length of all fragments, s.
         """
         data = [_observed(part, frames, settings) for part in slices]
@@ -68,9 +65,7 @@ class Excerpt:
         alike = [i for i, own in enumerate(data) if _same_states(own, sensed)]
         data = [data[i] for i in alike]
         whole = [
-            (i, first)
-            for i, own in enumerate(data)
-            for first in range(0, len(own.start) - frames + 1, frames)
+            (i, first) for i, own in enumerate(data) for first in range(0, len(own.start) - frames + 1, frames)
         ] or [(0, 0)]
         count = max(int(min(float(len(whole)), most_seconds * data[0].rate_hz / frames)), 1)
         motion = np.array([liveliness(data[i], first) for i, first in whole])
@@ -140,9 +135,14 @@ class Excerpt:
 def _observed(part: Slice, frames: int, settings: JointSpaceSettings) -> Observations:
     recording = part.recording
     return Observations(
-        recording.skeleton, frames, settings, part.guess, recording.keypoints, part.bone_imus,
+        recording.skeleton,
+        frames,
+        settings,
+        part.guess,
+        recording.keypoints,
+        part.bone_imus,
         places=part.bone_imus.joints,
-    )  # fmt: skip
+    )
 
 
 def _same_states(one: Observations, other: Observations) -> bool:

@@ -29,13 +29,11 @@ from rtof_kin.core.files.text import write_text
 SCHEMA_VERSION = 1
 
 
-def write_self_calibration_toml(
-    path: str | Path, calibration: SelfCalibration, overwrite: bool = False
-) -> None:
+def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
     """Write a calibration; `read_self_calibration_toml` restores it exactly.
 
     Args:
-        path: of the file. calibration: to write. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and overwriting was not asked for.
@@ -44,18 +42,18 @@ def write_self_calibration_toml(
     quantities: dict[str, dict[str, Any]] = {}
     for q in calibration.quantities:
         quantities.setdefault(q.kind, {})[q.item] = {
-            "value": q.value.tolist(), "sigma": q.sigma.tolist(),
-            "sigma_prior": q.sigma_prior.tolist(), "known": q.known,
+            "value": q.value.tolist(),
+            "sigma": q.sigma.tolist(),
+            "sigma_prior": q.sigma_prior.tolist(),
+            "known": q.known,
             **({"doubt": q.doubt} if q.doubt else {}),
-        }  # fmt: skip
+        }
     content = {
         "schema_version": SCHEMA_VERSION,
         "middle_s": calibration.middle,
         "converged": int(calibration.converged),
         "quantities": quantities,
-        "detector": {
-            d.landmark: {"sigma_px": d.sigma_px, "memory_s": d.memory} for d in calibration.detector
-        },
+        "detector": {d.landmark: {"sigma_px": d.sigma_px, "memory_s": d.memory} for d in calibration.detector},
     }
     write_text(Path(path), tomli_w.dumps(content), overwrite)
 
@@ -63,33 +61,35 @@ def write_self_calibration_toml(
 def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
     """Read a calibration.
 
-    Args:
-        path: of the file.
-
     Raises:
         FileFormatError, UnknownNameError: the message names file, field and remedy.
     """
     file = Section.of_file(Path(path))
     if not file.has("quantities"):
         raise FileFormatError(
-            path, "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
-            "the file named by its -o"
-        )  # fmt: skip
+            path,
+            "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
+            "the file named by its -o",
+        )
     version = file.integer("schema_version")
     if version != SCHEMA_VERSION:
         raise file.error(
-            "schema_version", f"{version} is not {SCHEMA_VERSION}, which this version of the package "
-            "reads; use the version that wrote it, or a newer one"
-        )  # fmt: skip
+            "schema_version",
+            f"{version} is not {SCHEMA_VERSION}, which this version of the package "
+            "reads; use the version that wrote it, or a newer one",
+        )
     kinds, landmarks = file.table("quantities"), file.table("detector")
     try:
         calibration = SelfCalibration(
-            tuple(_quantity(kinds.table(kind), item) for kind in kinds.keys()  # noqa: SIM118
-                  for item in kinds.table(kind).keys()),  # noqa: SIM118
+            tuple(
+                _quantity(kinds.table(kind), item)
+                for kind in kinds.keys()  # noqa: SIM118
+                for item in kinds.table(kind).keys()  # noqa: SIM118
+            ),
             tuple(_detector(landmarks, name) for name in landmarks.keys()),  # noqa: SIM118
             file.number("middle_s"),
             bool(file.integer("converged")),
-        )  # fmt: skip
+        )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
     file.close()

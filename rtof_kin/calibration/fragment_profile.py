@@ -57,13 +57,11 @@ class ProfiledFragment:
         m = np.zeros((len(self.x), len(names))) if self.multipliers is None else self.multipliers
         return LevenbergMarquardt(self.problem, self.limits).linearise(self.x, m)
 
-    def profile(
-        self, unknowns: Sequence[Unknown], columns: Sequence[slice], y: Array
-    ) -> Slices[tuple[Array, Array]]:
+    def profile(self, unknowns: Sequence[Unknown], columns: Sequence[slice], y: Array) -> Slices[tuple[Array, Array]]:
         """Return Hessian (G, G) and gradient (G,) of the energy as a function of the unknowns alone.
 
         Args:
-            unknowns: kinds. columns: of each in y. y: (G,).
+            columns: of each in y. y: (G,).
         """
         slope = self.linearise()
         yield
@@ -117,9 +115,7 @@ class ProfiledFragment:
         return out
 
 
-def _eliminated(
-    own: UnknownsHessian, slope: Array, factor: Factor | StoredFactor
-) -> Slices[tuple[Array, Array]]:
+def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor | StoredFactor) -> Slices[tuple[Array, Array]]:
     """Hessian and gradient without the states."""
     G = len(own.gradient)
     right = np.column_stack([own.columns.reshape(-1, G), slope.ravel()])

@@ -22,20 +22,17 @@ _NOTHING: Final = 1e-9
 
 
 def learned_precision(
-    given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice],
-    overcount: float,
-) -> Array:  # fmt: skip
+    given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice], overcount: float
+) -> Array:
     """Return the precision (G, G) of the prior that matches the size of the estimates.
 
     With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; if
-    autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The
-    prior's variance of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (by
-    moments; Morris 1983).
+    autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The prior's variance
+    of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (by moments; Morris 1983).
 
     Args:
         given: (G, G) precision before. information: (G, G) the data's Hessian at y.
-        slope: (G,) gradient of the data's energy at y (G,).
-        shrinking: columns of the kinds that may shrink. overcount: k.
+        slope: (G,) gradient of the data's energy at y (G,). shrinking: columns of the kinds that may shrink.
     """
     shares, precision = np.ones(len(shrinking)), given
     for _ in range(_ROUNDS if shrinking else 0):

@@ -76,14 +76,14 @@ class CalibrationObservations:
 
     def fragment(self, first: int, frames: int) -> FragmentData:
         """Return N `frames` from `first`; weights are 0 in the padding."""
-        data = fragment_of(
-            self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, frames
-        )[2]
+        data = fragment_of(self.rows, self.constant, self.a_world, self.w_acceleration, self.rate_hz, first, frames)[2]
         weight = self.weight_of_motion
         return replace(
-            data, length_scale=self.length_scale, w_acceleration=weight * data.w_acceleration,
+            data,
+            length_scale=self.length_scale,
+            w_acceleration=weight * data.w_acceleration,
             w_jerk=weight * data.w_jerk,
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,7 @@ class CalibrationResiduals:
         """Pose the body.
 
         Args:
-            space: of the states. joints: segments of landmarks and sensors. given: observations.
-            first: frame. x: (N, 3 + 4A) states.
+            x: (N, 3 + 4A) states.
         """
         index = np.clip(np.arange(first, first + len(x)), 0, len(given.times) - 1)
         self.space, self.given, self.joints, self.index, self.x = space, given, joints, index, x

@@ -31,11 +31,18 @@ _WEAKLY: Final = 0.5
 """Least relative reductions of the prior's variance of observed and weakly observed quantities."""
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
 _UNITS: Final = {
-    "delay": (1e3, "ms"), "heading": _DEGREES, "mounting": _DEGREES, "lever arm": (1e3, "mm"),
-    "bones": (100.0, "%"), "image bias": (1.0, "px"), "place": (1e3, "mm"),
-    "focal length": (100.0, "%"), "camera tilt": _DEGREES, "ankle height": (1e3, "mm"),
+    "delay": (1e3, "ms"),
+    "heading": _DEGREES,
+    "mounting": _DEGREES,
+    "lever arm": (1e3, "mm"),
+    "bones": (100.0, "%"),
+    "image bias": (1.0, "px"),
+    "place": (1e3, "mm"),
+    "focal length": (100.0, "%"),
+    "camera tilt": _DEGREES,
+    "ankle height": (1e3, "mm"),
     "posture": _DEGREES,
-}  # fmt: skip
+}
 """Kind -> factor and unit for display; of drifting kinds, those of the constant."""
 _DETECTOR: Final = (0.0, 0.05)
 _USUAL_DETECTOR, SIGMA_DETECTOR = 0.028, 0.014
@@ -142,9 +149,10 @@ class SelfCalibration:
     def of_kind(self, kind: str) -> dict[str, Array]:
         """Return the quantities of a kind that are observed and not in doubt: item -> value."""
         return {
-            q.item: q.value.copy() for q in self.quantities  # SciPy's rotations need writable arrays
+            q.item: q.value.copy()
+            for q in self.quantities  # SciPy's rotations need writable arrays
             if q.kind == kind and q.verdict not in (Verdict.PRIOR, Verdict.DOUBTFUL)
-        }  # fmt: skip
+        }
 
     @property
     def ankle_height(self) -> float:
@@ -157,21 +165,13 @@ class SelfCalibration:
         return replace(self, quantities=kept)
 
     def followed_by(self, later: Self) -> Self:
-        """Return this combined with a later calibration of the corrected recording, which takes precedence.
-
-        Args:
-            later: of the recording that this was applied to.
-        """
+        """Return this combined with a later calibration of the corrected recording, which takes precedence."""
         again = {(q.kind, q.item) for q in later.quantities}
         kept = tuple(q for q in self.quantities if (q.kind, q.item) not in again)
         return replace(later, quantities=(*kept, *later.quantities))
 
     def after(self, clocks: Self) -> Self:
-        """Return this, estimated on a recording with corrected clocks, for the recording as it was.
-
-        Args:
-            clocks: the correction, of a delay alone.
-        """
+        """Return this, estimated on a recording with corrected clocks, for the recording as it was."""
         (delay,) = clocks.quantities
         value, sigma = delay.value.copy(), delay.sigma.copy()
         value[0] += value[1:].sum() * (self.middle - clocks.middle)
@@ -182,11 +182,7 @@ class SelfCalibration:
         return self.followed_by(replace(self, quantities=(delay,)))
 
     def apply(self, recording: Recording) -> Recording:
-        """Return the recording corrected by the observed quantities.
-
-        Args:
-            recording: as it was calibrated.
-        """
+        """Return the recording corrected by the observed quantities."""
         keypoints = recording.keypoints
         if keypoints is not None:
             keypoints = self._keypoints(keypoints)
@@ -213,15 +209,12 @@ class SelfCalibration:
         """
         return {
             q.item: min(place_swing(skeleton, q.item), float(q.sigma_prior.max())) ** 2
-            for q in self.quantities if q.kind == "mounting" and q.verdict is not Verdict.PRIOR
-        }  # fmt: skip
+            for q in self.quantities
+            if q.kind == "mounting" and q.verdict is not Verdict.PRIOR
+        }
 
     def moved(self, keypoints: KeypointSequence, poses: PoseSequence) -> KeypointSequence:
-        """Return keypoints corrected by the places of the detector's landmarks.
-
-        Args:
-            keypoints, poses: at the same times.
-        """
+        """Return keypoints corrected by the places of the detector's landmarks."""
         places = {n: v for n, v in self.of_kind("place").items() if n in keypoints.names}
         if not places:
             return keypoints
@@ -310,9 +303,7 @@ class SelfCalibration:
             R_sensor_bone[index[joint]] = R_sensor_bone[index[joint]] @ so3.exp(turn)
         for joint, more in self.of_kind("lever arm").items():
             levers[index[joint]] += more
-        return replace(
-            given, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone, p_bone_sensor=levers
-        )
+        return replace(given, R_world_inertial=R_world_inertial, R_sensor_bone=R_sensor_bone, p_bone_sensor=levers)
 
     def _imus(self, imus: ImuSequence, calibration: ImuCalibration) -> ImuSequence:
         """IMUs without the drift of their headings."""
@@ -349,7 +340,7 @@ def place_swing(skeleton: SkeletonModel, joint: str) -> float:
     joints: sqrt(2) `PLACE_ERROR` over its length.
 
     Args:
-        skeleton: the subject's. joint: where the segment begins.
+        skeleton: the subject's.
     """
     j = skeleton.names.index(joint)
     ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]
@@ -365,7 +356,7 @@ def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[st
     """Return groups of bones with the joints at their ends.
 
     Args:
-        skeleton: the body. names: of `BONE_GROUPS`, or 'all'.
+        names: of `BONE_GROUPS`, or 'all'.
     """
     known = {n: tuple(j for j in joints if j in skeleton.names) for n, joints in BONE_GROUPS.items()}
     known["all"] = tuple(skeleton.names[1:])

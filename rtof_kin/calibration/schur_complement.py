@@ -36,11 +36,7 @@ class UnknownsHessian:
     """
 
     def __init__(self, frames: int, size: int, parts: Sequence[slice], changes: Sequence[Changes]) -> None:
-        """Begin with zeros.
-
-        Args:
-            frames: N. size: D. parts, changes: columns and derivatives of every kind of unknown.
-        """
+        """Begin with zeros."""
         count = parts[-1].stop if parts else 0
         self.columns, self.corner = np.zeros((frames, size, count)), np.zeros((count, count))
         self.gradient = np.zeros(count)
@@ -50,8 +46,7 @@ class UnknownsHessian:
         """Return derivatives (..., G) of a field of `Changes`, or of a function of it.
 
         Args:
-            name: of the field. like: array (...) of the result's shape.
-            through: (..., i, j) derivative of the function by the field.
+            like: array (...) of the result's shape. through: (..., i, j) derivative of the function by the field.
         """
         out = np.zeros((*like.shape, len(self.gradient)))
         for part, change in zip(self._parts, self._changes, strict=True):

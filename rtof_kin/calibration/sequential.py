@@ -124,11 +124,9 @@ class SequentialCalibration:
         """Begin with the priors, or with a saved calibration.
 
         Args:
-            problem: energy of a window, of which no other solver binds data. settings: of that solver.
-            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open; by
-                default `DELAY_ALONE`.
-            start: values that are known already, of the same sensors.
-            pace: speeds.
+            problem: energy of a window, of which no other solver binds data.
+            priors: `sigma_delay`, `sigma_heading`, `sigma_swing` and `sigma_posture` say what is open; by default
+                `DELAY_ALONE`.
 
         Raises:
             CalibrationError: nothing is open.
@@ -221,9 +219,7 @@ class SequentialCalibration:
         """
         return SelfCalibration(self._listed(significant), converged=self.windows > 0)
 
-    def _by(
-        self, y: Array, given: CalibrationObservations, sampled: Sensors | None
-    ) -> CalibrationObservations:
+    def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
         if sampled is not None:
             given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
@@ -299,9 +295,14 @@ class SequentialCalibration:
         if self.unknowns:
             hessian = self._prior + self._share * self._information
             moved = quantities_of(
-                self.unknowns, self.y - self._mean, hessian, self._prior, self._priors.overcount,
-                self._usual, self._pace.significant if significant is None else significant,
-            )  # fmt: skip
+                self.unknowns,
+                self.y - self._mean,
+                hessian,
+                self._prior,
+                self._priors.overcount,
+                self._usual,
+                self._pace.significant if significant is None else significant,
+            )
             means = np.split(self._mean, np.cumsum([len(q.value) for q in moved])[:-1])
             found += [replace(q, value=q.value + m) for q, m in zip(moved, means, strict=True)]
         return tuple(found)
@@ -368,9 +369,7 @@ def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None
     return DelayPosterior(usual, float(saved.value[0]), sigma)
 
 
-def _started(
-    unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]
-) -> Array:
+def _started(unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]) -> Array:
     """Means (G,) of the prior; narrows its covariance (G, G) of items that are saved."""
     mean, first = np.zeros(len(covariance)), 0
     for unknown in unknowns:

@@ -92,9 +92,7 @@ class SharedFragments:
         """Take the fragments.
 
         Args:
-            excerpt: the fragments of the recording that are used.
             unknowns: in the order in which they correct the observations; a delay is the first.
-            weights: of the residuals.
         """
         self.excerpt, self.unknowns, self.weights = excerpt, tuple(unknowns), weights
         self.data = excerpt.data[0]
@@ -111,15 +109,16 @@ class SharedFragments:
         self._doubts: dict[int, str] = {}
 
     def estimate(
-        self, rounds: int, progress: Callable[[int, int], None] | None = None, overcount: float = 1.0,
+        self,
+        rounds: int,
+        progress: Callable[[int, int], None] | None = None,
+        overcount: float = 1.0,
         start: Array | None = None,
-    ) -> Shared:  # fmt: skip
+    ) -> Shared:
         """Estimate the unknowns, and the prior of those kinds that shrink.
 
         Args:
-            rounds: largest number of Gauss-Newton steps.
             progress: called with (steps done, steps in all).
-            overcount: factor by which autocorrelated errors overstate the information.
             start: (G,) initial values; by default zero, and a searched delay.
 
         Raises:
@@ -175,9 +174,11 @@ class SharedFragments:
             energies = np.array([energy(value) for value in grid])
             best = float(grid[int(np.argmin(energies))])
             found = minimize_scalar(
-                energy, bounds=(best - sigma, best + sigma), method="bounded",
+                energy,
+                bounds=(best - sigma, best + sigma),
+                method="bounded",
                 options={"xatol": 0.05 * sigma, "maxiter": 6},
-            )  # fmt: skip
+            )
             y[i] = found.x
             self._doubts |= _doubt(i, float(found.x), float(found.fun), grid, energies, sigma)
         return y
@@ -212,9 +213,7 @@ class SharedFragments:
             values = self._given.fragment(first, data.frames)
             data.problem.bind(values)
             index = np.clip(np.arange(first, first + data.frames), 0, len(self._start) - 1)
-            annealing = Annealing(
-                s, data.problem, self.confidence[index], data.points.sizes, values.observation
-            )
+            annealing = Annealing(s, data.problem, self.confidence[index], data.points.sizes, values.observation)
             solved = self._solver.solve(
                 self._start[index], s.annealing + s.max_iterations, s.tolerance, None, annealing
             )
@@ -264,7 +263,7 @@ class SharedFragments:
         """Return Hessian (G, G) and gradient (G,) of the data's energy as a function of the unknowns alone.
 
         Args:
-            corrected: observations at y. y: (G,).
+            y: (G,).
         """
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
@@ -273,13 +272,11 @@ class SharedFragments:
             hessian, gradient = hessian + told, gradient + slope
         return hessian, gradient
 
-    def unknowns_hessian(
-        self, corrected: CalibrationObservations, first: int, x: Array, y: Array
-    ) -> UnknownsHessian:
+    def unknowns_hessian(self, corrected: CalibrationObservations, first: int, x: Array, y: Array) -> UnknownsHessian:
         """Return the blocks of a fragment's Hessian by unknowns.
 
         Args:
-            corrected: observations at y. first: frame. x: (N, 3 + 4A) states. y: (G,).
+            x: (N, 3 + 4A) states. y: (G,).
         """
         fragment = self._profiled(corrected, first, x)
         return finished(fragment.unknowns_hessian(self.unknowns, self.columns, y))
@@ -291,9 +288,7 @@ class SharedFragments:
         return ProfiledFragment(problem, data.limits, data.settings, corrected, first, x, multipliers)
 
 
-def _doubt(
-    column: int, found: float, least: float, grid: Array, energies: Array, sigma: float
-) -> dict[int, str]:
+def _doubt(column: int, found: float, least: float, grid: Array, energies: Array, sigma: float) -> dict[int, str]:
     """Column and reason why a search over ``grid +- sigma`` may have failed; empty where it did not."""
     border = float(grid[-1]) + sigma
     if abs(found) > border - sigma / 2:

@@ -48,19 +48,12 @@ class Turning:
         return Turning(self.start + STEP * (frames.start or 0), self.w_world[frames])
 
     def of(self, columns: Index | Sequence[int]) -> Turning:
-        """Return some of the N.
-
-        Args:
-            columns: their indices.
-        """
+        """Return some of the N."""
         return replace(self, w_world=self.w_world[:, columns])
 
 
 def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: SkeletonModel) -> Turning:
     """Return the segments' angular velocities in world as an image shows them.
-
-    Args:
-        poses: lifted, at the keypoints' times. keypoints: T frames. skeleton: of the poses.
 
     Raises:
         CalibrationError: nobody is seen for two seconds.
@@ -79,11 +72,7 @@ def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: Sk
 
 
 def sensor_turning(log: SensorLog) -> Turning:
-    """Return sensors' angular velocities (T, S, 3), each in its own reference.
-
-    Args:
-        log: with orientation.
-    """
+    """Return sensors' angular velocities (T, S, 3), each in its own reference."""
     first = min(stream.times[0] for stream in log.streams)
     last = max(stream.times[-1] for stream in log.streams)
     grid = _grid(first, last)

@@ -141,9 +141,8 @@ class Bones(Unknown):
             levers=known["levers"] * (1 + y[of.sensors]),
         )
         return replace(
-            longer, a_world=scale * given.a_world, w_acceleration=given.w_acceleration / scale**2,
-            length_scale=scale,
-        )  # fmt: skip
+            longer, a_world=scale * given.a_world, w_acceleration=given.w_acceleration / scale**2, length_scale=scale
+        )
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Derivatives along the chains from the root."""
@@ -151,9 +150,9 @@ class Bones(Unknown):
         parents = at.space.skeleton.parents
         grown = known["offsets"].T / (1 + y[of.bones])[:, None]
         zero, own = np.zeros((len(at.p), 3)), range(len(y))
-        p = np.stack([
-            kinematics.positions(parents, grown * (of.bones == g)[:, None], zero, at.R) for g in own
-        ], axis=-1)  # fmt: skip
+        p = np.stack(
+            [kinematics.positions(parents, grown * (of.bones == g)[:, None], zero, at.R) for g in own], axis=-1
+        )
 
         def attached(on: Sequence[int], places: Array, groups: Index) -> Array:
             turned = np.einsum("nkij,jk->nki", at.R[:, list(on)], places / (1 + y[groups]))

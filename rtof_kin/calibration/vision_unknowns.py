@@ -105,9 +105,7 @@ class Tilt(Isotropic):
     def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
         """Rotate the camera."""
         turn, known = so3.exp(y), given.constant
-        return given.known(
-            R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"]
-        )
+        return given.known(R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"])
 
     def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
         """Derivatives of the landmarks rotating the other way about the camera."""

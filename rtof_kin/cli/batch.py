@@ -19,34 +19,40 @@ _GB = 1e9
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "batch", _batch, "a chain of commands on many recordings, with one table and index",
+        commands,
+        "batch",
+        _batch,
+        "a chain of commands on many recordings, with one table and index",
         "SOURCE is a folder, below which every recording is taken, or a CSV file that lists recordings. Each "
         "gets a folder in OUT; OUT/batch.csv has a line for each and OUT/index.html links the reports, the "
         "worst verdict first. The same command goes on after it was stopped or killed: what is done and made "
         "from the same is kept, what failed is tried again. docs/batch.md has more.",
-    )  # fmt: skip
+    )
     parser.add_argument("source", type=Path, metavar="SOURCE", help="folder, or manifest.csv")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="do everything again")
     parser.add_argument(
-        "--chain", default="reconstruct,analyse,report", metavar="COMMANDS",
+        "--chain",
+        default="reconstruct,analyse,report",
+        metavar="COMMANDS",
         help="separated by commas, each with its options, as 'reconstruct --calibrate, analyse --weight 70'",
-    )  # fmt: skip
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="at a time; default: one per core")
     parser.add_argument(
-        "--memory-per-job", type=float, default=2.0, metavar="GB",
+        "--memory-per-job",
+        type=float,
+        default=2.0,
+        metavar="GB",
         help="none is started while less is available; 0: not looked at",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--engine", choices=["processes", "ray"], default="processes",
+        "--engine",
+        choices=["processes", "ray"],
+        default="processes",
         help="processes of this machine, or a Ray cluster (extra: cluster)",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--address", metavar="HOST:PORT", help="of the Ray cluster; default: RAY_ADDRESS, else this machine"
     )
@@ -66,9 +72,7 @@ def _batch(options: argparse.Namespace) -> int:
     engine = _engine(options)
     chain = read_chain(options.chain, command_names() - {"batch"})
     entries = find_recordings(options.source, options.output)
-    batch = Batch(
-        options.source, entries, chain, options.output, rtof_kin.__version__, Shard.of(options.shard)
-    )
+    batch = Batch(options.source, entries, chain, options.output, rtof_kin.__version__, Shard.of(options.shard))
     check_chain(batch, _check)
     try:
         with ended_by_signals(), job_progress("recordings") as update:
@@ -117,7 +121,5 @@ def _print_rows(rows: list[Row], folder: Path) -> int:
             out.print(f"{counts[verdict]:6} {verdict}", style=STYLES.get(verdict, ""))
     out.print(f"wrote {folder / TABLE} and {folder / INDEX_PAGE}", soft_wrap=True)
     if counts[ERROR]:
-        err.print(
-            f"{counts[ERROR]} failed; the same command tries them again", style="bold red", soft_wrap=True
-        )
+        err.print(f"{counts[ERROR]} failed; the same command tries them again", style="bold red", soft_wrap=True)
     return 1 if counts[ERROR] else 0

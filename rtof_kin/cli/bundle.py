@@ -23,11 +23,7 @@ _STYLES = {"EXACT": "pass", "CLOSE": "warn", "DIFFERENT": "fail"}
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_bundle(commands)
     _add_reproduce(commands)
 
@@ -36,62 +32,81 @@ def _add_bundle(commands: Any) -> None:
     from rtof_kin.batch.bundle_file import LABELS
 
     parser = command(
-        commands, "bundle", _bundle, "one file with recordings, settings and results, without names",
+        commands,
+        "bundle",
+        _bundle,
+        "one file with recordings, settings and results, without names",
         "OUT is the output of reconstruct or run. FILE gets the numbers of its recording (keypoints, "
         "sensors, cameras, body), all that repeats the run, and the results, each with its SHA-256; rtof-kin "
         "reproduce computes them again. No video, names, notes, places, dates or paths are put in, and "
         "nothing is written if a search finds any. What is kept and left out is printed.",
-    )  # fmt: skip
+    )
     parser.add_argument("outputs", nargs="+", type=Path, metavar="OUT", help="output folder")
     add_output(parser, None, "file to write, as study.rtof")
     parser.add_argument(
-        "--recording", action="append", type=Path, default=[], metavar="FOLDER",
+        "--recording",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="FOLDER",
         help="recording of an OUT, or a folder of several, recognised by their contents; repeatable. "
         "Default: that of the output of run, or of the demo",
-    )  # fmt: skip
-    parser.add_argument(
-        "--with", dest="files", action="append", type=Path, default=[], metavar="FILE",
-        help="weights or calibration that a run was given, recognised by its contents; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--id", dest="ids", action="append", default=[], metavar="ID",
-        help="pseudonym of the subject; once for each person, in the order of OUT; default: S01, S02, ...",
-    )  # fmt: skip
-    parser.add_argument(
-        "--keep", action="append", choices=LABELS, default=[], help="label that is kept; repeatable"
     )
     parser.add_argument(
-        "--forbid", action="append", default=[], metavar="WORD",
+        "--with",
+        dest="files",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="weights or calibration that a run was given, recognised by its contents; repeatable",
+    )
+    parser.add_argument(
+        "--id",
+        dest="ids",
+        action="append",
+        default=[],
+        metavar="ID",
+        help="pseudonym of the subject; once for each person, in the order of OUT; default: S01, S02, ...",
+    )
+    parser.add_argument("--keep", action="append", choices=LABELS, default=[], help="label that is kept; repeatable")
+    parser.add_argument(
+        "--forbid",
+        action="append",
+        default=[],
+        metavar="WORD",
         help="further name that must not be in the file; repeatable",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--allow", action="append", default=[], metavar="WORD", help="word that is harmless; repeatable"
     )
     parser.add_argument(
-        "--redact",
-        action="store_true",
-        help="replace sentences that tell a name or path, in place of an error",
+        "--redact", action="store_true", help="replace sentences that tell a name or path, in place of an error"
     )
     parser.add_argument("--verify", action="store_true", help="reproduce the file after it was written")
 
 
 def _add_reproduce(commands: Any) -> None:
     parser = command(
-        commands, "reproduce", _reproduce, "verify a bundle and compute its results again",
+        commands,
+        "reproduce",
+        _reproduce,
+        "verify a bundle and compute its results again",
         "Compares the SHA-256 of every member first, then reconstructs each recording with the settings of "
         "the bundle and compares the motion bit by bit. Exit code 0: bit by bit; 3: within 1 mm and 0.1 "
         "deg; 1: not reproduced; 2: damaged or no bundle. Nothing in the file is executed.",
-    )  # fmt: skip
+    )
     parser.add_argument("file", type=Path, metavar="FILE", help="of rtof-kin bundle")
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT",
+        "-o",
+        "--output",
+        type=Path,
+        metavar="OUT",
         help="folder for the contents and, in reproduced/, the new results; default: nothing is kept",
-    )  # fmt: skip
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
     parser.add_argument("--check-only", action="store_true", help="compare the SHA-256 only")
-    parser.add_argument(
-        "--threads", type=int, metavar="N", help="of numerical libraries; default: as in the bundle"
-    )
+    parser.add_argument("--threads", type=int, metavar="N", help="of numerical libraries; default: as in the bundle")
 
 
 # --- bundle --------------------------------------------------------------------------------------
@@ -119,16 +134,19 @@ def _print_contents(path: Path, bundle: Bundle) -> None:
     what = f"{_count(bundle)}, {path.stat().st_size / 1e6:.1f} MB"
     out.print(
         f"wrote {path}: {what}, without names, dates or paths as far as they are known",
-        soft_wrap=True, style=STYLES["pass"],
-    )  # fmt: skip
+        soft_wrap=True,
+        style=STYLES["pass"],
+    )
     out.print(f"SHA-256   {_sha256(path)}")
     for title, lines in (("kept", bundle.kept), ("left out", bundle.left_out)):
         for number, line in enumerate(lines):
             out.print(f"{'' if number else title:9} {line}", soft_wrap=True)
     out.print(
         "caution   body proportions and the way of moving may identify a person without a name: it is still "
-        "data of a person", style=STYLES["warn"], soft_wrap=True,
-    )  # fmt: skip
+        "data of a person",
+        style=STYLES["warn"],
+        soft_wrap=True,
+    )
 
 
 def _count(bundle: Bundle) -> str:
@@ -206,9 +224,7 @@ def _options_of(run: Run, folder: Path, output: Path) -> argparse.Namespace:
     options = parse(["reconstruct", str(folder / run.recording), "-o", str(output), "--no-figures"])
     given = dict(run.record["options"])
     if unknown := sorted({*given} - {"mode", *REPEATED}):
-        raise InvalidInputError(
-            f"the bundle has the option {unknown[0]!r}, unknown here; use a newer version"
-        )
+        raise InvalidInputError(f"the bundle has the option {unknown[0]!r}, unknown here; use a newer version")
     checks: dict[str, Any] = {
         "frames": lambda v: isinstance(v, int) and not isinstance(v, bool) and 2 <= v <= 10_000,
         "guards": lambda v: isinstance(v, list) and all(isinstance(one, str) for one in v),
@@ -217,9 +233,7 @@ def _options_of(run: Run, folder: Path, output: Path) -> argparse.Namespace:
     }
     for name, value in given.items():
         if not checks[name](value):
-            raise InvalidInputError(
-                f"the bundle has the option {name} = {str(value)[:40]!r}, which cannot be"
-            )
+            raise InvalidInputError(f"the bundle has the option {name} = {str(value)[:40]!r}, which cannot be")
         setattr(options, name, tuple(value) if name == "guards" else value)
     if "model" in run.files:
         options.model = folder / run.files["model"]
@@ -258,9 +272,7 @@ def _worst(found: Sequence[tuple[Comparison, list[str]]]) -> tuple[Comparison, l
     return max(found, key=lambda pair: [*_CODES].index(pair[0].agreement.name))
 
 
-def _print_comparisons(
-    intact: str, runs: Sequence[Run], found: Sequence[tuple[Comparison, list[str]]]
-) -> None:
+def _print_comparisons(intact: str, runs: Sequence[Run], found: Sequence[tuple[Comparison, list[str]]]) -> None:
     """Print the worst verdict first, then that of every run."""
     worst, causes = _worst(found)
     out.print(worst.sentence(causes), style=STYLES[_STYLES[worst.agreement.name]], soft_wrap=True)
@@ -268,9 +280,8 @@ def _print_comparisons(
     for run, (one, causes) in zip(runs, found, strict=True):
         mode = run.record["options"].get("mode")
         out.print(
-            f"{run.result} of {run.recording}, mode {mode}, {one.frames} frames: {one.agreement.value}",
-            soft_wrap=True,
-        )  # fmt: skip
+            f"{run.result} of {run.recording}, mode {mode}, {one.frames} frames: {one.agreement.value}", soft_wrap=True
+        )
         for name in one.arrays:
             out.print(f"  differs: {name}")
         for cause in causes:

@@ -14,17 +14,16 @@ from rtof_kin.cli.terminal import add_output, command, decimal, out, print_files
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "analyse", _analyse, "clinical joint angles, gait and torques of a motion",
+        commands,
+        "analyse",
+        _analyse,
+        "clinical joint angles, gait and torques of a motion",
         "MOTION is the output of reconstruct. OUT gets the angles as CSV with a table of their names, "
         "signs and zeros, ranges of motion, gait cycles, torques where a body mass is known, figures, and "
         "notes on what could not be computed and why. An unobserved angle is an empty cell.",
-    )  # fmt: skip
+    )
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     add_output(parser, None, "folder to write")
     parser.add_argument("--height", type=decimal, metavar="M", help="to check the skeleton's size")
@@ -33,20 +32,15 @@ def add_commands(commands: Any) -> None:
 
 
 def add_analysis(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that `analyse_and_write` reads, but for height, figures and output.
-
-    Args:
-        parser: of the command.
-    """
-    parser.add_argument(
-        "--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording"
-    )
+    """Declare the options that `analyse_and_write` reads, but for height, figures and output."""
+    parser.add_argument("--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what to count")
     parser.add_argument(
-        "--from-standing", action="store_true",
+        "--from-standing",
+        action="store_true",
         help="angles of trunk and legs relative to half a second or more of the person's quiet standing",
-    )  # fmt: skip
+    )
 
 
 def _analyse(options: argparse.Namespace) -> None:
@@ -70,7 +64,7 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     """Analyse a motion, write the folder, and return the `MotionAnalysis`.
 
     Args:
-        options: of the command analyse. inputs: fingerprints for the folder's manifest.
+        inputs: fingerprints for the folder's manifest.
     """
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
@@ -83,9 +77,13 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     weight_kg, sex = _weight_and_sex(options, path.parent)
     with MotionReader(path) as reader:
         analysis = analyse_motion(
-            reader.source(), weight_kg=weight_kg, height=options.height, sex=sex,
-            repetitions=options.repetitions, from_standing=options.from_standing,
-        )  # fmt: skip
+            reader.source(),
+            weight_kg=weight_kg,
+            height=options.height,
+            sex=sex,
+            repetitions=options.repetitions,
+            from_standing=options.from_standing,
+        )
     with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures and can_draw():

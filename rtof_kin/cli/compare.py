@@ -20,40 +20,37 @@ _SHOWN = 12
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "compare", _compare, "two motions, or the left and right side of one, angle by angle",
+        commands,
+        "compare",
+        _compare,
+        "two motions, or the left and right side of one, angle by angle",
         "A and B are outputs of reconstruct or run, a motion.npz, or a .mot or .sto of another system. "
         "Prints what is compared and how, which angles have changed, and differences B - A with 95 % "
         "intervals and errors; -o writes a page with the curves, a table and JSON.",
-    )  # fmt: skip
+    )
     parser.add_argument("a", metavar="OUT_A", help="the first motion; its clock is used")
     parser.add_argument("b", metavar="OUT_B", nargs="?", help="the second motion")
     parser.add_argument("--sides", action="store_true", help="compare left (A) and right (B) of OUT_A")
     parser.add_argument(
-        "--by", choices=["time", "cycle", "repetition", "range"],
+        "--by",
+        choices=["time", "cycle", "repetition", "range"],
         help="the same instants, phases of the gait cycle, phases of repetitions, or ranges of motion alone; "
         "default: chosen from the data, and said",
-    )  # fmt: skip
+    )
     clocks = parser.add_mutually_exclusive_group()
     clocks.add_argument("--shift", type=float, metavar="S", help="seconds to add to the times of B")
-    clocks.add_argument(
-        "--align", action="store_true", help="estimate that shift from the angular velocities of both"
-    )
+    clocks.add_argument("--align", action="store_true", help="estimate that shift from the angular velocities of both")
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what is repeated")
     parser.add_argument(
-        "--angles",
-        metavar="NAMES",
-        help="angles to compare, separated by commas; fewer are tested more sharply",
+        "--angles", metavar="NAMES", help="angles to compare, separated by commas; fewer are tested more sharply"
     )
     parser.add_argument(
-        "--spm", action="store_true",
+        "--spm",
+        action="store_true",
         help="by cycle or repetition: Student's t along the cycle with clusters, by spm1d (extra clinical)",
-    )  # fmt: skip
+    )
     parser.add_argument("-o", "--output", metavar="DIR", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
@@ -119,9 +116,7 @@ def _found_shift(clocks: Alignment | None) -> float:
     from rtof_kin.core.errors import InvalidInputError
 
     if clocks is None:
-        raise InvalidInputError(
-            "compare: no common angle moves, so that --align finds no shift; give --shift"
-        )
+        raise InvalidInputError("compare: no common angle moves, so that --align finds no shift; give --shift")
     return clocks.shift
 
 

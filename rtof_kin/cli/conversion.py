@@ -13,11 +13,7 @@ if TYPE_CHECKING:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_simulate(commands)
     _add_export(commands)
 
@@ -66,10 +62,7 @@ def _export(options: argparse.Namespace) -> None:
     output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
     check_formats(formats)
-    with (
-        MotionReader(motion_path(options.motion)) as reader,
-        new_folder(output, URDF, options.overwrite) as folder,
-    ):
+    with MotionReader(motion_path(options.motion)) as reader, new_folder(output, URDF, options.overwrite) as folder:
         write_motion_files(folder, reader.source(), formats)
     print_files(output)
 
@@ -79,10 +72,12 @@ def _export(options: argparse.Namespace) -> None:
 
 def _add_simulate(commands: Any) -> None:
     parser = command(
-        commands, "simulate", _simulate, "make a recording from motion capture",
-        "A virtual camera and virtual IMUs observe the motion of a BVH or ASF/AMC file, which is kept "
-        "as the truth.",
-    )  # fmt: skip
+        commands,
+        "simulate",
+        _simulate,
+        "make a recording from motion capture",
+        "A virtual camera and virtual IMUs observe the motion of a BVH or ASF/AMC file, which is kept as the truth.",
+    )
     parser.add_argument("motion", metavar="MOTION", help=".bvh or .amc file")
     add_output(parser, None, "folder to write")
     parser.add_argument(
@@ -104,17 +99,18 @@ def _add_simulate(commands: Any) -> None:
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="true frame rate of the file")
     parser.add_argument("--seed", type=int, default=0, help="random seed of the camera and all errors")
-    parser.add_argument(
-        "--acknowledgement", default="", help="acknowledgement that the data's owner asks for"
-    )
+    parser.add_argument("--acknowledgement", default="", help="acknowledgement that the data's owner asks for")
 
 
 def _add_export(commands: Any) -> None:
     parser = command(
-        commands, "export", _export, "write a reconstructed motion in other formats",
+        commands,
+        "export",
+        _export,
+        "write a reconstructed motion in other formats",
         "Always writes the subject's URDF and files.json, which lists axes, units and names of every "
         "file. Unobserved frames are marked or missing in every format.",
-    )  # fmt: skip
+    )
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     folder = parser.add_argument("folder", metavar="OUT", help="folder to write")
 
@@ -127,6 +123,7 @@ def _add_export(commands: Any) -> None:
 
     add_output(parser, "", "the same, as for other commands", action=InPlaceOfFolder)
     parser.add_argument(
-        "--to", metavar="FORMATS",
+        "--to",
+        metavar="FORMATS",
         help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh",
-    )  # fmt: skip
+    )

@@ -14,51 +14,51 @@ if TYPE_CHECKING:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "detect", _detect, "detect keypoints of people in a video or webcam",
+        commands,
+        "detect",
+        _detect,
+        "detect keypoints of people in a video or webcam",
         "Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; "
         "needs the extra: pip install 'rtof-kin[video]'. Images are neither kept nor sent. OUT can be a "
         "recording's keypoints.",
-    )  # fmt: skip
+    )
     parser.add_argument("video", metavar="VIDEO", help="video file, or the number of a webcam")
     add_detector(parser)
     parser.add_argument("--out", default="keypoints.npz", metavar="OUT", help=".npz to write")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier OUT")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so many")
     parser.add_argument(
-        "--camera-motion",
-        metavar="NPZ",
-        help="estimate how the camera turned from the background, and write it",
+        "--camera-motion", metavar="NPZ", help="estimate how the camera turned from the background, and write it"
     )
     parser.add_argument(
-        "--phone-log", metavar="LOG",
+        "--phone-log",
+        metavar="LOG",
         help="gyroscope and accelerometer of the phone that filmed: adds the tilt to --camera-motion",
-    )  # fmt: skip
+    )
 
 
 def add_detector(parser: argparse.ArgumentParser) -> None:
-    """Declare --model-dir and --fetch-models, see `detector_of`.
-
-    Args:
-        parser: of the command.
-    """
+    """Declare --model-dir and --fetch-models, see `detector_of`."""
     which = parser.add_mutually_exclusive_group()
     which.add_argument(
-        "--model-dir", metavar="DIR", default=argparse.SUPPRESS,
+        "--model-dir",
+        metavar="DIR",
+        default=argparse.SUPPRESS,
         help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with "
         "MediaPipe's .task; without it what is at hand: downloaded models, else MediaPipe",
-    )  # fmt: skip
+    )
     which.add_argument(
-        "--fetch-models", metavar="NAME", nargs="?", const="rtmpose", default=argparse.SUPPRESS,
+        "--fetch-models",
+        metavar="NAME",
+        nargs="?",
+        const="rtmpose",
+        default=argparse.SUPPRESS,
         choices=("rtmpose", "mediapipe"),
         help="agree to download the detector's models once: rtmpose (the default, 26 points, 158 MB) or "
         "mediapipe (33 points, 10 MB); prints licence and checksums",
-    )  # fmt: skip
+    )
 
 
 def detector_of(options: argparse.Namespace) -> PersonDetector:
@@ -145,6 +145,4 @@ def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None
         out.print("it stood still: [camera.motion] is not needed")
     else:
         focal = f"focal_px = {turned.camera.K[0, 0]:.0f}"
-        out.print(
-            f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"', soft_wrap=True
-        )
+        out.print(f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"', soft_wrap=True)

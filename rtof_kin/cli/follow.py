@@ -20,31 +20,31 @@ _STYLES = {"improved": "green", "worse": "bold red", "changed": "yellow"}
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "follow", _follow, "did the person change over visits",
+        commands,
+        "follow",
+        _follow,
+        "did the person change over visits",
         "DIR has a folder for each visit, with the outputs of reconstruct of its trials: repeated recordings "
         "of the same movement. Prints which measures improved, got worse or changed since the first visit, "
         "with standard errors of measurement and the smallest change that could be shown; -o writes a page "
         "with trajectories, figures, a table and JSON. DIR/follow.toml may name visits, baseline, measures "
         "and which direction is better.",
-    )  # fmt: skip
+    )
     parser.add_argument("folder", metavar="DIR", help="a folder for each visit in it")
     parser.add_argument("--baseline", metavar="VISIT", help="visit to compare with; default: the first")
     parser.add_argument(
-        "--by", choices=["cycle", "repetition", "range"],
+        "--by",
+        choices=["cycle", "repetition", "range"],
         help="gait cycles, repetitions, or whole recordings; default: chosen from the data, and said",
-    )  # fmt: skip
+    )
     parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what is repeated")
     parser.add_argument(
-        "--measures", metavar="NAMES",
-        help="measures to follow, or angles with all of theirs, separated by commas; fewer are tested more "
-        "sharply",
-    )  # fmt: skip
+        "--measures",
+        metavar="NAMES",
+        help="measures to follow, or angles with all of theirs, separated by commas; fewer are tested more sharply",
+    )
     parser.add_argument("-o", "--output", metavar="OUT", help="folder to write")
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
@@ -85,9 +85,14 @@ def _found(options: argparse.Namespace) -> tuple[FollowUp, tuple[str, ...]]:
     given = (name.strip() for name in (options.measures or "").split(","))
     names = list(dict.fromkeys(filter(None, given))) or list(plan.measures)
     found = follow_up(
-        read.visits, baseline=baseline, by=options.by or plan.by, kind=options.repetitions or plan.kind,
-        better=plan.better, names=names, shares=plan.shares,
-    )  # fmt: skip
+        read.visits,
+        baseline=baseline,
+        by=options.by or plan.by,
+        kind=options.repetitions or plan.kind,
+        better=plan.better,
+        names=names,
+        shares=plan.shares,
+    )
     return found, read.notes
 
 
@@ -115,9 +120,10 @@ def _print_measures(found: FollowUp, all_of_them: bool) -> None:
             *(number(measure, one.estimates[v]) for v in (found.baseline, visit)),
             "" if change is None else number(measure, change.difference, True),
             "" if change is None else number(measure, change.detectable),
-            number(measure, both.sem), number(measure, both.mdc95),
+            number(measure, both.sem),
+            number(measure, both.mdc95),
             Text(outcome, _STYLES.get(outcome, "")),
-        )  # fmt: skip
+        )
     out.print(f"From {first} to {last}:", soft_wrap=True)
     out.print(table)
     for one in shown[:3]:

@@ -20,11 +20,7 @@ _BAR = 9
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_reference(commands)
     _add_scores(commands)
 
@@ -52,19 +48,27 @@ def _from_recordings(options: argparse.Namespace) -> GaitReference:
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
     from rtof_kin.report.gait.inputs import find_people
 
-    for_tables = {"--people": options.people, "--system": options.system, "--zero": options.zero,
-                  "--speed": options.speed, "--negate": options.negate}  # fmt: skip
+    for_tables = {
+        "--people": options.people,
+        "--system": options.system,
+        "--zero": options.zero,
+        "--speed": options.speed,
+        "--negate": options.negate,
+    }
     if given := [name for name, value in for_tables.items() if value]:
         raise InvalidInputError(f"gait-reference: {', '.join(given)} is for a table, not for recordings")
     found = find_people(options.source_files, options.from_standing)
     for place, reason in found.left_out.items():
         out.print(f"left out: {place}: {reason}", style="yellow", soft_wrap=True)
     reference, without = build_reference(
-        found.people, least_strides=options.strides, licence=options.licence, source=options.origin,
+        found.people,
+        least_strides=options.strides,
+        licence=options.licence,
+        source=options.origin,
         system=f"{OWN_SYSTEM} {rtof_kin.__version__}, skeleton {', '.join(found.skeletons)}",
         zero=STANDING_ZERO if options.from_standing else MODEL_ZERO,
         notes=_notes(found.recordings, found.people),
-    )  # fmt: skip
+    )
     for code, reason in without.items():
         out.print(f"left out: {code}: {reason}", style="yellow", soft_wrap=True)
     return reference
@@ -93,10 +97,15 @@ def _from_table(options: argparse.Namespace) -> GaitReference:
         raise InvalidInputError(f"gait-reference: a table needs {', '.join(absent)} too")
     negated = [name.strip() for name in (options.negate or "").split(",") if name.strip()]
     return read_gait_reference_table(
-        options.source_files, negated=negated, people=options.people, licence=options.licence,
-        source=options.origin, system=options.system, zero=options.zero,
+        options.source_files,
+        negated=negated,
+        people=options.people,
+        licence=options.licence,
+        source=options.origin,
+        system=options.system,
+        zero=options.zero,
         speed_range=tuple(options.speed) if options.speed else None,
-    )  # fmt: skip
+    )
 
 
 def _print_reference(reference: GaitReference) -> None:
@@ -108,9 +117,7 @@ def _print_reference(reference: GaitReference) -> None:
     speeds = ""
     if reference.speed_range is not None:
         speeds = " at {:.2f} to {:.2f} m/s".format(*reference.speed_range)
-    out.print(
-        f"reference of {reference.people} people{speeds}: {reference.system}", style="bold", soft_wrap=True
-    )
+    out.print(f"reference of {reference.people} people{speeds}: {reference.system}", style="bold", soft_wrap=True)
     if reference.people < FEW:
         text = f"caution: fewer than {FEW} people: scores are relative to few"
         out.print(text, style="yellow", soft_wrap=True)
@@ -195,25 +202,25 @@ def _cell(row: dict[str, Any]) -> str:
 
 def _add_reference(commands: Any) -> None:
     parser = command(
-        commands, "gait-reference", _reference, "a reference of healthy gait, for gait-scores",
+        commands,
+        "gait-reference",
+        _reference,
+        "a reference of healthy gait, for gait-scores",
         "FROM is a folder of recordings of healthy people, outputs of reconstruct, run or batch: each person "
         "counts once, by the subject of the session. Or it is a CSV table of a published normal set, with "
         "the columns variable, percent, mean and sd in degrees. FILE is JSON. Who is left out is said, with "
         "the reason.",
-    )  # fmt: skip
+    )
     parser.add_argument("source_files", metavar="FROM", help="folder of recordings, or CSV table")
     add_output(parser, None, "file to write")
     parser.add_argument("--licence", required=True, metavar="TEXT", help="terms of use of the reference")
     parser.add_argument(
         "--origin", required=True, metavar="TEXT", help="who was recorded, where and how; or a citation"
     )
+    parser.add_argument("--strides", type=int, default=3, metavar="N", help="of each side that a person needs")
     parser.add_argument(
-        "--strides", type=int, default=3, metavar="N", help="of each side that a person needs"
+        "--from-standing", action="store_true", help="angles of trunk and legs relative to each person's quiet standing"
     )
-    parser.add_argument(
-        "--from-standing", action="store_true",
-        help="angles of trunk and legs relative to each person's quiet standing",
-    )  # fmt: skip
     parser.add_argument("--people", type=int, metavar="N", help="of a table: number of people")
     parser.add_argument("--system", metavar="TEXT", help="of a table: what measured it, with its model")
     parser.add_argument("--zero", metavar="TEXT", help="of a table: posture in which its angles are 0")
@@ -221,24 +228,25 @@ def _add_reference(commands: Any) -> None:
         "--speed", type=float, nargs=2, metavar="M/S", help="of a table: slowest and fastest walking speed"
     )
     parser.add_argument(
-        "--negate", metavar="NAMES",
-        help="of a table: variables with the opposite sign, separated by commas",
-    )  # fmt: skip
+        "--negate", metavar="NAMES", help="of a table: variables with the opposite sign, separated by commas"
+    )
 
 
 def _add_scores(commands: Any) -> None:
     parser = command(
-        commands, "gait-scores", _scores, "a person's gait in one number: GPS, its profile (MAP), GDI",
+        commands,
+        "gait-scores",
+        _scores,
+        "a person's gait in one number: GPS, its profile (MAP), GDI",
         "MOTION is the output of reconstruct or run. Prints the scores with 95 % bands and what is missing; "
         "OUT gets JSON, tables and a figure. A motion that is no gait has no score, and a sentence says why.",
-    )  # fmt: skip
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
-    parser.add_argument(
-        "--reference", required=True, metavar="FILE", help="written by rtof-kin gait-reference"
     )
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("--reference", required=True, metavar="FILE", help="written by rtof-kin gait-reference")
     add_output(parser, None, "folder to write")
     parser.add_argument(
-        "--from-standing", action="store_true",
+        "--from-standing",
+        action="store_true",
         help="angles of trunk and legs relative to quiet standing; the default for a reference made so",
-    )  # fmt: skip
+    )
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")

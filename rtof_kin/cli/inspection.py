@@ -18,37 +18,38 @@ _FAILED = 1
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "inspect", _inspect, "identify files and check their contents by physics",
+        commands,
+        "inspect",
+        _inspect,
+        "identify files and check their contents by physics",
         "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "
         "cameras or a detector's keypoints. Every check is printed with its figure and limit; where a "
         "declaration is wrong, the likely right one is named as the option to add. Of a recording with "
         "calibrated sensors, those that are on another segment than declared are named, and --fix writes "
         "the corrected recording. Exit code 1: a check does not hold.",
-    )  # fmt: skip
+    )
     parser.add_argument("files", metavar="FILE", nargs="+", help="files or folders")
     parser.add_argument(
-        "--declare", metavar="FIELD=VALUE", nargs="+", default=[], type=_declaration,
+        "--declare",
+        metavar="FIELD=VALUE",
+        nargs="+",
+        default=[],
+        type=_declaration,
         help="units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed",
-    )  # fmt: skip
+    )
     parser.add_argument("--all", action="store_true", help="figures of every sensor and bone")
     parser.add_argument(
-        "--fix", action="store_true",
+        "--fix",
+        action="store_true",
         help="correct the segments of sensors that are elsewhere; of one recording, with -o",
-    )  # fmt: skip
+    )
     parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="new folder for --fix")
     parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
     parser.add_argument("--overwrite", action="store_true", help="replace an earlier PNG")
     parser.add_argument(
-        "--schema",
-        action=_PrintSchema,
-        nargs=0,
-        help="print the path of the JSON Schema of recording.toml and exit",
+        "--schema", action=_PrintSchema, nargs=0, help="print the path of the JSON Schema of recording.toml and exit"
     )
 
 
@@ -130,9 +131,7 @@ def _fix(found: Any, corrected: Any, target: Path) -> None:
         return
     corrected.save(target)
     places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
-    out.print(
-        f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True
-    )
+    out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
 
 
 def _number(text: str) -> float:

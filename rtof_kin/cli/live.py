@@ -15,15 +15,7 @@ from rich.text import Text
 
 from rtof_kin.cli.detection import add_detector, detector_of
 from rtof_kin.cli.recordings import lifter_of
-from rtof_kin.cli.terminal import (
-    add_model,
-    command,
-    ended_by_signals,
-    err,
-    out,
-    print_calibration,
-    warnings_in_summary,
-)
+from rtof_kin.cli.terminal import add_model, command, ended_by_signals, err, out, print_calibration, warnings_in_summary
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -66,73 +58,76 @@ examples:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "live", _live, "poses while a person moves, from cameras and sensors, recorded on request",
+        commands,
+        "live",
+        _live,
+        "poses while a person moves, from cameras and sensors, recorded on request",
         "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
         "the sensors; its streams are not used. Ctrl-C, as SIGTERM and SIGHUP, ends and finishes "
         "the recording; --finish does so for a session that was killed. Nothing leaves this machine unless "
         "an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
-    )  # fmt: skip
+    )
     parser.formatter_class = _Help
     parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES
     parser.add_argument("setup", metavar="SETUP", nargs="?", help="folder of the recording that was set up")
+    parser.add_argument("--finish", metavar="FOLDER", help="make a recording of a session that was killed, and end")
+    parser.add_argument("--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below")
+    parser.add_argument("--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below")
     parser.add_argument(
-        "--finish", metavar="FOLDER", help="make a recording of a session that was killed, and end"
-    )
-    parser.add_argument(
-        "--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below"
-    )
-    parser.add_argument(
-        "--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below"
-    )
-    parser.add_argument(
-        "--map", metavar="FILE",
+        "--map",
+        metavar="FILE",
         help="two columns: each sensor of the streams, and its segment or its name in SETUP; default: they "
         "have the names that SETUP has for them",
-    )  # fmt: skip
+    )
     _add_outputs(parser)
     _add_estimate(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="end after so many")
     parser.add_argument(
-        "--speed", type=float, default=1.0, metavar="X",
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="X",
         help="of replayed recordings and videos, times real time; inf: as fast as they are estimated",
-    )  # fmt: skip
+    )
     add_detector(parser)
 
 
 def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
     parser.add_argument(
-        "--out", action="append", default=[], metavar="OUTPUT",
+        "--out",
+        action="append",
+        default=[],
+        metavar="OUTPUT",
         help="lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of "
         "this machine; may be given several times",
-    )  # fmt: skip
+    )
     parser.add_argument("--view", action="store_true", help="show the skeleton in the browser")
 
 
 def _add_estimate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--lag", type=float, default=0.25, metavar="S",
+        "--lag",
+        type=float,
+        default=0.25,
+        metavar="S",
         help="age of the shown poses, 0 to 1 s: the older, the more accurate",
-    )  # fmt: skip
+    )
     parser.add_argument("--rate", type=float, default=60.0, metavar="HZ", help="poses per second")
     parser.add_argument(
         "--video-delay", type=float, default=0.0, metavar="S", help="by how much stamps of the video are late"
     )
     parser.add_argument(
-        "--calibrate", default="delay", metavar="KINDS",
+        "--calibrate",
+        default="delay",
+        metavar="KINDS",
         help="what is refined while the person moves: delay (of the video), heading, mounting (of the "
         "sensors), posture, with commas between, or none; with -o into FOLDER/calibration.toml. Open more "
         "than the delay where it is known to be wrong",
-    )  # fmt: skip
-    parser.add_argument(
-        "--calibration", metavar="FILE", help="of an earlier session, that --calibrate begins with"
     )
+    parser.add_argument("--calibration", metavar="FILE", help="of an earlier session, that --calibrate begins with")
     add_model(parser)
 
 
@@ -195,18 +190,23 @@ def _run_session(options: argparse.Namespace) -> None:
         if not options.imus and setup.keypoints is not None:
             setup = replace(setup, imus=None, calibration=None)
         streams = open_sources(
-            options.camera, options.imus, setup, speed=options.speed, names=options.map,
+            options.camera,
+            options.imus,
+            setup,
+            speed=options.speed,
+            names=options.map,
             detector=lambda: detector_of(options),
-        )  # fmt: skip
+        )
     sinks: list[Sink] = []
     try:
         sinks += open_sinks(options.out, setup)
         servers = _served(sinks, setup, options.view)
         landmarks = _points_of(streams.sources[0]) if options.camera else ()
         settings = replace(
-            settings, video_latency_s=_latency(streams.sources[0]),
+            settings,
+            video_latency_s=_latency(streams.sources[0]),
             refined=refinement_priors(() if options.calibrate == "none" else options.calibrate.split(",")),
-        )  # fmt: skip
+        )
         err.print("preparing the estimator", soft_wrap=True)
         estimator = OnlineEstimator(setup, landmarks, settings, lifter, known)
         _start(streams.sources)
@@ -215,9 +215,14 @@ def _run_session(options: argparse.Namespace) -> None:
             recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
         display = LiveDisplay(out, setup.skeleton)
         session = LiveSession(
-            setup, streams.sources, estimator, sinks=(*sinks, display), recorder=recorder,
-            video_delay_s=options.video_delay, in_background=streams.in_real_time,
-        )  # fmt: skip
+            setup,
+            streams.sources,
+            estimator,
+            sinks=(*sinks, display),
+            recorder=recorder,
+            video_delay_s=options.video_delay,
+            in_background=streams.in_real_time,
+        )
         summary = _run(session, display, servers, streams, options.seconds)
         _print_summary(summary, options)
         _finish_calibration(estimator.calibration, summary)
@@ -238,9 +243,7 @@ def _points_of(camera: Source) -> tuple[str, ...]:
         err.print(f"waiting for the points of {camera.name}", soft_wrap=True)
     while not camera.landmarks:
         if time.monotonic() > deadline:
-            raise SourceError(
-                f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first"
-            )
+            raise SourceError(f"{camera.name}: no names of points in {_LONGEST_WAIT:g} s; start what sends them first")
         time.sleep(0.02)
     return camera.landmarks
 
@@ -288,9 +291,12 @@ def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketSe
 
 
 def _run(
-    session: LiveSession, display: LiveDisplay, servers: Sequence[WebSocketServer], streams: Streams,
+    session: LiveSession,
+    display: LiveDisplay,
+    servers: Sequence[WebSocketServer],
+    streams: Streams,
     seconds: float | None,
-) -> SessionSummary:  # fmt: skip
+) -> SessionSummary:
     """Run until the end, Ctrl-C, or the time given, and show what happens."""
     replay = streams.replay
     clock: Callable[[], float] = (lambda: replay.time) if streams.replayed else time.monotonic
@@ -318,18 +324,17 @@ def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None
         frames += f", {summary.frame_ms_p50:.1f} ms each (99 % below {summary.frame_ms_p99:.1f} ms)"
     _line("session", frames)
     for name, one in summary.streams.items():
-        counts = {
-            "did not come": one.lost, "late": one.late, "too late": one.too_late, "not used": one.left_out,
-        }  # fmt: skip
+        counts = {"did not come": one.lost, "late": one.late, "too late": one.too_late, "not used": one.left_out}
         said = "".join(f", {count} {what}" for what, count in counts.items() if count)
         _line("stream", f"{name}: {one.received} samples{said}")
     if summary.folder is not None:
         _print_recorded(summary.folder)
     elif options.output is not None:
         _line(
-            "recorded", f"nothing that is a recording; what came is in {options.output}, and rtof-kin live "
+            "recorded",
+            f"nothing that is a recording; what came is in {options.output}, and rtof-kin live "
             f"--finish {options.output} tries again",
-        )  # fmt: skip
+        )
 
 
 def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:

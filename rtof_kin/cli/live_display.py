@@ -32,7 +32,7 @@ class LiveDisplay:
     """Output of a live session on the console.
 
     Args:
-        console: that is printed to. skeleton: of the estimates. now: seconds of the system.
+        now: seconds of the system.
     """
 
     def __init__(self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic):
@@ -62,22 +62,14 @@ class LiveDisplay:
     # --- sink --------------------------------------------------------------------------------------
 
     def send(self, estimate: OnlineEstimate) -> None:
-        """Take an estimate.
-
-        Args:
-            estimate: one frame.
-        """
+        """Take an estimate."""
         self._last = estimate
         self.frames += 1
         self._seconds.append(estimate.seconds)
         self._lags.append(estimate.lag_s)
 
     def tell(self, sentence: str) -> None:
-        """Take a message; without a terminal it is printed at once.
-
-        Args:
-            sentence: about the streams.
-        """
+        """Take a message; without a terminal it is printed at once."""
         if self._live is None:
             self._console.print(sentence, soft_wrap=True)
         else:
@@ -126,28 +118,38 @@ class LiveDisplay:
         good = sum(one["state"] == "ok" for one in streams)
         angles = "; ".join(f"{name} {text}" for name, text in self._angles())
         parts = [
-            f"{self._now() - self._begun:6.1f} s", self._figures(status["rate_hz"]),
+            f"{self._now() - self._begun:6.1f} s",
+            self._figures(status["rate_hz"]),
             f"{good} of {len(streams)} streams ok",
-        ]  # fmt: skip
+        ]
         return ", ".join(parts) + (f"; {angles} deg" if angles else "")
 
     def _table(self, status: Mapping[str, Any]) -> Group:
         streams = Table(
-            "stream", Column("state", no_wrap=True), Column("rate\n[Hz]", justify="right"),
-            Column("loss\n[%]", justify="right"), Column("late\n[ms]", justify="right"), "says",
-            box=SIMPLE_HEAD, pad_edge=False,
-        )  # fmt: skip
+            "stream",
+            Column("state", no_wrap=True),
+            Column("rate\n[Hz]", justify="right"),
+            Column("loss\n[%]", justify="right"),
+            Column("late\n[ms]", justify="right"),
+            "says",
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+        )
         for one in (*([status["camera"]] if status["camera"] else []), *status["sensors"]):
             state = str(one["state"])
             streams.add_row(
-                Text(str(one["name"])), Text(state, _STYLES.get(state, "bold red")),
+                Text(str(one["name"])),
+                Text(state, _STYLES.get(state, "bold red")),
                 *(_number(one[key]) for key in ("rate_hz", "loss_percent", "latency_ms")),
                 Text("" if state == "ok" else str(one["sentence"])),
-            )  # fmt: skip
+            )
         angles = Table(
-            Column("angle [deg]"), Column("left", justify="right"), Column("right", justify="right"),
-            box=SIMPLE_HEAD, pad_edge=False,
-        )  # fmt: skip
+            Column("angle [deg]"),
+            Column("left", justify="right"),
+            Column("right", justify="right"),
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+        )
         found = dict(self._angles())
         for name in _ANGLES:
             what = name.replace("_", " ")

@@ -13,32 +13,36 @@ from rtof_kin.cli.terminal import add_model, add_output, command, out, print_fil
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the command.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the command."""
     parser = command(
-        commands, "plan", _plan, "expected errors of a recording before it is made, and how to lower them",
+        commands,
+        "plan",
+        _plan,
+        "expected errors of a recording before it is made, and how to lower them",
         "PLAN is a protocol's TOML file, the name of a movement (--movements lists them), the folder of a "
         "recording, or the output of reconstruct. The recording is simulated with the errors of a real "
         "detector and real sensors and solved as a real one. Prints the standard deviation to expect of "
         "every clinical angle, what camera and sensors do not identify and why, the best place of the "
         "camera and of one more sensor, and how long to move for the calibration; -o writes tables, a "
         "figure and a page of instructions for the operator.",
-    )  # fmt: skip
+    )
     parser.add_argument("plan", metavar="PLAN", nargs="?", help="what is to be recorded")
     parser.add_argument("--movements", action="store_true", help="list the movements of the library and exit")
     add_output(parser, "", "folder to write; nothing is written without")
     parser.add_argument(
-        "--draws", type=int, default=3, metavar="N",
+        "--draws",
+        type=int,
+        default=3,
+        metavar="N",
         help="simulated recordings of the plan, each with other errors of person, detector and sensors",
-    )  # fmt: skip
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the first one")
     parser.add_argument(
-        "--no-search", dest="search", action="store_false",
+        "--no-search",
+        dest="search",
+        action="store_false",
         help="predict only: compare no cameras, sensors and lengths for the calibration",
-    )  # fmt: skip
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     parser.add_argument("--threads", type=int, metavar="N", help="threads of numerical libraries")
     add_model(parser)
@@ -70,9 +74,15 @@ def _plan(options: argparse.Namespace) -> None:
     with progress() as update:
         protocol, setup = planned(options.plan, lifter, update)
         found = plan(
-            protocol, setup, draws=options.draws, seed=options.seed, lifter=lifter, search=options.search,
-            workers=options.workers, progress=update,
-        )  # fmt: skip
+            protocol,
+            setup,
+            draws=options.draws,
+            seed=options.seed,
+            lifter=lifter,
+            search=options.search,
+            workers=options.workers,
+            progress=update,
+        )
     out.print(headline(found), style="bold", soft_wrap=True)
     for line in cautions(found):
         out.print(f"caution: {line}", style="yellow", soft_wrap=True)

@@ -21,11 +21,7 @@ _WIDEST_FIGURE = 10
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_total_capture(commands)
     _add_human36m(commands)
 
@@ -103,9 +99,7 @@ def _human36m(options: argparse.Namespace) -> None:
         save=options.save,
     )
     with job_progress() as update:
-        outcome = human36m.run(
-            protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update
-        )
+        outcome = human36m.run(protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update)
     tables = human36m.all_tables(protocol, outcome)
     facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
     written = write_tables(folder, tables, facts, json_file, options.overwrite)
@@ -142,11 +136,7 @@ def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
 
 
 def print_tables(tables: Sequence[Table]) -> None:
-    """Print tables with their notes.
-
-    Args:
-        tables: in this order.
-    """
+    """Print tables with their notes."""
     for table in tables:
         rows = table.text()
         columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]
@@ -188,55 +178,59 @@ def _add_run(parser: argparse.ArgumentParser, default: str, save_example: str) -
     parser.add_argument("--save", type=Path, metavar="DIR", help=f"write {save_example} and so on")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there as well")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
-    add_output(parser, default, "folder for tables, figures and what is done so far: the same "
-               "command resumes there after an interruption")  # fmt: skip
+    add_output(
+        parser,
+        default,
+        "folder for tables, figures and what is done so far: the same command resumes there after an interruption",
+    )
 
 
 def _add_total_capture(commands: Any) -> None:
     parser = command(
-        commands, "total-capture", _total_capture, "the paper's protocol and tables on Total Capture",
+        commands,
+        "total-capture",
+        _total_capture,
+        "the paper's protocol and tables on Total Capture",
         "DIR is the dataset as its authors hand it out, unpacked in any layout. Every take is scored on "
         "each camera by itself; tables stand beside the paper's, with the rows that calibrate its "
         "acceleration and jerk errors.",
-    )  # fmt: skip
+    )
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the dataset")
     parser.add_argument("--subjects", default="S1,S2,S3,S4,S5", help="separated by commas")
     parser.add_argument("--takes", metavar="TAKES", help="the paper's three test takes if not given")
     parser.add_argument("--cameras", default="1,3,4,5,6,7,8", help="numbers; camera 2 is miscalibrated")
     parser.add_argument(
-        "--keypoints", default="ground-truth", metavar="DIR",
+        "--keypoints",
+        default="ground-truth",
+        metavar="DIR",
         help="'ground-truth', or a folder with a detector's 2D (TC_S5_acting3_cam1.npz or .csv)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--layout", metavar="NAME",
+        "--layout",
+        metavar="NAME",
         help="of the points in a detector's own files, as in a recording: auto to have it recognised, or "
         "its name, such as body25, coco17 or mediapipe33; without it they are the skeleton's landmarks",
-    )  # fmt: skip
-    parser.add_argument(
-        "--noise-px", type=float, default=0.0, metavar="PX", help="white noise on ground-truth 2D"
     )
-    parser.add_argument(
-        "--sensors", default="8", metavar="8|10|13|LIST", help="how many IMUs, or their names"
-    )
+    parser.add_argument("--noise-px", type=float, default=0.0, metavar="PX", help="white noise on ground-truth 2D")
+    parser.add_argument("--sensors", default="8", metavar="8|10|13|LIST", help="how many IMUs, or their names")
     parser.add_argument(
         "--space",
         choices=[*SPACES, "both"],
         default=SPACES[0],
-        help="variables of the solver; fragment length and k_V are varied in cartesian space, where "
-        "they are defined",
+        help="variables of the solver; fragment length and k_V are varied in cartesian space, where they are defined",
     )
     parser.add_argument("--modes", default="lift,rto,sf2,rtof", help="stages to measure")
     parser.add_argument(
-        "--calibrate", action="store_true",
+        "--calibrate",
+        action="store_true",
         help="calibrate every take from itself first; the paper takes its files as they are",
-    )  # fmt: skip
-    parser.add_argument(
-        "--no-posture", action="store_true",
-        help="do not take the subject's neutral posture from the reference's first T-pose",
-    )  # fmt: skip
-    parser.add_argument(
-        "--no-studies", action="store_true", help="leave out the tables of fragment length and k_V"
     )
+    parser.add_argument(
+        "--no-posture",
+        action="store_true",
+        help="do not take the subject's neutral posture from the reference's first T-pose",
+    )
+    parser.add_argument("--no-studies", action="store_true", help="leave out the tables of fragment length and k_V")
     add_model(parser)
     parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
     _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.npz")
@@ -244,19 +238,22 @@ def _add_total_capture(commands: Any) -> None:
 
 def _add_human36m(commands: Any) -> None:
     parser = command(
-        commands, "human36m", _human36m, "the paper's protocol and table on Human3.6M",
+        commands,
+        "human36m",
+        _human36m,
+        "the paper's protocol and table on Human3.6M",
         "DIR holds the archives that VideoPose3D makes of the dataset (data_3d_h36m.npz and "
         "data_2d_h36m_gt.npz or a detector's). Vision alone: lift and rto, 17 joints, S9 and S11.",
-    )  # fmt: skip
+    )
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the archives")
     add_model(parser, "of 17 joints: rtof-kin train --human36m DIR; shipped ones have 21", required=True)
     parser.add_argument(
-        "--cameras-file", type=Path, metavar="FILE",
+        "--cameras-file",
+        type=Path,
+        metavar="FILE",
         help="camera-parameters.json or VideoPose3D's h36m_dataset.py; default: found in DIR",
-    )  # fmt: skip
-    parser.add_argument(
-        "--keypoints", default="gt", metavar="KIND", help="gt, cpn_ft_h36m_dbb, detectron_ft_h36m"
     )
+    parser.add_argument("--keypoints", default="gt", metavar="KIND", help="gt, cpn_ft_h36m_dbb, detectron_ft_h36m")
     parser.add_argument("--subjects", default="S9,S11", help="separated by commas")
     parser.add_argument("--actions", metavar="NAMES", help="such as Walking,Eating; all if not given")
     parser.add_argument("--cameras", default="0,1,2,3", help="numbers")

@@ -43,11 +43,7 @@ if TYPE_CHECKING:
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_demo(commands)
     _add_reconstruct(commands)
     _add_calibrate(commands)
@@ -103,11 +99,7 @@ def _reconstruct(options: argparse.Namespace) -> None:
 
 @contextmanager
 def opened(folder: str | Path) -> Iterator[RecordingSlices]:
-    """Yield the recording in a folder, a long one as a reader of its parts.
-
-    Args:
-        folder: of the recording.
-    """
+    """Yield the recording in a folder, a long one as a reader of its parts."""
     from rtof_kin.reconstruction.parts import is_long
     from rtof_kin.recording.reader import RecordingReader
 
@@ -134,9 +126,7 @@ def _calibrate(options: argparse.Namespace) -> None:
     recording = Recording.load(options.recording)
     with progress() as update:
         found = calibrate_recording(recording, lifter=lifter_of(options), settings=settings, progress=update)
-    doubts = (
-        AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found)
-    )
+    doubts = (AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found))
     print_headline(headline((*doubts, *calibration_results(found))))
     print_calibration(found)
     write_self_calibration_toml(options.output, found, options.overwrite)
@@ -169,15 +159,13 @@ def _known(options: argparse.Namespace) -> Any:
 
 
 def reconstruct_and_export(
-    recording: RecordingSlices, mode: Mode, options: argparse.Namespace,
-    inputs: Mapping[str, str] | None = None,
-) -> ReconstructionStatistics:  # fmt: skip
+    recording: RecordingSlices, mode: Mode, options: argparse.Namespace, inputs: Mapping[str, str] | None = None
+) -> ReconstructionStatistics:
     """Reconstruct and export; a folder that may not be written is refused first.
 
     Args:
-        recording: to reconstruct; a `Recording` in one part, another source in parts. mode: of the
-            reconstruction. options: those of `add_reconstruction`, and the output.
-        inputs: fingerprints for `export`.
+        recording: to reconstruct; a `Recording` in one part, another source in parts.
+        options: those of `add_reconstruction`, and the output. inputs: fingerprints for `export`.
     """
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.reconstruction.parts import reconstruct_in_parts
@@ -188,25 +176,32 @@ def reconstruct_and_export(
     check_replaceable(options.output, MARKER, options.overwrite)
     digest = recording.digest()
     how: Any = {
-        "mode": mode, "lifter": lifter_of(options), "settings": settings_of(options, mode),
-        "calibrate": options.calibrate, "known": _known(options),
-    }  # fmt: skip
+        "mode": mode,
+        "lifter": lifter_of(options),
+        "settings": settings_of(options, mode),
+        "calibrate": options.calibrate,
+        "known": _known(options),
+    }
     with progress() as update, warnings_in_summary():
         if isinstance(recording, Recording):
             parts: Iterable[Reconstruction] = [reconstruct(recording, progress=update, **how)]
         else:
             parts = reconstruct_in_parts(recording, progress=update, **how)
         return export_parts(
-            parts, options.output, options.overwrite, not options.no_figures, inputs=inputs,
+            parts,
+            options.output,
+            options.overwrite,
+            not options.no_figures,
+            inputs=inputs,
             run=lambda: run_record(mode, options, digest),
-        )  # fmt: skip
+        )
 
 
 def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -> dict[str, Any]:
     """Return what a run can be repeated by, for ``summary.json``; files are named by their SHA-256 alone.
 
     Args:
-        mode: of the reconstruction. options: those of `add_reconstruction`. recording_digest: of the input.
+        options: those of `add_reconstruction`.
     """
     from rtof_kin.core.environment import environment
     from rtof_kin.core.files.manifest import file_digest
@@ -222,9 +217,7 @@ def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -
     }
 
 
-def _reconstruct_to(
-    recording: RecordingSlices, mode: Mode, options: argparse.Namespace
-) -> ReconstructionStatistics:
+def _reconstruct_to(recording: RecordingSlices, mode: Mode, options: argparse.Namespace) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
     from rtof_kin.report.audit import audit
     from rtof_kin.report.headline import headline
@@ -279,9 +272,7 @@ def _evaluate(options: argparse.Namespace) -> None:
         _evaluate_angles(options, motion.motion(), recording)
 
 
-def _evaluate_angles(
-    options: argparse.Namespace, motion: MotionSequence, recording: Recording | None
-) -> None:
+def _evaluate_angles(options: argparse.Namespace, motion: MotionSequence, recording: Recording | None) -> None:
     """Print the errors of clinical angles, and write them if asked."""
     from rtof_kin.protocols.angle_evaluation import against_opensim, against_recording
 
@@ -301,27 +292,34 @@ def _evaluate_angles(
 
 def _add_demo(commands: Any) -> None:
     parser = command(
-        commands, "demo", _demo, "reconstruct the recording that travels with the package",
+        commands,
+        "demo",
+        _demo,
+        "reconstruct the recording that travels with the package",
         "Real motion (CMU), with a simulated camera and eight simulated IMUs: prints the error of "
         "each stage and writes the motion and its figures.",
-    )  # fmt: skip
+    )
     add_output(parser, "out/demo", "folder to write")
     parser.add_argument(
-        "--files", metavar="FOLDER",
+        "--files",
+        metavar="FOLDER",
         help="write the files that a phone and sensors would have written instead, to practise on",
-    )  # fmt: skip
+    )
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="of these, how many at most")
     add_reconstruction(parser)
 
 
 def _add_reconstruct(commands: Any) -> None:
     parser = command(
-        commands, "reconstruct", _reconstruct, "reconstruct the motion of a recording",
+        commands,
+        "reconstruct",
+        _reconstruct,
+        "reconstruct the motion of a recording",
         "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; "
         "docs/recording.md describes it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, "
         "the trajectory as CSV and for ROS; of recordings up to two minutes figures. Longer ones are "
         "reconstructed in parts, in bounded memory.",
-    )  # fmt: skip
+    )
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, None, "folder to write")
     parser.add_argument(
@@ -334,34 +332,35 @@ def _add_reconstruct(commands: Any) -> None:
 
 
 def add_reconstruction(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that `reconstruct_and_export` reads.
-
-    Args:
-        parser: of the command.
-    """
+    """Declare the options that `reconstruct_and_export` reads."""
     add_solver_options(parser)
     add_model(parser)
     parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
     parser.add_argument("--verbose", action="store_true", help="print every calibrated quantity too")
     parser.add_argument(
-        "--calibrate", action="store_true",
+        "--calibrate",
+        action="store_true",
         help="calibrate the recording from its own motion first, against gross errors of delay, mounting "
         "and bones; default: use it as given",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--calibration", metavar="FILE",
+        "--calibration",
+        metavar="FILE",
         help="calibration of another recording of the same person: bones, ankles and landmark offsets "
         "are taken from it; with --calibrate delay, mounting and biases are estimated for this one",
-    )  # fmt: skip
+    )
 
 
 def _add_calibrate(commands: Any) -> None:
     parser = command(
-        commands, "calibrate", _calibrate, "calibrate a recording from its own motion",
+        commands,
+        "calibrate",
+        _calibrate,
+        "calibrate a recording from its own motion",
         "Estimates the delay of the video, the mounting of the sensors, bone lengths and landmark "
         "offsets of the detector; no calibration pose is required. Prints each quantity with its "
         "standard deviation and writes it to OUT.",
-    )  # fmt: skip
+    )
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
     add_output(parser, "calibration.toml", "file to write")
     parser.add_argument(
@@ -373,21 +372,29 @@ def _add_calibrate(commands: Any) -> None:
 
 def _add_evaluate(commands: Any) -> None:
     parser = command(
-        commands, "evaluate", _evaluate, "compare a reconstructed motion with the truth",
+        commands,
+        "evaluate",
+        _evaluate,
+        "compare a reconstructed motion with the truth",
         "Prints position, acceleration, jerk and angle errors, pooled and per joint, beside a "
         "predictor that never moves; --angles: of clinical joint angles, as published for other systems.",
-    )  # fmt: skip
+    )
     parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
     parser.add_argument(
-        "--truth", required=True, metavar="TRUTH",
+        "--truth",
+        required=True,
+        metavar="TRUTH",
         help="folder of a recording with the truth, or an OpenSim .mot or .sto (angles alone)",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--angles", action="store_true",
+        "--angles",
+        action="store_true",
         help="also RMSE, mean and median absolute error of joint angles, beside published values",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--movement", default="other", choices=["walk", "squat", "sit-to-stand", "arms", "floor", "other"],
+        "--movement",
+        default="other",
+        choices=["walk", "squat", "sit-to-stand", "arms", "floor", "other"],
         help="class of the movement, for that table",
-    )  # fmt: skip
+    )
     parser.add_argument("-o", "--output", metavar="DIR", help="write the table of angles there too")

@@ -18,11 +18,7 @@ from rtof_kin.cli.terminal import add_model, add_output, command, decimal, job_p
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     _add_report(commands)
     _add_study(commands)
 
@@ -67,9 +63,15 @@ def _study(options: argparse.Namespace) -> None:
     out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
     with job_progress("study") as update, _quiet(), unused_removed(folder):
         study = study_sensors(
-            recording, greedy=greedy, lifter=lifter, settings=settings, longest=options.seconds,
-            folder=runs, workers=options.workers, progress=update,
-        )  # fmt: skip
+            recording,
+            greedy=greedy,
+            lifter=lifter,
+            settings=settings,
+            longest=options.seconds,
+            folder=runs,
+            workers=options.workers,
+            progress=update,
+        )
     print_headline(study.verdict, "all sensors: ")
     written = []
     if not options.no_figures and can_draw():
@@ -110,45 +112,55 @@ def _print_way_down(study: Any) -> None:
 
 def _add_report(commands: Any) -> None:
     parser = command(
-        commands, "report", _report, "one page of a reconstructed motion that opens in any browser",
+        commands,
+        "report",
+        _report,
+        "one page of a reconstructed motion that opens in any browser",
         "MOTION is the output of reconstruct or run. The page begins with a summary; ranges of motion, "
         "curves, an animated skeleton, gait, torques, quality, the items to report of a study with inertial "
         "sensors and the audit follow. It reads on a phone and on paper, and needs no network.",
-    )  # fmt: skip
+    )
     parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct or run")
     add_output(parser, "", "file to write; default: report.html beside the motion")
     labels = {
-        "subject": "name or code of the subject", "operator": "operator",
-        "date": "day of the recording, as 2026-01-31", "place": "place", "protocol": "protocol",
-    }  # fmt: skip
+        "subject": "name or code of the subject",
+        "operator": "operator",
+        "date": "day of the recording, as 2026-01-31",
+        "place": "place",
+        "protocol": "protocol",
+    }
     for name, what in labels.items():
         parser.add_argument(f"--{name}", default="", help=f"{what}; overrides the recording")
-    parser.add_argument(
-        "--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording"
-    )
+    parser.add_argument("--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording")
     parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
 
 
 def _add_study(commands: Any) -> None:
     parser = command(
-        commands, "study", _study, "contribution of each sensor of a recording, angle by angle",
+        commands,
+        "study",
+        _study,
+        "contribution of each sensor of a recording, angle by angle",
         "Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, "
         "the one with the smallest effect removed first. OUT gets a table, figures, and sentences on what "
         "the sensors contribute to each angle. Without a truth in the recording, the table has the "
         "difference from the full set, which is no error.",
-    )  # fmt: skip
+    )
     parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
-    add_output(parser, None, "folder for results and every run: the same command resumes there after an "
-               "interruption")  # fmt: skip
+    add_output(parser, None, "folder for results and every run: the same command resumes there after an interruption")
     parser.add_argument(
-        "--path", choices=["greedy", "ranked"],
+        "--path",
+        choices=["greedy", "ranked"],
         help="greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, "
         "with fewer runs; default: greedy up to eight sensors",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--seconds", type=float, default=120.0, metavar="S",
+        "--seconds",
+        type=float,
+        default=120.0,
+        metavar="S",
         help="of a longer recording, study as many seconds: those with the most movement",
-    )  # fmt: skip
+    )
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_model(parser)
     add_solver_options(parser)

@@ -15,44 +15,46 @@ if TYPE_CHECKING:
 
 
 def add_solver_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that `settings_of` and `use_threads` read.
-
-    Args:
-        parser: of the command.
-    """
+    """Declare the options that `settings_of` and `use_threads` read."""
     group = parser.add_argument_group("solver")
     group.add_argument("--frames", type=int, default=50, metavar="N", help="frames in a fragment")
     group.add_argument(
-        "--space", choices=SPACES,
+        "--space",
+        choices=SPACES,
         help="variables: configurations of the skeleton, or joint positions (the paper's); default: joint, "
         "where a pose prior is shipped for the skeleton",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--backend", choices=["realtime", "ipopt"],
+        "--backend",
+        choices=["realtime", "ipopt"],
         help="solver of the energy; default: realtime in joint space, ipopt in cartesian. Calibration "
         "has its own solver",
-    )  # fmt: skip
+    )
+    group.add_argument("--paper", action="store_true", help="the energy as printed, in cartesian space")
     group.add_argument(
-        "--paper", action="store_true",
-        help="the energy as printed, in cartesian space",
-    )  # fmt: skip
-    group.add_argument(
-        "--guards", default=GUARDS, type=lambda text: tuple(text.split(",")), metavar=",".join(GUARDS),
+        "--guards",
+        default=GUARDS,
+        type=lambda text: tuple(text.split(",")),
+        metavar=",".join(GUARDS),
         help="which outliers of keypoints and sensors are rejected; default: all of these",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--no-guards", dest="guards", action="store_const", const=(),
+        "--no-guards",
+        dest="guards",
+        action="store_const",
+        const=(),
         help="use keypoints and sensors as given, without outlier rejection",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--no-lift-with-sensors", dest="lift_with_sensors", action="store_false",
-        help="lift from the image only",
-    )  # fmt: skip
+        "--no-lift-with-sensors", dest="lift_with_sensors", action="store_false", help="lift from the image only"
+    )
     group.add_argument(
-        "--threads", type=int, metavar="N",
+        "--threads",
+        type=int,
+        metavar="N",
         help="threads of numerical libraries (BLAS, OpenMP, torch); more than a few gain nothing, since "
         f"matrices are small; default: OMP_NUM_THREADS, else {USUAL}",
-    )  # fmt: skip
+    )
 
 
 def use_threads(options: argparse.Namespace) -> None:
@@ -67,18 +69,13 @@ def use_threads(options: argparse.Namespace) -> None:
 def settings_of(options: argparse.Namespace, mode: str = "rtof") -> ReconstructionSettings:
     """Return the settings that the options choose.
 
-    Args:
-        options: parsed. mode: of the reconstruction, or 'calibrate'.
-
     Raises:
         InvalidInputError: options contradict each other.
     """
     from rtof_kin.reconstruction.settings import ReconstructionSettings
 
     if options.paper and options.space == "joint":
-        raise InvalidInputError(
-            "--paper is an energy in cartesian space; leave out --space joint, or --paper"
-        )
+        raise InvalidInputError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
     space: Space | None = "cartesian" if options.paper else options.space
     if mode in ("lift", "sf2") and (space or options.backend):
         raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
@@ -89,9 +86,12 @@ def settings_of(options: argparse.Namespace, mode: str = "rtof") -> Reconstructi
         if mode == "calibrate":
             raise InvalidInputError(f"calibration is solved in joint space; leave out {named}")
     settings = ReconstructionSettings(
-        frames=options.frames, space=space, backend=options.backend, guards=options.guards,
+        frames=options.frames,
+        space=space,
+        backend=options.backend,
+        guards=options.guards,
         lift_with_sensors=options.lift_with_sensors,
-    )  # fmt: skip
+    )
     if not options.paper:
         return settings
     return settings.with_fragment(CartesianSettings.paper(options.backend or "ipopt"))

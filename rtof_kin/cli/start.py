@@ -39,112 +39,128 @@ _KINDS: Final = {"given": "", "file": "", "found": "green", "assumed": "yellow",
 _OF_KEYPOINTS: Final = "rtof_kin.recording.files"
 """Logger of how the person was followed, which the findings say."""
 _OF_MOTION: Final = (
-    "frames", "space", "backend", "paper", "guards", "lift_with_sensors", "model", "calibrate", "calibration",
+    "frames",
+    "space",
+    "backend",
+    "paper",
+    "guards",
+    "lift_with_sensors",
+    "model",
+    "calibrate",
+    "calibration",
     "no_figures",
-)  # fmt: skip
+)
 _OF_ANGLES: Final = ("weight", "sex", "repetitions", "from_standing", "no_figures")
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "run", _run, "from a video and sensors to a report, in one command",
+        commands,
+        "run",
+        _run,
+        "from a video and sensors to a report, in one command",
         "Detects the person, makes the recording (as init does), reconstructs the motion, analyses it and "
         "writes OUT/report.html. What is not given is found from the motion or assumed, and said. A step is "
         "not done again while its inputs are the same, so that a run that was stopped goes on, and "
         "OUT/recording/recording.toml may be corrected. Nothing leaves this machine.",
-    )  # fmt: skip
+    )
     _add_setup(parser, "folder for the recording, the motion, the angles and the report")
     add_reconstruction(parser)
     parser.set_defaults(calibrate=True)
     parser.add_argument(
-        "--no-calibrate", dest="calibrate", action="store_false",
+        "--no-calibrate",
+        dest="calibrate",
+        action="store_false",
         help="use mounting, headings and bones as init found them, without self-calibration",
-    )  # fmt: skip
+    )
     add_analysis(parser)
     parser.add_argument(
-        "--second", nargs="+", metavar="FILE",
+        "--second",
+        nargs="+",
+        metavar="FILE",
         help="video or keypoints of a second camera (or both) that saw the same; its place is found",
-    )  # fmt: skip
+    )
     parser.add_argument("--second-person", type=int, metavar="N", help="number in second/frames.png")
     parser.add_argument("--second-camera", metavar="NAME", help="of it, in the calibration of --camera")
     _add_synchronised(parser)
     parser = command(
-        commands, "join", _join, "join the recordings of two cameras that saw the same",
+        commands,
+        "join",
+        _join,
+        "join the recordings of two cameras that saw the same",
         "Finds the second camera's clock, place and focal length from the person who moves before both (of "
         "two calibrated cameras the clock alone) and writes one recording with two views.",
-    )  # fmt: skip
+    )
     parser.add_argument("first", metavar="FIRST", help="folder of the recording with the sensors, if any")
     parser.add_argument("second", metavar="SECOND", help="folder of the other camera's recording")
     add_output(parser, None, "folder of the joined recording")
     add_model(parser)
     _add_synchronised(parser)
     parser = command(
-        commands, "init", _init, "make a recording from a video and sensors",
+        commands,
+        "init",
+        _init,
+        "make a recording from a video and sensors",
         "Writes the folder that reconstruct takes: recording.toml with a comment on every value that was "
         "found or assumed, the keypoints, the sensors on the video's clock, and frames.png, a picture of "
         "the people with their numbers.",
-    )  # fmt: skip
+    )
     _add_setup(parser, "folder of the recording")
 
 
 def _add_setup(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
-        "files", metavar="FILE", nargs="+",
+        "files",
+        metavar="FILE",
+        nargs="+",
         help="a video, a detector's keypoints or both; files or folders of sensors, also alone; a "
         "calibration of the camera and a map of sensors: each is recognised",
-    )  # fmt: skip
-    add_output(parser, None, what)
-    parser.add_argument(
-        "--height", type=decimal, metavar="M", help="of the person, m; every length follows it"
     )
+    add_output(parser, None, what)
+    parser.add_argument("--height", type=decimal, metavar="M", help="of the person, m; every length follows it")
     parser.add_argument(
-        "--pose", choices=["N", "T", "seated"], default="N",
+        "--pose",
+        choices=["N", "T", "seated"],
+        default="N",
         help="of sensors without a video: how the person stood still at first",
-    )  # fmt: skip
+    )
     parser.add_argument("--person", type=int, metavar="N", help="number in frames.png, if there are several")
     parser.add_argument(
-        "--camera", type=Path, metavar="FILE",
+        "--camera",
+        type=Path,
+        metavar="FILE",
         help="calibration (Pose2Sim, OpenCap, OpenCV); default: found from the motion, as far as it shows it",
-    )  # fmt: skip
+    )
     parser.add_argument("--camera-name", metavar="NAME", help="of the camera, if FILE has several")
     parser.add_argument(
-        "--phone-log", type=Path, metavar="LOG",
+        "--phone-log",
+        type=Path,
+        metavar="LOG",
         help="gyroscope and accelerometer of the phone that filmed by hand: tells how it was tilted",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--map", type=Path, metavar="FILE",
+        "--map",
+        type=Path,
+        metavar="FILE",
         help="two columns: serial number of each sensor and its segment; default: found from the motion",
-    )  # fmt: skip
-    parser.add_argument(
-        "--rate", type=decimal, metavar="HZ", help="frames per second of keypoints without times"
     )
-    parser.add_argument(
-        "--size", type=image_size, metavar="WxH", help="of the image, for keypoints without a video"
-    )
+    parser.add_argument("--rate", type=decimal, metavar="HZ", help="frames per second of keypoints without times")
+    parser.add_argument("--size", type=image_size, metavar="WxH", help="of the image, for keypoints without a video")
     add_detector(parser)
     parser.add_argument(
-        "--discard-video", action="store_true",
+        "--discard-video",
+        action="store_true",
         help="keep the keypoints alone: neither pictures nor the name of the video",
-    )  # fmt: skip
+    )
 
 
 def _add_synchronised(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--synchronised", action="store_true", help="both cameras have one clock; default: it is found"
-    )
+    parser.add_argument("--synchronised", action="store_true", help="both cameras have one clock; default: it is found")
 
 
 def image_size(text: str) -> tuple[int, int]:
-    """Return width and height, px, of a text such as 1920x1080; raises ArgumentTypeError for another.
-
-    Args:
-        text: of the option.
-    """
+    """Return width and height, px, of a text such as 1920x1080; raises ArgumentTypeError for another."""
     width, cross, height = text.lower().partition("x")
     if not (cross and width.isdigit() and height.isdigit()):
         raise argparse.ArgumentTypeError(f"{text!r} is not width x height, such as 1920x1080")
@@ -237,15 +253,9 @@ def _set_up(options: argparse.Namespace, folder: Path, name: str) -> Findings:
         _kept(folder.name)
         return read_findings(folder)
     if before and before.get("files") != inputs["files"] and not options.overwrite:
-        raise OutputExistsError(
-            f"{folder}: was made from other files; name another folder by -o, or add --overwrite"
-        )
+        raise OutputExistsError(f"{folder}: was made from other files; name another folder by -o, or add --overwrite")
     check_replaceable(folder, INDEX, bool(before) or options.overwrite)
-    if (
-        "recording" in before
-        and before.get("person", inputs["person"]) != inputs["person"]
-        and not options.overwrite
-    ):
+    if "recording" in before and before.get("person", inputs["person"]) != inputs["person"] and not options.overwrite:
         raise OutputExistsError(
             f"{folder}: is of another person of the video; name another folder by -o, or add --overwrite, "
             "which replaces that person's results"
@@ -294,11 +304,15 @@ def _settings(options: argparse.Namespace) -> SetupSettings:
     from rtof_kin.setup.init import SetupSettings
 
     return SetupSettings(
-        height=options.height, person=options.person, camera_name=options.camera_name,
-        rate_hz=options.rate, size_px=options.size, phone_log=options.phone_log,
+        height=options.height,
+        person=options.person,
+        camera_name=options.camera_name,
+        rate_hz=options.rate,
+        size_px=options.size,
+        phone_log=options.phone_log,
         keep_video=not options.discard_video,
         lifter=lifter_of(options) if hasattr(options, "model") else None,
-    )  # fmt: skip
+    )
 
 
 def _fingerprints(sources: Sources, options: argparse.Namespace) -> dict[str, str]:
@@ -321,9 +335,11 @@ def _values(options: argparse.Namespace, names: tuple[str, ...]) -> tuple[object
 
 
 def _step(
-    options: argparse.Namespace, step: str, inputs: tuple[object, ...],
+    options: argparse.Namespace,
+    step: str,
+    inputs: tuple[object, ...],
     make: Callable[[argparse.Namespace, Mapping[str, str]], None],
-) -> None:  # fmt: skip
+) -> None:
     """Make a folder of `run`, unless it is there and its inputs are the same."""
     folder, wanted = Path(options.output) / step, fingerprint(*inputs)
     before = made_from(folder)
@@ -348,9 +364,7 @@ def _write_page(folder: Path, options: argparse.Namespace) -> None:
         return
     own = page in read_contents(folder).own
     if page.exists() and not own:
-        raise OutputExistsError(
-            f"{page}: this package did not write it, or it was changed; move it elsewhere"
-        )
+        raise OutputExistsError(f"{page}: this package did not write it, or it was changed; move it elsewhere")
     write_text(page, report(folder / MOTION, None, options.weight, options.sex), overwrite=own)
     write_manifest(folder, PAGE, inputs, [page])
 
@@ -375,8 +389,7 @@ def _line(name: str, text: str, style: str = "") -> None:
 def _camera_found(summary: Any) -> list[str]:
     """Return what the motion told of a camera that is not calibrated, by unknown."""
     rows = (summary.inputs.get("camera_estimate") or {}).get("rows", [])
-    return [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_, verdict in rows
-            if verdict == "found"]  # fmt: skip
+    return [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_, verdict in rows if verdict == "found"]
 
 
 def _headline(summary: Any) -> str:

@@ -17,14 +17,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -59,11 +52,7 @@ class Parser(argparse.ArgumentParser):
     """Parser whose errors are one line with the likely meant choice, in place of the whole usage."""
 
     def error(self, message: str) -> NoReturn:
-        """Exit with 2.
-
-        Args:
-            message: what is wrong.
-        """
+        """Exit with 2."""
         wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         close = nearest([wrong[1]], re.findall("'(.*?)'", wrong[2])) if wrong else []
         if close:
@@ -72,17 +61,11 @@ class Parser(argparse.ArgumentParser):
 
 
 def decimal(text: str) -> float:
-    """Return a decimal number, also with a comma as its point; raises ArgumentTypeError for other text.
-
-    Args:
-        text: of the option.
-    """
+    """Return a decimal number, also with a comma as its point; raises ArgumentTypeError for other text."""
     try:
         return float(text.replace(",", "."))
     except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a number, such as 1.72 (without its unit)"
-        ) from error
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number, such as 1.72 (without its unit)") from error
 
 
 def command(
@@ -91,8 +74,7 @@ def command(
     """Declare a command.
 
     Args:
-        commands: of the parser. name: what users type. run: what it does; returns the exit code or None.
-        summary: one line without a full stop. more: further sentences of its help.
+        run: what it does; returns the exit code or None. summary: one line without a full stop.
     """
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
@@ -108,11 +90,9 @@ def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, 
     """Declare -o and --overwrite.
 
     Args:
-        parser: of the command. default: None where the option is required. what: help. how: for argparse.
+        default: None where the option is required.
     """
-    parser.add_argument(
-        "-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how
-    )
+    parser.add_argument("-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how)
     parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
 
 
@@ -123,11 +103,7 @@ _MODEL = (
 
 
 def add_model(parser: argparse.ArgumentParser, what: str = _MODEL, required: bool = False) -> None:
-    """Declare --model, and --lifter as its old name.
-
-    Args:
-        parser: of the command. what: help. required: where no shipped one fits.
-    """
+    """Declare --model, and --lifter as its old name."""
     names = parser.add_mutually_exclusive_group(required=required)
     names.add_argument("--model", type=Path, metavar="FILE", help=what)
     names.add_argument("--lifter", dest="model", type=Path, help=argparse.SUPPRESS)
@@ -151,9 +127,11 @@ def log_handler() -> logging.Handler:
 def progress() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each stage on the error stream; yields a function of (stage, done, in all)."""
     columns = (
-        TextColumn("{task.description:>5}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TextColumn("{task.description:>5}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
         TimeElapsedColumn(),
-    )  # fmt: skip
+    )
     with Progress(*columns, console=err) as bars:
         tasks: dict[str, Any] = {}
 
@@ -169,14 +147,14 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
 def job_progress(what: str = "measuring") -> Iterator[Callable[[int, int, str], None]]:
     """Show a bar over jobs with the time that remains, and a line for each that fails; yields a function of
     (done, in all, last event).
-
-    Args:
-        what: description of the bar.
     """
     columns = (
-        TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
-    )  # fmt: skip
+    )
     bar = Progress(*columns, console=err, speed_estimate_period=_LONG)
     task = bar.add_task("jobs", total=None, last="")
 
@@ -248,7 +226,7 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
     """Print a result in five lines: recording, accuracy, cautions, files, next command.
 
     Args:
-        found: statistics of what was exported to `folder`. headline: of its audit.
+        found: statistics of what was exported to `folder`.
     """
     first = found.first
     source = f"{_duration(found.seconds)} at {first.motion.poses.rate_hz:.0f} Hz"
@@ -276,9 +254,8 @@ def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | 
     """Return errors against the truth, else those expected by the covariances.
 
     Args:
-        metrics: against the truth, where there is one. mode: that made the motion.
-        sigmas: mean standard deviations per axis of the joints relative to the root and in world, m; NaN
-            where unknown. None of a motion without covariances.
+        sigmas: mean standard deviations per axis of the joints relative to the root and in world, m; NaN where
+            unknown. None of a motion without covariances.
     """
     if (m := metrics) is not None:
         return (
@@ -297,11 +274,7 @@ def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | 
 
 
 def print_sections(headline: Headline) -> None:
-    """Print the verdict of every section of the audit with its reasons.
-
-    Args:
-        headline: of the audit.
-    """
+    """Print the verdict of every section of the audit with its reasons."""
     table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
     for verdict in headline.sections:
         if verdict.section != "truth":  # see `print_scores`
@@ -311,21 +284,13 @@ def print_sections(headline: Headline) -> None:
 
 
 def print_headline(headline: Headline, what: str = "") -> None:
-    """Print the overall verdict in one line, and that of every section.
-
-    Args:
-        headline: of the audit. what: prefix of the line.
-    """
+    """Print the overall verdict in one line, and that of every section."""
     out.print(f"{what}{headline.line}", style=STYLES.get(headline.grade.value, ""), soft_wrap=True)
     print_sections(headline)
 
 
 def print_calibration(calibration: SelfCalibration) -> None:
-    """Print every estimated quantity with its standard deviations.
-
-    Args:
-        calibration: of a recording.
-    """
+    """Print every estimated quantity with its standard deviations."""
     table = Table("quantity", "of", "value", "+-", "prior +-", "verdict", title="self-calibration")
     for row in calibration.table():
         table.add_row(*row)
@@ -391,9 +356,5 @@ def _entries(folder: str | Path) -> list[str]:
 
 
 def print_files(folder: str | Path) -> None:
-    """Print the files of a folder.
-
-    Args:
-        folder: just written.
-    """
+    """Print the files of a folder."""
     out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)

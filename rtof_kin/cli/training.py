@@ -22,91 +22,92 @@ DEFAULT_MINUTES = 45.0
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "train", _train, "train a model on motion capture: lifter and pose prior in one file",
+        commands,
+        "train",
+        _train,
+        "train a model on motion capture: lifter and pose prior in one file",
         "CORPUS is a folder of BVH and AMC files with an index.csv (see benchmarks/README.md), split by "
         "subject once and for all. Or train on a dataset that you have: Total Capture's paper split "
         "(S1-S3 without the test takes) or Human3.6M's (S1, S5-S8). Such weights are yours to keep, "
         "under the dataset's terms; --model takes the file in every command. Several processes or "
         "machines: torchrun --nproc-per-node 2 -m "
         "rtof_kin.cli train ...",
-    )  # fmt: skip
+    )
     parser.add_argument("corpus", nargs="?", metavar="CORPUS", help="folder, or .npz made from one")
     parser.add_argument("--total-capture", metavar="DIR", help="folder of Total Capture, instead")
     parser.add_argument("--human36m", metavar="DIR", help="folder of Human3.6M's archives, instead")
     parser.add_argument("-o", "--output", default="model.pt", help="model to write")
     parser.add_argument(
-        "--minutes", type=float,
+        "--minutes",
+        type=float,
         help=f"stop after so many; {DEFAULT_MINUTES:g} where neither they nor windows are given",
-    )  # fmt: skip
+    )
     parser.add_argument("--windows", type=int, help="stop after so many windows")
     parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
     parser.add_argument(
         "--overwrite", action="store_true", help="replace an earlier model and the state of its training"
     )
-    parser.add_argument(
-        "--start", metavar="MODEL", help="begin with its weights; a file, or a shipped one by name"
-    )
+    parser.add_argument("--start", metavar="MODEL", help="begin with its weights; a file, or a shipped one by name")
     _add_model(parser.add_argument_group("what is trained"))
     _add_how(parser.add_argument_group("how it is trained"))
 
 
 def _add_model(group: Any) -> None:
     group.add_argument(
-        "--network", dest="model", choices=["rays", "videopose3d"], default="rays",
+        "--network",
+        dest="model",
+        choices=["rays", "videopose3d"],
+        default="rays",
         help="the package's own, or the baseline: VideoPose3D with its published recipe",
-    )  # fmt: skip
+    )
     group.add_argument("--channels", type=int, help="width; 256, or 1024 of videopose3d, if not given")
     group.add_argument("--dropout", type=float, help="share of hidden values; 0, or 0.25 of videopose3d")
+    group.add_argument("--causal", action="store_true", help="no delay: the last frame of a window is estimated")
     group.add_argument(
-        "--causal", action="store_true", help="no delay: the last frame of a window is estimated"
-    )
-    group.add_argument(
-        "--prior", choices=["auto", "even", "own", "none"], default="auto",
+        "--prior",
+        choices=["auto", "even", "own", "none"],
+        default="auto",
         help="pose prior. own: trunk of the one rig of the corpus; even: of several rigs, a bend shared "
         "evenly by the spine; auto: own if all skeletons divide the trunk alike; none: the shipped prior",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--noise", choices=["mixed", "perfect", "realistic", "independent"], default="mixed",
+        "--noise",
+        choices=["mixed", "perfect", "realistic", "independent"],
+        default="mixed",
         help="2D to train for: exact (5-7 mm better on ground truth), a real detector's, with errors of each "
         "joint alone, or all of these",
-    )  # fmt: skip
+    )
     group.add_argument(
-        "--camera", nargs=2, type=float, metavar=("DISTANCE", "HEIGHT"),
+        "--camera",
+        nargs=2,
+        type=float,
+        metavar=("DISTANCE", "HEIGHT"),
         help="one place of all virtual cameras, m, from any side; if not given, each window has its own",
-    )  # fmt: skip
+    )
 
 
 def _add_how(group: Any) -> None:
     group.add_argument(
-        "--batch", type=int,
-        help="windows in a step, of all processes; 512, or 1024 of videopose3d, if not given",
-    )  # fmt: skip
+        "--batch", type=int, help="windows in a step, of all processes; 512, or 1024 of videopose3d, if not given"
+    )
     group.add_argument("--learning-rate", type=float, help="largest; the model's own if not given")
     group.add_argument("--weight-decay", type=float, help="of AdamW, per unit of learning rate; 0.01")
     group.add_argument("--ema", type=float, help="factor per step of the mean of the weights; 0.998")
     group.add_argument("--bfloat16", action=argparse.BooleanOptionalAction, help="multiply in bfloat16")
     group.add_argument("--validation-windows", type=int, help="of each kind of 2D; 4096")
-    group.add_argument(
-        "--device", choices=["cpu", "cuda"], default="cpu", help="where; of several GPUs one a process"
-    )
-    group.add_argument(
-        "--threads", type=int, choices=[1, 2], default=2, help="2: draw windows while learning"
-    )
+    group.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where; of several GPUs one a process")
+    group.add_argument("--threads", type=int, choices=[1, 2], default=2, help="2: draw windows while learning")
     group.add_argument("--seed", type=int, default=0, help="of everything drawn")
     group.add_argument(
-        "--deterministic", action="store_true",
-        help="the same bits every time: stop by --windows, not by the clock",
-    )  # fmt: skip
+        "--deterministic", action="store_true", help="the same bits every time: stop by --windows, not by the clock"
+    )
     group.add_argument(
-        "--same-windows", action="store_true",
+        "--same-windows",
+        action="store_true",
         help="several processes learn from the very windows of one: slower, the same curves",
-    )  # fmt: skip
+    )
 
 
 def _train(options: argparse.Namespace) -> None:
@@ -128,9 +129,7 @@ def _train(options: argparse.Namespace) -> None:
                 progress.console.print(line)
 
         try:
-            path = train(
-                config, corpus, options.output, update, options.resume, options.start, options.overwrite
-            )
+            path = train(config, corpus, options.output, update, options.resume, options.start, options.overwrite)
         except KeyboardInterrupt:
             if _first():
                 where = f"{options.output}.state; curves so far: {figure_file(options.output)}"
@@ -156,10 +155,24 @@ def _config(options: argparse.Namespace) -> TrainConfig:
         minutes = DEFAULT_MINUTES
     augment = augmentation(options.noise, options.camera)
     same = (
-        "model", "prior", "windows", "channels", "dropout", "causal", "batch", "learning_rate",
-        "weight_decay", "ema", "bfloat16", "validation_windows", "device", "threads", "seed",
-        "deterministic", "same_windows",
-    )  # fmt: skip
+        "model",
+        "prior",
+        "windows",
+        "channels",
+        "dropout",
+        "causal",
+        "batch",
+        "learning_rate",
+        "weight_decay",
+        "ema",
+        "bfloat16",
+        "validation_windows",
+        "device",
+        "threads",
+        "seed",
+        "deterministic",
+        "same_windows",
+    )
     settings = {name: getattr(options, name) for name in same}
     return TrainConfig.for_model(**settings, minutes=minutes, augment=augment)
 

@@ -16,49 +16,48 @@ _FAILED = 1
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "validate", _validate, "errors of joint angles on a public data set",
+        commands,
+        "validate",
+        _validate,
+        "errors of joint angles on a public data set",
         "SET is opencap (OpenCap's laboratory validation), vidimu, movi (BML-MoVi) or gaitex, unpacked "
         "below DIR (layouts: docs/validate.md). Every take is set up, reconstructed and compared with the "
         "set's own reference; the table has RMSE, mean and median absolute error and RMSE without offset by "
         "joint angle and movement, beside published values of the same metric. Goes on where it was stopped. "
         "Exit code 1: a take failed.",
-    )  # fmt: skip
+    )
     parser.add_argument("set", metavar="SET", choices=["opencap", "vidimu", "movi", "gaitex"])
     parser.add_argument("--root", type=Path, required=True, metavar="DIR", help="folder of the data set")
     parser.add_argument(
-        "--takes", default="*", metavar="PATTERNS",
+        "--takes",
+        default="*",
+        metavar="PATTERNS",
         help="names of takes, separated by commas, with * and ?, e.g. 'subject2_*_Cam1_*'; default: all",
-    )  # fmt: skip
+    )
     parser.add_argument("--list", action="store_true", help="print the takes and their classes, and stop")
     parser.add_argument("--mode", choices=MODES, help="of reconstruct; default: what the set has inputs for")
     parser.add_argument(
-        "--camera", choices=["set", "unknown"], default="set",
+        "--camera",
+        choices=["set", "unknown"],
+        default="set",
         help="the set's calibration, or none, as of a phone that was put anywhere",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--keypoints", type=Path, metavar="DIR",
+        "--keypoints",
+        type=Path,
+        metavar="DIR",
         help="detections by the name of the take or of its video (TAKE.npz, ...), instead of the detector",
-    )  # fmt: skip
+    )
     parser.add_argument("--model-dir", type=Path, metavar="DIR", help="the detector's models, see detect")
     parser.add_argument(
         "--heights", type=Path, metavar="CSV", help="columns subject,height_m, where the set has no heights"
     )
-    parser.add_argument(
-        "--calibrate", action="store_true", help="calibrate each take from its own motion first"
-    )
-    parser.add_argument(
-        "--no-align", action="store_true", help="take the clocks of video and reference as equal"
-    )
+    parser.add_argument("--calibrate", action="store_true", help="calibrate each take from its own motion first")
+    parser.add_argument("--no-align", action="store_true", help="take the clocks of video and reference as equal")
     parser.add_argument("--seconds", type=float, metavar="S", help="use the first S seconds of each take")
-    parser.add_argument(
-        "--size", type=image_size, metavar="WxH", help="of the image, for detections without the video"
-    )
+    parser.add_argument("--size", type=image_size, metavar="WxH", help="of the image, for detections without the video")
     parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
     add_model(parser)
     add_output(parser, "out/validation", "folder for tables, page, motions and what is done so far")
@@ -114,9 +113,7 @@ def _heights(path: Path) -> dict[str, float]:
     try:
         found = {row["subject"].strip(): float(row["height_m"]) for row in rows}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise FileFormatError(
-            path, "expected the columns subject,height_m and a number in each row"
-        ) from error
+        raise FileFormatError(path, "expected the columns subject,height_m and a number in each row") from error
     for subject, height in found.items():
         if not 0.4 < height < 2.6:
             raise FileFormatError(path, f"{subject}: {height:g} is no human height in metres")

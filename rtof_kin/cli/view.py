@@ -22,27 +22,32 @@ _NO_ADDRESS: Final = ""
 
 
 def add_commands(commands: Any) -> None:
-    """Declare the commands of this module.
-
-    Args:
-        commands: subparsers of the command line.
-    """
+    """Declare the commands of this module."""
     parser = command(
-        commands, "view", _view, "a motion in 3D in the browser, with cameras, sensors, truth and curves",
+        commands,
+        "view",
+        _view,
+        "a motion in 3D in the browser, with cameras, sensors, truth and curves",
         "OUT is the output of reconstruct or run. The page is served to this machine only, under an address "
         "with a secret token; nothing leaves it. Ctrl-C ends. Keys: space plays, arrows step by a frame "
         "(left, right) or a second (up, down). Needs the extra: pip install 'rtof-kin[view]'.",
-    )  # fmt: skip
+    )
     parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.npz")
     parser.add_argument(
-        "--video", action="append", default=[], metavar="FILE",
+        "--video",
+        action="append",
+        default=[],
+        metavar="FILE",
         help="video of the camera, shown in its frustum; several times for several cameras, in their order",
-    )  # fmt: skip
+    )
     parser.add_argument("--second", metavar="OUT_B", help="another motion beside it, e.g. of another setting")
     parser.add_argument(
-        "--live", nargs="?", const=_NO_ADDRESS, metavar="ADDRESS",
+        "--live",
+        nargs="?",
+        const=_NO_ADDRESS,
+        metavar="ADDRESS",
         help="show rtof-kin live instead; ADDRESS is the one it printed, with its token",
-    )  # fmt: skip
+    )
     parser.add_argument("--port", type=int, default=0, help="of the page; 0: a free one")
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     _add_page(parser)
@@ -67,9 +72,7 @@ def _view(options: argparse.Namespace) -> None:
         raise InvalidInputError("name the output folder of a motion, or --live ADDRESS")
     if options.live is not None:
         if options.html or options.video or options.second:
-            raise InvalidInputError(
-                "--live shows the live estimator alone; leave out --html, --video, --second"
-            )
+            raise InvalidInputError("--live shows the live estimator alone; leave out --html, --video, --second")
         _live(options)
     elif options.html is not None:
         if options.video:
@@ -104,9 +107,16 @@ def _page(options: argparse.Namespace) -> None:
         _tell(files, options)
         with progress() as update:
             page = write_static_page(
-                server, files, options.html, start=options.start, stop=options.stop, rate_hz=options.rate,
-                largest_mb=options.limit, overwrite=options.overwrite, progress=update,
-            )  # fmt: skip
+                server,
+                files,
+                options.html,
+                start=options.start,
+                stop=options.stop,
+                rate_hz=options.rate,
+                largest_mb=options.limit,
+                overwrite=options.overwrite,
+                progress=update,
+            )
     thinned = f", thinned out to stay below {options.limit:g} MB" if page.thinned else ""
     out.print(
         f"wrote {page.path}: {page.size_mb:.1f} MB, {page.frames} frames at {page.rate_hz:.3g} Hz{thinned}; "

@@ -66,9 +66,8 @@ def analyse_motion(
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
 
     Args:
-        motion: a reconstructed motion, which is read in blocks. weight_kg: body mass, kg; no torques without
-            it. height: m, to check the size of the skeleton. sex: 'male', 'female' or None for the mean.
-        repetitions: what to count.
+        weight_kg: body mass, kg; no torques without it. height: m, to check the size of the skeleton.
+        sex: 'male', 'female' or None for the mean.
         from_standing: whether angles are relative to the person's quiet standing (`relative_to_standing`).
 
     Raises:
@@ -91,9 +90,17 @@ def analyse_motion(
     heading = angles.names.index("pelvis_rotation")
     heading_sigma = None if angles.sigma is None else angles.sigma[:, heading]
     return MotionAnalysis(
-        paths.table, angles, ranges_of_motion(angles), gait, travel(paths, gait.verdict, heading_sigma),
-        cycle_curves(angles, gait), counted, torques, reaction, paths,
-    )  # fmt: skip
+        paths.table,
+        angles,
+        ranges_of_motion(angles),
+        gait,
+        travel(paths, gait.verdict, heading_sigma),
+        cycle_curves(angles, gait),
+        counted,
+        torques,
+        reaction,
+        paths,
+    )
 
 
 def _angles_and_paths(source: MotionSource, standing: bool) -> tuple[ClinicalAngles, BodyPaths]:

@@ -33,14 +33,11 @@ between pelvis and upper trunk, spins 1,800 of the pelvis. Arms have no bound.""
 _MARGIN: Final = 0.1  # [s] before and after a sample that is too fast, excluded too
 
 
-def angle_sigmas(
-    R: dict[str, Array], table: AngleTable, skeleton: SkeletonModel, confidence: Confidence
-) -> Array:
+def angle_sigmas(R: dict[str, Array], table: AngleTable, skeleton: SkeletonModel, confidence: Confidence) -> Array:
     """Return standard deviations (T, A) rad of all angles of a table, in its order.
 
     Args:
         R: rotations (T, 3, 3) of each joint coordinate system, from `jcs.relative_rotations`.
-        table: of the angles. skeleton: of the motion.
         confidence: of the motion; angles of segment pairs that it does not contain are NaN.
     """
     frames, columns = jcs.isb_frames(skeleton, table), []
@@ -77,7 +74,7 @@ def reliable_samples(
     """Return a mask (T, A) of reliable samples, and a sentence on the others; empty if there are none.
 
     Args:
-        table: of A angles. times: (T,) s. too_fast: (T, joints) from `turns_too_fast`.
+        times: (T,) s. too_fast: (T, joints) from `turns_too_fast`.
         sigma: (T, A) rad; None if the motion has no confidence. known: (T, A) samples with a value.
     """
     reliable = np.repeat(np.stack([_around(times, own) for own in too_fast.T], axis=1), 3, axis=1)
@@ -102,7 +99,7 @@ def turns_too_fast(joint: JointCoordinateSystem, times: Array, R: Array) -> Mask
     """Return a mask (T,) of frames from which the rotation to the next one is implausibly fast.
 
     Args:
-        joint: of the rotations. times: (T,) s. R: (T, 3, 3), NaN where unknown.
+        times: (T,) s. R: (T, 3, 3), NaN where unknown.
     """
     fastest = next((v for name, v in FASTEST.items() if name in joint.name), np.inf)
     out = np.zeros(len(R), dtype=np.bool_)

@@ -53,9 +53,7 @@ class AngleDifferences:
     @property
     def joint_angle(self) -> str:
         """The name without its side: both sides are one row of a table."""
-        return next(
-            (self.angle.removeprefix(f"{s}_") for s in SIDES if self.angle.startswith(f"{s}_")), self.angle
-        )
+        return next((self.angle.removeprefix(f"{s}_") for s in SIDES if self.angle.startswith(f"{s}_")), self.angle)
 
 
 @dataclass(frozen=True)
@@ -78,15 +76,18 @@ class AngleErrors:
 
 
 def angle_differences(
-    estimate: ClinicalAngles, reference: ClinicalAngles, movement: str, take: str,
-    names: Sequence[str] = (), shift: float = 0.0,
-) -> tuple[tuple[AngleDifferences, ...], dict[str, str]]:  # fmt: skip
+    estimate: ClinicalAngles,
+    reference: ClinicalAngles,
+    movement: str,
+    take: str,
+    names: Sequence[str] = (),
+    shift: float = 0.0,
+) -> tuple[tuple[AngleDifferences, ...], dict[str, str]]:
     """Return the differences of the angles that both have at the same instants, and why others are left out.
 
     Args:
-        estimate, reference: angles; samples that are unobserved, unreliable or singular in either do not
-        count. movement, take: labels. names: angles of the reference to use; all without any.
-        shift: s, added to the times of the reference.
+        estimate, reference: angles; samples that are unobserved, unreliable or singular in either do not count.
+        names: angles of the reference to use; all without any. shift: s, added to the times of the reference.
     """
     left_out: dict[str, str] = {}
     chosen = []
@@ -113,13 +114,11 @@ def angle_differences(
     return tuple(found), left_out
 
 
-def angle_errors(
-    differences: Iterable[AngleDifferences], angle: str = ALL, movement: str = ALL
-) -> AngleErrors:
+def angle_errors(differences: Iterable[AngleDifferences], angle: str = ALL, movement: str = ALL) -> AngleErrors:
     """Return the errors of a set of differences.
 
     Args:
-        differences: not empty. angle, movement: labels of the set.
+        differences: not empty.
     """
     own = list(differences)
     d = np.concatenate([one.difference for one in own])
@@ -129,19 +128,21 @@ def angle_errors(
     sigma = np.concatenate([one.sigma for one in banded if one.sigma is not None]) if banded else np.empty(0)
     stated = np.isfinite(sigma)
     return AngleErrors(
-        angle, movement, len({one.take for one in own}), len(d),
-        rmse=float(np.sqrt(np.mean(d**2))), mae=float(np.mean(np.abs(d))), median=float(np.median(np.abs(d))),
-        offset_removed=float(np.sqrt(np.mean(centred**2))), offset=float(np.mean(d)),
+        angle,
+        movement,
+        len({one.take for one in own}),
+        len(d),
+        rmse=float(np.sqrt(np.mean(d**2))),
+        mae=float(np.mean(np.abs(d))),
+        median=float(np.median(np.abs(d))),
+        offset_removed=float(np.sqrt(np.mean(centred**2))),
+        offset=float(np.mean(d)),
         within=float(np.mean(size[stated] <= BAND_95 * sigma[stated])) if stated.any() else float("nan"),
-    )  # fmt: skip
+    )
 
 
 def error_rows(differences: Sequence[AngleDifferences], movements: Sequence[str]) -> tuple[AngleErrors, ...]:
-    """Return the errors of everything, of each class, of each joint angle, and of each angle in each class.
-
-    Args:
-        differences: of all takes. movements: classes in the order of the table.
-    """
+    """Return the errors of everything, of each class, of each joint angle, and of each angle in each class."""
     names = list(dict.fromkeys(one.joint_angle for one in differences))
     classes = [m for m in movements if any(one.movement == m for one in differences)]
     wanted: list[tuple[str, str]] = [(ALL, ALL), *((ALL, m) for m in classes)]

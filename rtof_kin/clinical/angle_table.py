@@ -18,17 +18,25 @@ from rtof_kin.formats.joint_trajectory import BASE_TURN
 SIDES: Final = ("right", "left")
 _VERTICAL: Final = "y"  # axis of the ISB frames that points up
 _MOVEMENTS: Final = (
-    "dorsiflexion/plantarflexion", "flexion/extension", "adduction/abduction", "internal/external rotation",
-    "inversion/eversion", "pronation/supination", "ulnar/radial deviation", "left/right bending",
-    "left/right rotation", "protraction/retraction", "backward/forward rotation", "elevation/depression",
-)  # fmt: skip
+    "dorsiflexion/plantarflexion",
+    "flexion/extension",
+    "adduction/abduction",
+    "internal/external rotation",
+    "inversion/eversion",
+    "pronation/supination",
+    "ulnar/radial deviation",
+    "left/right bending",
+    "left/right rotation",
+    "protraction/retraction",
+    "backward/forward rotation",
+    "elevation/depression",
+)
 
 
 def clinical_name(skeleton: SkeletonTable, dof: str) -> str:
     """Return a degree of freedom in words, e.g. 'left hip internal/external rotation (LeftUpLeg_z)'.
 
     Args:
-        skeleton: whose degree of freedom it is.
         dof: its URDF name, or `BASE_TURN` for the orientation of the root. Other names are unchanged.
     """
     if dof == BASE_TURN:
@@ -161,18 +169,14 @@ def _table(skeleton: SkeletonTable, entries_of: str) -> AngleTable:
     for term, name in known[skeleton.name].items():
         for side in SIDES if "{" in name else ("",):
             segments[f"{side} {term}".strip()] = name.format(S=side.title(), s=side[:1].upper())
-    entries = [
-        (entry, side) for entry in data[entries_of] for side in (SIDES if entry.get("sides") else ("",))
-    ]
+    entries = [(entry, side) for entry in data[entries_of] for side in (SIDES if entry.get("sides") else ("",))]
     return AngleTable(tuple(_joint(entry, side, segments, skeleton) for entry, side in entries), segments)
 
 
 def _joint(
     entry: dict[str, Any], side: str, segments: dict[str, str], skeleton: SkeletonTable
 ) -> JointCoordinateSystem:
-    parent, child = (
-        segments.get(f"{side} {entry[end]}") or segments[entry[end]] for end in ("parent", "child")
-    )
+    parent, child = (segments.get(f"{side} {entry[end]}") or segments[entry[end]] for end in ("parent", "child"))
     name = f"{side}_{entry['name']}" if side else entry["name"]
     first, second, third = (
         AngleRow(
@@ -186,10 +190,17 @@ def _joint(
         for angle, axis in zip(entry["angle"], entry["sequence"], strict=True)
     )
     return JointCoordinateSystem(
-        name=name, side=side, parent=parent, child=child, sequence=entry["sequence"],
-        hinge=entry.get("hinge", False), singular=entry["singular"], source=entry["source"],
-        angles=(first, second, third), urdf=_revolutes(skeleton, parent, child),
-    )  # fmt: skip
+        name=name,
+        side=side,
+        parent=parent,
+        child=child,
+        sequence=entry["sequence"],
+        hinge=entry.get("hinge", False),
+        singular=entry["singular"],
+        source=entry["source"],
+        angles=(first, second, third),
+        urdf=_revolutes(skeleton, parent, child),
+    )
 
 
 def _revolutes(skeleton: SkeletonTable, parent: str, child: str) -> tuple[str, ...]:

@@ -42,9 +42,12 @@ from rtof_kin.data.poses import PoseSequence, Provenance
 
 Sources = NDArray[np.uint8]
 _ARRAYS: Final[dict[str, type]] = {
-    "values": np.float64, "provenance": np.uint8, "singular": np.bool_, "sigma": np.float64,
+    "values": np.float64,
+    "provenance": np.uint8,
+    "singular": np.bool_,
+    "sigma": np.float64,
     "trusted": np.bool_,
-}  # fmt: skip
+}
 _NEEDS: Final = {"parent": (DIRECTION, WHOLE, WHOLE), "child": (DIRECTION, DIRECTION, WHOLE)}
 
 
@@ -101,20 +104,12 @@ class ClinicalAngles:
         return self.values if self.trusted is None else np.where(self.trusted, self.values, np.nan)
 
     def trusted_angle(self, column: int) -> Array:
-        """Return one angle (T,), rad; NaN also where it is unreliable.
-
-        Args:
-            column: of the angle.
-        """
+        """Return one angle (T,), rad; NaN also where it is unreliable."""
         values = self.values[:, column]
         return values if self.trusted is None else np.where(self.trusted[:, column], values, np.nan)
 
     def is_trusted(self, frames: slice) -> Mask:
-        """Return a mask (T', A) of known and reliable values.
-
-        Args:
-            frames: wanted.
-        """
+        """Return a mask (T', A) of known and reliable values."""
         known = np.isfinite(self.values[frames])
         return known if self.trusted is None else known & self.trusted[frames]
 
@@ -124,16 +119,10 @@ class ClinicalAngles:
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return some of the angles.
-
-        Args:
-            names: of the angles, in the order wanted.
-        """
+        """Return some of the angles."""
         index = indices_of("clinical angle", names, self.names)
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        chosen: dict[str, Any] = {
-            name: None if array is None else array[:, index] for name, array in arrays.items()
-        }
+        chosen: dict[str, Any] = {name: None if array is None else array[:, index] for name, array in arrays.items()}
         return replace(self, rows=tuple(self.rows[i] for i in index), **chosen)
 
 
@@ -169,20 +158,14 @@ def clinical_angles(
 
 
 def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngles:
-    """Return clinical angles from those of all frames.
-
-    Args:
-        found: angles frame by frame, which are consumed. masks: what was observed.
-    """
+    """Return clinical angles from those of all frames."""
     table, shape = found.table, found.angles.shape
     seen_by = _segment_sources(masks)
     values, sigma = found.angles, found.sigma
     provenance, singular = np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.bool_)
     for j, joint in enumerate(table.joints):
         own = slice(3 * j, 3 * j + 3)
-        values[:, own], provenance[:, own], singular[:, own] = _joint_angles(
-            joint, values[:, own], seen_by, masks
-        )
+        values[:, own], provenance[:, own], singular[:, own] = _joint_angles(joint, values[:, own], seen_by, masks)
     if sigma is not None:
         sigma[np.isnan(values)] = np.nan
     reliable, note = reliable_samples(table, found.times, found.too_fast, sigma, np.isfinite(values))
@@ -191,11 +174,7 @@ def angles_of(found: DecomposedAngles, masks: ObservationMasks) -> ClinicalAngle
 
 
 def all_observed(poses: PoseSequence) -> PoseSequence:
-    """Return poses with all orientations marked as observed, e.g. those of motion capture.
-
-    Args:
-        poses: whose orientations are all measured.
-    """
+    """Return poses with all orientations marked as observed, e.g. those of motion capture."""
     return replace(poses, orientation_observed=np.ones(len(poses.names), dtype=np.bool_))
 
 
@@ -217,8 +196,7 @@ def _joint_angles(
     """Values, provenance and singular flags (T, 3) of one joint coordinate system.
 
     Args:
-        joint: of the angles. decomposed: (T, 3) rad, see `DecomposedAngles`.
-        seen_by: (T, J) of the segments. masks: of the motion.
+        decomposed: (T, 3) rad, see `DecomposedAngles`. seen_by: (T, J) of the segments.
     """
     names, levels = masks.skeleton.names, masks.levels
     child = names.index(joint.child)
@@ -277,7 +255,6 @@ def _notes(table: AngleTable, values: Array, provenance: Sources) -> tuple[str, 
         missing = 100 * (1 - share[worst])
         most = "under 1" if missing < 1 else f"{missing:.0f}"
         notes.append(
-            f"{gaps.sum()} angles have gaps where they were not observed, at most {most} % of the time: "
-            f"{names[worst]}"
+            f"{gaps.sum()} angles have gaps where they were not observed, at most {most} % of the time: {names[worst]}"
         )
     return tuple(notes)

@@ -1,8 +1,7 @@
 """`BodyDynamics`: inverse dynamics of one frame, its derivatives, and what the wrench from outside is about.
 
-``tau = M(q) a + h(q, v)`` (Pinocchio's recursive Newton-Euler). The first six rows are the wrench that the
-motion needs from outside. A foot that bears it all, and nothing else, turns them to zero and changes the
-torques of its leg.
+``tau = M(q) a + h(q, v)`` (Pinocchio's recursive Newton-Euler). The first six rows are the wrench that the motion
+needs from outside. A foot that bears it all, and nothing else, turns them to zero and changes the torques of its leg.
 
 The wrench is given in world axes about a reference under the feet: the middle between heel and toe of the
 foot that bears the load, else the mean of those of both feet.
@@ -128,9 +127,7 @@ class BodyDynamics:
             by_foot = np.linalg.solve(J[:, :6].T, np.eye(6))  # the wrench on the foot that is the root's
             by_motion = [S - J.T @ (by_foot @ S[:6]) for S in by_motion]
             masses = masses - J.T @ (by_foot @ masses[:6])
-        value, velocity, acceleration = (
-            np.concatenate([S[6:], W]) for S, W in zip(by_motion, wrench, strict=True)
-        )
+        value, velocity, acceleration = (np.concatenate([S[6:], W]) for S, W in zip(by_motion, wrench, strict=True))
         value[:, :3] = velocity[:, :3] = 0.0
         acceleration[:, :3] = acceleration[:, :3] @ R.T
         return FrameDerivatives(value, velocity, acceleration, np.concatenate([masses[6:], turned]))
@@ -195,7 +192,7 @@ def sole_middle(skeleton: SkeletonModel, table: AngleTable, side: str) -> Array:
     """Return the middle (3,) between heel and toe in the foot's link frame, m.
 
     Args:
-        skeleton: of the body. table: of its angles. side: of `SIDES`.
+        side: of `SIDES`.
     """
     points = [skeleton.landmarks[table.segments[f"{side} {word}"]][1] for word in ("heel", "toe")]
     return np.asarray(np.mean(points, axis=0))

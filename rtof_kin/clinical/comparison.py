@@ -159,32 +159,20 @@ class Comparison:
 
 
 def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared:
-    """Return a motion with its angles, strides and repetitions.
-
-    Args:
-        name: for the output. motion: reconstructed. recording: name of what it was computed from.
-    """
+    """Return a motion with its angles, strides and repetitions."""
     angles, paths = clinical_angles(motion), body_paths(motion)
     found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))
     return replace(found, repetitions=repetition_spans(paths, angles), recording=recording)
 
 
 def with_strides(name: str, angles: ClinicalAngles, gait: GaitAnalysis) -> Compared:
-    """Return angles with their strides, without repetitions.
-
-    Args:
-        name: for the output. angles, gait: of one motion.
-    """
+    """Return angles with their strides, without repetitions."""
     strides = {side: [(s.start, s.stop) for s in gait.counted if s.side == side] for side in SIDES}
     return Compared(name, angles, strides, notes=gait.notes, not_gait=gait.why_not)
 
 
 def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list[tuple[float, float]]]:
-    """Return start and stop, s, of each repetition by its kind ('squat', 'sit_to_stand').
-
-    Args:
-        paths, angles: of a motion.
-    """
+    """Return start and stop, s, of each repetition by its kind ('squat', 'sit_to_stand')."""
     spans: dict[str, list[tuple[float, float]]] = {}
     for kind in KINDS:
         found = find_repetitions(paths, angles, kind).repetitions
@@ -194,11 +182,7 @@ def repetition_spans(paths: BodyPaths, angles: ClinicalAngles) -> dict[str, list
 
 
 def sides_of(one: Compared) -> tuple[Compared, Compared]:
-    """Return the left and the right side of a motion, with the names of angles without the side.
-
-    Args:
-        one: both sides of a motion.
-    """
+    """Return the left and the right side of a motion, with the names of angles without the side."""
 
     def side(name: str) -> Compared:
         own = one.angles.select([angle for angle in one.angles.names if angle.startswith(f"{name}_")])
@@ -210,15 +194,20 @@ def sides_of(one: Compared) -> tuple[Compared, Compared]:
 
 
 def compare(
-    a: Compared, b: Compared, by: By, *, names: Sequence[str] = (), shift: float = 0.0,
-    alignment: Alignment | None = None, kind: str = "squat",
-) -> Comparison:  # fmt: skip
+    a: Compared,
+    b: Compared,
+    by: By,
+    *,
+    names: Sequence[str] = (),
+    shift: float = 0.0,
+    alignment: Alignment | None = None,
+    kind: str = "squat",
+) -> Comparison:
     """Compare two motions on one axis.
 
     Args:
-        a, b: the motions. by: the axis. names: angles to compare; none for all that both have.
-        shift: s, added to the times of B; of a comparison in time. alignment: to be kept with the result.
-        kind: of the repetitions.
+        names: angles to compare; none for all that both have.
+        shift: s, added to the times of B; of a comparison in time.
 
     Raises:
         InvalidInputError: the motions have no such axis, or no angle in common on it.
@@ -245,11 +234,7 @@ def compare(
 
 
 def common_angles(a: Compared, b: Compared) -> tuple[str, ...]:
-    """Return the angles that both have a value of.
-
-    Args:
-        a, b: the motions.
-    """
+    """Return the angles that both have a value of."""
     known = []
     for angles in (a.angles, b.angles):
         known.append({angles.names[i] for i in np.flatnonzero(angles.known.any(axis=0))})
@@ -321,13 +306,19 @@ def _span(one: Compared) -> str:
 def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComparison]:
     """Differences of all angles, tested together; the movement that is positive is not filled in."""
     repeated, measures = by in ("cycle", "repetition"), ("range",) if axis is None else ("mean", "range")
-    changes = adjusted([
-        change(
-            measure, getattr(pair.a, measure)(), getattr(pair.b, measure)(), _repeats(pair, repeated),
-            tested=repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE,
-        )
-        for pair in pairs for measure in measures
-    ])  # fmt: skip
+    changes = adjusted(
+        [
+            change(
+                measure,
+                getattr(pair.a, measure)(),
+                getattr(pair.b, measure)(),
+                _repeats(pair, repeated),
+                tested=repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE,
+            )
+            for pair in pairs
+            for measure in measures
+        ]
+    )
     out, count = [], len(measures)
     for number, pair in enumerate(pairs):
         own = changes[count * number : count * (number + 1)]
@@ -336,9 +327,12 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
         if axis is not None:
             curves = pair.a.curve, pair.b.curve
             one = replace(
-                one, errors=curve_errors(axis, *curves), curves=curves,
+                one,
+                errors=curve_errors(axis, *curves),
+                curves=curves,
                 sigmas=(pair.a.curve_sigma, pair.b.curve_sigma),
-                repeated=(pair.a, pair.b) if repeated else None, paired=pair.paired,
-            )  # fmt: skip
+                repeated=(pair.a, pair.b) if repeated else None,
+                paired=pair.paired,
+            )
         out.append(one)
     return out

@@ -67,13 +67,11 @@ class Alignment:
         return bool(self.rival_agreement >= AMBIGUOUS * self.agreement)
 
 
-def align(
-    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: float = float("inf")
-) -> Alignment:
+def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: float = float("inf")) -> Alignment:
     """Estimate the shift with the best agreement, to a fraction of a frame.
 
     Args:
-        a, b: both motions. names: angles that both have. reach: s, largest shift that is considered.
+        reach: s, largest shift that is considered.
 
     Raises:
         InvalidInputError: there is no common angle, or too few samples to compare velocities.

@@ -31,7 +31,7 @@ def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
     """Return the best shift of B beyond a given one; None if no common angle moves.
 
     Args:
-        a, b: the motions. shift: s, added to the times of B before.
+        shift: s, added to the times of B before.
     """
     moved = replace(b.angles, times=b.angles.times + shift)
     try:
@@ -44,7 +44,7 @@ def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | 
     """Return the axis on which two motions are compared; the reason is empty if it was asked for.
 
     Args:
-        a, b: the motions. clocks: their `agreement`. asked: the axis that the user asks for.
+        clocks: their `agreement`.
     """
     if asked is not None:
         return _asked(a, b, asked)
@@ -68,7 +68,7 @@ def compare_sides(
     ranges of the whole recording: its repetitions may be of both legs, of the right or of the left one.
 
     Args:
-        one: the motion. asked: the axis that the user asks for. names, kind: see `compare`.
+        names, kind: see `compare`.
 
     Raises:
         InvalidInputError, UnknownNameError: see `compare`.
@@ -84,11 +84,7 @@ def compare_sides(
 
 
 def repeated_axis(a: Compared, b: Compared) -> Choice | None:
-    """Return the axis of the repeats that both have at least two of; None if there are none.
-
-    Args:
-        a, b: the motions.
-    """
+    """Return the axis of the repeats that both have at least two of; None if there are none."""
     cycles = [min(len(own), len(b.strides.get(side, ()))) for side, own in a.strides.items()]
     if max(cycles, default=0) >= _LEAST_REPEATS and not (a.not_gait or b.not_gait):
         return Choice("cycle", "both are walking, with complete gait cycles")

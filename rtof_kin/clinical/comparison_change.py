@@ -115,11 +115,7 @@ class Change:
         return self.difference - half, self.difference + half
 
     def half_width(self, level: float) -> float:
-        """Return the difference whose p-value is a level; NaN if the error is unknown.
-
-        Args:
-            level: two-sided, of this test alone.
-        """
+        """Return the difference whose p-value is a level; NaN if the error is unknown."""
         if self.error is not None:
             return self.error.half_width(level)
         return float(stats.t.ppf(1 - level / 2, self.dof)) * self.sigma
@@ -136,8 +132,7 @@ def change(measure: str, a: Measured, b: Measured, repeats: Repeats, tested: boo
     """Return a difference with its test, not yet adjusted for others.
 
     Args:
-        measure: its name. a, b: of both motions. repeats: what their values are, see `Repeats`.
-        tested: whether there is a p-value.
+        repeats: what their values are, see `Repeats`.
     """
     bands = a.band_sigma**2 + b.band_sigma**2
     spreads: list[tuple[float, float]] = []
@@ -160,7 +155,7 @@ def change_with(measure: str, a: float, b: float, error: MixedError) -> Change:
     """Return a difference whose error has a known distribution, not yet adjusted for others.
 
     Args:
-        measure: its name. a, b: of both, in one unit. error: of the difference; not tested if it has none.
+        a, b: of both, in one unit. error: of the difference; not tested if it has none.
     """
     p, known = float("nan"), error.sigma > _NO_SIZE
     if known and np.isfinite(b - a):
@@ -178,16 +173,10 @@ def _of_spread(own: Measured, other: Measured) -> tuple[float, float]:
 
 
 def adjusted(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """Return the changes of one comparison with Holm's p-values and the detectable differences.
-
-    Args:
-        changes: of all angles and measures that are tested together.
-    """
+    """Return the changes of one comparison with Holm's p-values and the detectable differences."""
     tested = [i for i, found in enumerate(changes) if np.isfinite(found.p)]
     out, largest = list(changes), 0.0
     for rank, i in enumerate(sorted(tested, key=lambda i: changes[i].p)):
         largest = max(largest, min(1.0, (len(tested) - rank) * changes[i].p))
-        out[i] = replace(
-            changes[i], p_adjusted=largest, detectable=changes[i].half_width(LEVEL / len(tested))
-        )
+        out[i] = replace(changes[i], p_adjusted=largest, detectable=changes[i].half_width(LEVEL / len(tested)))
     return tuple(out)

@@ -108,9 +108,6 @@ def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
     """Return values and standard deviations (T, A) rad; NaN where unobserved, unreliable or singular.
 
     Whole turns between two stretches are removed.
-
-    Args:
-        angles: of a motion.
     """
     values = np.where(angles.singular, np.nan, angles.trusted_values)
     for column in values.T:
@@ -119,13 +116,11 @@ def usable(angles: ClinicalAngles) -> tuple[Array, Array | None]:
     return values, None if angles.sigma is None else np.where(np.isfinite(values), angles.sigma, np.nan)
 
 
-def in_time(
-    a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: float
-) -> tuple[Array, list[Pair]]:
+def in_time(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], shift: float) -> tuple[Array, list[Pair]]:
     """Return the common instants (P,) s on the clock of A, and the angles at them.
 
     Args:
-        a, b: both motions. names: angles that both have. shift: s, added to the times of B.
+        shift: s, added to the times of B.
     """
     a, b = a.select(names), b.select(names)
     inside = (a.times >= b.times[0] + shift - 1e-9) & (a.times <= b.times[-1] + shift + 1e-9)
@@ -158,8 +153,8 @@ def over_phases(
     """Return the angles at `PHASES` of all repeats in which they are usable throughout.
 
     Args:
-        a, b: both motions. names: angles that both have. spans_a, spans_b: repeats; angles of one side are
-            taken over those of that side, angles of the trunk over those of the first side that both have.
+        spans_a, spans_b: repeats; angles of one side are taken over those of that side, angles of the trunk over
+            those of the first side that both have.
     """
     pairs = []
     for name in names:
@@ -178,18 +173,12 @@ def over_phases(
             turns = np.round((np.median(second.values, axis=1, keepdims=True) - middle) / _TURN)
             total = len(spans_a[side]) + len(spans_b[side])
             share = (len(first.values) + len(second.values)) / total
-            pairs.append(
-                Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share, paired)
-            )
+            pairs.append(Pair(name, first, Samples(second.values - _TURN * turns, second.sigma), share, paired))
     return pairs
 
 
 def own_side(name: str, spans_a: Spans, spans_b: Spans) -> str | None:
-    """Return the side whose repeats an angle is taken over; None without repeats.
-
-    Args:
-        name: of the angle. spans_a, spans_b: repeats of both motions.
-    """
+    """Return the side whose repeats an angle is taken over; None without repeats."""
     own = next((side for side in SIDES if name.startswith(f"{side}_")), None)
     wanted = ("", own) if own else ("", *SIDES)
     return next((side for side in wanted if spans_a.get(side) and spans_b.get(side)), None)
@@ -199,7 +188,7 @@ def repeats_of(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, f
     """Return all repeats of one angle at `PHASES`, on one turn.
 
     Args:
-        angles: of a motion. name: of the angle. spans: start and stop of each repeat, s.
+        spans: start and stop of each repeat, s.
     """
     values, sigma = usable(angles.select([name]))
     at = np.concatenate([start + PHASES * (stop - start) for start, stop in spans])
@@ -208,16 +197,10 @@ def repeats_of(angles: ClinicalAngles, name: str, spans: Sequence[tuple[float, f
     known = rows[np.isfinite(rows).all(axis=1)]
     if len(known):
         rows = rows - _TURN * np.round((np.median(rows, axis=1, keepdims=True) - np.median(known[0])) / _TURN)
-    return Samples(
-        rows, None if sigma is None else signals.interpolate(angles.times, sigma, at, gap).reshape(shape)
-    )
+    return Samples(rows, None if sigma is None else signals.interpolate(angles.times, sigma, at, gap).reshape(shape))
 
 
 def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:
-    """Return all usable samples of one angle, and their share.
-
-    Args:
-        angles: of a motion. name: of the angle.
-    """
+    """Return all usable samples of one angle, and their share."""
     values, sigma = usable(angles.select([name]))
     return Samples(values.T, None if sigma is None else sigma.T), float(np.isfinite(values).mean())

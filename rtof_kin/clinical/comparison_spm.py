@@ -1,10 +1,9 @@
 """Statistical parametric mapping (SPM) of a comparison: Student's t along the cycle, with clusters.
 
-The t of B - A at each phase over the strides or repetitions of both, paired or Welch's of two samples,
-against the threshold of random field theory (Friston et al., Human Brain Mapping 1, 1994; Pataky, Journal of
-Biomechanics 43, 2010), computed by the package ``spm1d``. The level of each angle is that of the comparison
-over the number of angles (Bonferroni), so that the chance of even one cluster anywhere is at most `LEVEL` if
-A and B do not differ.
+The t of B - A at each phase over the strides or repetitions of both, paired or Welch's of two samples, against the
+threshold of random field theory (Friston et al., Human Brain Mapping 1, 1994; Pataky, Journal of Biomechanics 43,
+2010), computed by the package ``spm1d``. The level of each angle is that of the comparison over the number of angles
+(Bonferroni), so that the chance of even one cluster anywhere is at most `LEVEL` if A and B do not differ.
 
 The test knows the spread between repeats alone. Errors that last through a recording shift all of its repeats
 and make clusters; `SpmCluster.beyond_bands` says where the difference exceeds the 95 % band of B - A.
@@ -76,9 +75,6 @@ class ComparisonSpm:
 def compare_spm(found: Comparison) -> ComparisonSpm:
     """Return the SPM of a comparison by cycle or repetition.
 
-    Args:
-        found: the comparison.
-
     Raises:
         InvalidInputError: its axis has no repeats. MissingPackageError: spm1d is not installed.
     """
@@ -121,9 +117,14 @@ def _tested(one: AngleComparison, level: float) -> AngleSpm:
         beyond = _beyond(one, start, stop)
         clusters.append(SpmCluster(start, stop, float(cluster.P), int(cluster.csign), beyond))
     return AngleSpm(
-        one.name, np.asarray(field.z, dtype=float), float(field.df[1]), float(inference.zstar), one.paired,
-        one.repeats, tuple(clusters),
-    )  # fmt: skip
+        one.name,
+        np.asarray(field.z, dtype=float),
+        float(field.df[1]),
+        float(inference.zstar),
+        one.paired,
+        one.repeats,
+        tuple(clusters),
+    )
 
 
 def _welch(spm1d: Any, a: Array, b: Array) -> Any:

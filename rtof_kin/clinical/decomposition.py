@@ -26,7 +26,7 @@ class DecomposedAngles:
         """Allocate the angles.
 
         Args:
-            skeleton: of the motion. table: of its angles. times: (T,) s.
+            times: (T,) s.
         """
         self.skeleton, self.table, self.times = skeleton, table, times
         self.angles: Array = np.full((len(times), len(table.rows)), np.nan)
@@ -37,8 +37,7 @@ class DecomposedAngles:
         """Add a block.
 
         Args:
-            frames: of the whole. poses: these and, if there is one, the next frame. own: `frames` in poses.
-            confidence: of the poses.
+            poses: these and, if there is one, the next frame. own: `frames` in poses.
         """
         self.skeleton.check_joints(poses.names)
         R = jcs.relative_rotations(poses.R_world_bone, self.skeleton, self.table)

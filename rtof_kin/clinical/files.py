@@ -64,19 +64,14 @@ _ANGLES_JSON: Final = {
 
 
 def write_analysis(analysis: MotionAnalysis, folder: str | Path) -> None:
-    """Write all files that apply into an existing folder.
-
-    Args:
-        analysis: to write. folder: that exists.
-    """
+    """Write all files that apply into an existing folder."""
     folder = Path(folder)
     angles = analysis.angles
     series = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
     columns = [f"{name}{kind}_deg" for kind in ("", "_sigma")[: len(series)] for name in angles.names]
     _write_series(
-        folder / MARKER, columns, angles.times,
-        lambda frames: np.degrees(np.hstack([one[frames] for one in series])),
-    )  # fmt: skip
+        folder / MARKER, columns, angles.times, lambda frames: np.degrees(np.hstack([one[frames] for one in series]))
+    )
     _write_json(folder / "angles.json", _ANGLES_JSON | {"angles": analysis.table.sidecar()})
     _write_series(
         folder / "angles_provenance.csv", angles.names, angles.times, lambda frames: angles.provenance[frames]
@@ -110,8 +105,13 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
             for side, foot in gait.events.feet.items()
         },
         "strides": [
-            {"side": s.side, "start_s": s.start, "toe_off_s": s.toe_off, "stop_s": s.stop,
-             "stride_length_m": s.stride_length}
+            {
+                "side": s.side,
+                "start_s": s.start,
+                "toe_off_s": s.toe_off,
+                "stop_s": s.stop,
+                "stride_length_m": s.stride_length,
+            }
             for s in gait.strides
         ],
         "summary": {
@@ -123,7 +123,7 @@ def _gait_data(gait: GaitAnalysis) -> dict[str, Any]:
         },
         "symmetry": {name: _number(value) for name, value in gait.symmetry.items()},
         "symmetry_is": "(right - left) / mean of both",
-    }  # fmt: skip
+    }
 
 
 def _travel_data(travel: Travel) -> dict[str, Any]:
@@ -168,22 +168,47 @@ def _repetition_data(found: RepetitionAnalysis) -> dict[str, Any]:
 
 
 def _write_ranges(path: Path, ranges: Sequence[RangeOfMotion]) -> None:
-    header = ("angle", "low_deg", "high_deg", "range_deg", "mean_deg", "time_low_s", "time_high_s",
-              "peak_velocity_deg_per_s", "known_share", "singular_share", "trusted_share",
-              "low_sigma_deg", "high_sigma_deg", "range_sigma_deg", "about_vertical",
-              *(f"{name}_interval_{end}_deg" for name in ("low", "high", "range") for end in ("low", "high")),
-              *(f"uncertain_{end}_{unit}" for end in ("low", "high") for unit in ("s", "deg")),
-              "comparable")  # fmt: skip
+    header = (
+        "angle",
+        "low_deg",
+        "high_deg",
+        "range_deg",
+        "mean_deg",
+        "time_low_s",
+        "time_high_s",
+        "peak_velocity_deg_per_s",
+        "known_share",
+        "singular_share",
+        "trusted_share",
+        "low_sigma_deg",
+        "high_sigma_deg",
+        "range_sigma_deg",
+        "about_vertical",
+        *(f"{name}_interval_{end}_deg" for name in ("low", "high", "range") for end in ("low", "high")),
+        *(f"uncertain_{end}_{unit}" for end in ("low", "high") for unit in ("s", "deg")),
+        "comparable",
+    )
     figures = (
-        (*np.degrees([r.low, r.high, r.range, r.mean]), r.time_low, r.time_high, np.degrees(r.peak_velocity),
-         r.known_share, r.singular_share, r.trusted_share,
-         *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]), float(r.about_vertical),
-         *np.degrees([*r.low_interval, *r.high_interval, *r.range_interval]),
-         *(x for end in (r.uncertain_low, r.uncertain_high)
-           for x in ((0.0, np.nan) if end is None else (end.seconds, np.degrees(end.value)))),
-         float(r.is_comparable))
+        (
+            *np.degrees([r.low, r.high, r.range, r.mean]),
+            r.time_low,
+            r.time_high,
+            np.degrees(r.peak_velocity),
+            r.known_share,
+            r.singular_share,
+            r.trusted_share,
+            *np.degrees([r.low_sigma, r.high_sigma, r.range_sigma]),
+            float(r.about_vertical),
+            *np.degrees([*r.low_interval, *r.high_interval, *r.range_interval]),
+            *(
+                x
+                for end in (r.uncertain_low, r.uncertain_high)
+                for x in ((0.0, np.nan) if end is None else (end.seconds, np.degrees(end.value)))
+            ),
+            float(r.is_comparable),
+        )
         for r in ranges
-    )  # fmt: skip
+    )
     _write_csv(path, header, ([r.name, *map(_cell, row)] for r, row in zip(ranges, figures, strict=True)))
 
 
@@ -221,14 +246,24 @@ def _write_torques(path: Path, torques: JointTorques) -> None:
 def _write_reaction(path: Path, reaction: GroundReaction) -> None:
     axes = ("x", "y", "z")
     columns = [
-        "status", *(f"force_{c}_N" for c in axes), *(f"force_{c}_sigma_N" for c in axes),
-        "pressure_x_m", "pressure_y_m", "pressure_x_sigma_m", "pressure_y_sigma_m", "outside_soles_m",
+        "status",
+        *(f"force_{c}_N" for c in axes),
+        *(f"force_{c}_sigma_N" for c in axes),
+        "pressure_x_m",
+        "pressure_y_m",
+        "pressure_x_sigma_m",
+        "pressure_y_sigma_m",
+        "outside_soles_m",
         *(f"{side}_vertical_{end}_N" for side in SIDES for end in ("least", "most")),
-    ]  # fmt: skip
+    ]
     series = (
-        reaction.force, reaction.force_sigma, reaction.pressure, reaction.pressure_sigma,
-        reaction.outside[:, None], reaction.vertical.reshape(-1, 4),
-    )  # fmt: skip
+        reaction.force,
+        reaction.force_sigma,
+        reaction.pressure,
+        reaction.pressure_sigma,
+        reaction.outside[:, None],
+        reaction.vertical.reshape(-1, 4),
+    )
 
     def rows() -> Iterator[list[str]]:
         for start in range(0, len(reaction.times), _BLOCK):
@@ -258,13 +293,11 @@ def _write_reaction(path: Path, reaction: GroundReaction) -> None:
     )
 
 
-def _write_series(
-    path: Path, columns: Sequence[str], times: Array, values: Callable[[slice], NDArray[Any]]
-) -> None:
+def _write_series(path: Path, columns: Sequence[str], times: Array, values: Callable[[slice], NDArray[Any]]) -> None:
     """Write a row for each of the times (T,), a block at a time.
 
     Args:
-        path: file. columns: their names. times: (T,) s. values: returns those of some frames.
+        times: (T,) s.
     """
 
     def rows() -> Iterator[list[str]]:

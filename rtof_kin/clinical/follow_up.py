@@ -15,12 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Measured, Verdict, adjusted, change_with
-from rtof_kin.clinical.measurement_error import (
-    BandShares,
-    MeasurementErrors,
-    measurement_errors,
-    shown_mostly,
-)
+from rtof_kin.clinical.measurement_error import BandShares, MeasurementErrors, measurement_errors, shown_mostly
 from rtof_kin.clinical.visit_measures import BETTER, BETTERS, Better, Measure, Movement, measures_of
 from rtof_kin.clinical.visit_movement import movement
 from rtof_kin.clinical.visits import Trial, Visit, incomparable
@@ -83,16 +78,10 @@ class Followed:
     @property
     def half_bands(self) -> Array:
         """(V,) halves of the 95 % intervals of the estimates; NaN where nothing states them."""
-        return np.array([
-            np.nan if one is None else self.errors.of_value(one).half_width(LEVEL) for one in self.visits
-        ])  # fmt: skip
+        return np.array([np.nan if one is None else self.errors.of_value(one).half_width(LEVEL) for one in self.visits])
 
     def outcome(self, visit: int) -> Outcome:
-        """Return the answer for a visit.
-
-        Args:
-            visit: its index.
-        """
+        """Return the answer for a visit."""
         change = self.changes[visit]
         if change is None or change.verdict is Verdict.NOT_TESTED:
             return Outcome.NOT_TESTED
@@ -110,11 +99,7 @@ class Followed:
         return Outcome.IMPROVED if gain > 0 else Outcome.WORSE
 
     def changed(self, visit: int) -> bool:
-        """Return whether a change from the baseline is shown, in whichever direction.
-
-        Args:
-            visit: its index.
-        """
+        """Return whether a change from the baseline is shown, in whichever direction."""
         change = self.changes[visit]
         return change is not None and change.verdict is Verdict.CHANGED
 
@@ -122,9 +107,6 @@ class Followed:
         """Return whether it is shown which of a visit and the baseline is nearer to zero, if they differ.
 
         b is nearer than a if b - a and b + a have opposite signs, so the sign of the sum has to be shown too.
-
-        Args:
-            visit: its index.
         """
         change, first = self.changes[visit], self.visits[self.baseline]
         own = self.visits[visit]
@@ -134,11 +116,7 @@ class Followed:
         return abs(change.a + change.b) >= change.detectable * max(1.0, wider)
 
     def mostly(self, visit: int) -> float:
-        """Return the true change that would be shown with a probability of 80 %; NaN if not tested.
-
-        Args:
-            visit: its index.
-        """
+        """Return the true change that would be shown with a probability of 80 %; NaN if not tested."""
         change = self.changes[visit]
         if change is None or change.error is None:
             return float("nan")
@@ -173,25 +151,30 @@ class FollowUp:
         """Return the measures with an outcome.
 
         Args:
-            outcome: any. visit: its index.
+            outcome: any.
         """
         return tuple(one for one in self.measures if one.outcome(visit) is outcome)
 
 
 def follow_up(
-    visits: Sequence[Visit], *, baseline: int = 0, by: Movement | None = None, kind: str = "",
-    better: Mapping[str, Better] | None = None, names: Sequence[str] = (), shares: BandShares | None = None,
-) -> FollowUp:  # fmt: skip
+    visits: Sequence[Visit],
+    *,
+    baseline: int = 0,
+    by: Movement | None = None,
+    kind: str = "",
+    better: Mapping[str, Better] | None = None,
+    names: Sequence[str] = (),
+    shares: BandShares | None = None,
+) -> FollowUp:
     """Compare the visits of one person with a baseline, measure by measure.
 
     Args:
         visits: two or more, in their order, each with trials of the same movement.
         baseline: index of the visit that the others are compared with.
-        by: what is measured over; by default gait cycles if all visits are walking, else repetitions that all
-            trials have two of, else the whole recordings. kind: of the repetitions.
+        by: what is measured over; by default gait cycles if all visits are walking, else repetitions that all trials
+            have two of, else the whole recordings.
         better: measure -> direction that is better, beside `BETTER`.
         names: measures to follow, or angles with all of theirs; none for all. Fewer are tested more sharply.
-        shares: how the variance of the bands is divided.
 
     Raises:
         InvalidInputError: fewer than two visits, a motion that occurs twice, no common measure, or a trial
@@ -228,22 +211,24 @@ def follow_up(
 
 
 def follow_measures(
-    series: Mapping[Measure, Sequence[Measured | None]], baseline: int, repeated: Repeated,
-    better: Mapping[str, Better], shares: BandShares,
-) -> tuple[Followed, ...]:  # fmt: skip
+    series: Mapping[Measure, Sequence[Measured | None]],
+    baseline: int,
+    repeated: Repeated,
+    better: Mapping[str, Better],
+    shares: BandShares,
+) -> tuple[Followed, ...]:
     """Return the errors and changes of measures whose values are known, tested together.
 
     Args:
-        series: measure -> of each visit the values of its trials and their mean band, in the unit of
-            computation; None where it was not observed, but in the baseline.
-        baseline: index of the visit that the others are compared with. repeated: what the values are of.
+        series: measure -> of each visit the values of its trials and their mean band, in the unit of computation;
+            None where it was not observed, but in the baseline.
+        baseline: index of the visit that the others are compared with.
         better: measure -> direction that is better, beside `BETTER`.
-        shares: how the variance of the bands is divided.
     """
     directions = BETTER | dict(better)
-    return _together([
-        _followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()
-    ])  # fmt: skip
+    return _together(
+        [_followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()]
+    )
 
 
 def _expanded(names: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -270,24 +255,19 @@ def _check(visits: Sequence[Visit], baseline: int) -> None:
             for other, same in seen:
                 if np.array_equal(values, same, equal_nan=True):
                     raise InvalidInputError(
-                        f"follow: {name} is the same motion as {other}, which is no repeat of it; "
-                        "remove one of them"
+                        f"follow: {name} is the same motion as {other}, which is no repeat of it; remove one of them"
                     )
             seen.append((name, values))
 
 
-def _repeated(
-    used: Sequence[Sequence[Trial]], values: Sequence[Sequence[Mapping[Measure, Measured]]]
-) -> Repeated:
+def _repeated(used: Sequence[Sequence[Trial]], values: Sequence[Sequence[Mapping[Measure, Measured]]]) -> Repeated:
     if any(len(trials) > 1 for trials in used):
         return Repeated.TRIALS
     most = max((len(one.values) for visit in values for own in visit for one in own.values()), default=0)
     return Repeated.STRIDES if most > 1 else Repeated.NOTHING
 
 
-def _of_visit(
-    trials: Sequence[Mapping[Measure, Measured]], measure: Measure, repeated: Repeated
-) -> Measured | None:
+def _of_visit(trials: Sequence[Mapping[Measure, Measured]], measure: Measure, repeated: Repeated) -> Measured | None:
     """Values of the trials of one visit, or of the repeats within its single trial."""
     own = [one[measure] for one in trials if measure in one and np.isfinite(one[measure].mean)]
     if not own:
@@ -299,9 +279,13 @@ def _of_visit(
 
 
 def _followed(
-    measure: Measure, own: Sequence[Measured | None], baseline: int, repeated: Repeated,
-    better: Mapping[str, Better], shares: BandShares,
-) -> Followed:  # fmt: skip
+    measure: Measure,
+    own: Sequence[Measured | None],
+    baseline: int,
+    repeated: Repeated,
+    better: Mapping[str, Better],
+    shares: BandShares,
+) -> Followed:
     if measure.unit == "deg" and not measure.name.endswith("_range"):
         own = _one_turn(own, baseline)
     own = _with_bands(own)
@@ -332,9 +316,7 @@ def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) ->
 def _with_bands(own: Sequence[Measured | None]) -> list[Measured | None]:
     """Visits without bands take the widest of the others."""
     widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
-    return [
-        one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own
-    ]  # fmt: skip
+    return [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
 
 
 def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | None]:
@@ -344,10 +326,9 @@ def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | 
         return list(own)
     middle = np.median(first.values)
     return [
-        None if one is None
-        else Measured(one.values - _TURN * np.round((one.values - middle) / _TURN), one.band_sigma)
+        None if one is None else Measured(one.values - _TURN * np.round((one.values - middle) / _TURN), one.band_sigma)
         for one in own
-    ]  # fmt: skip
+    ]
 
 
 def _together(followed: Sequence[Followed]) -> tuple[Followed, ...]:

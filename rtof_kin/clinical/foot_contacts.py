@@ -75,11 +75,7 @@ class FootContacts:
 
 
 def foot_contacts(paths: BodyPaths, gait: GaitAnalysis) -> FootContacts:
-    """Find the contacts of the feet.
-
-    Args:
-        paths: of the motion. gait: of the same motion.
-    """
+    """Find the contacts of the feet."""
     T, notes = len(paths), []
     by_ankle = tuple(side for side in SIDES if _sole_unobserved(paths, side))
     soles = {side: _sole_points(paths, side, side in by_ankle) for side in SIDES}
@@ -95,8 +91,9 @@ def foot_contacts(paths: BodyPaths, gait: GaitAnalysis) -> FootContacts:
         touches[s] = _without_short(touches[s], paths.rate_hz)
     state = np.select(
         [unseen, touches[0] & touches[1], touches[0], touches[1]],
-        [Contact.NOT_KNOWN, Contact.BOTH, Contact.RIGHT, Contact.LEFT], Contact.NONE,
-    ).astype(np.uint8)  # fmt: skip
+        [Contact.NOT_KNOWN, Contact.BOTH, Contact.RIGHT, Contact.LEFT],
+        Contact.NONE,
+    ).astype(np.uint8)
     walked = single_support(gait)
     stance = both_stand(gait)
     state[(walked != UNKNOWN) & ~unseen] = (walked + 1)[(walked != UNKNOWN) & ~unseen]
@@ -113,9 +110,6 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
     """Return (T,) the foot that bears load while the other swings: 0 right, 1 left, `UNKNOWN` otherwise.
 
     It is unknown while both swing (running) and outside complete strides.
-
-    Args:
-        gait: strides of both feet.
     """
     stands, swings = _phases(gait)
     out = np.full(stands.shape[1], UNKNOWN)
@@ -125,11 +119,7 @@ def single_support(gait: GaitAnalysis) -> NDArray[np.int_]:
 
 
 def both_stand(gait: GaitAnalysis) -> Mask:
-    """Return (T,) frames in which both feet stand by their strides.
-
-    Args:
-        gait: strides of both feet.
-    """
+    """Return (T,) frames in which both feet stand by their strides."""
     stands, swings = _phases(gait)
     return np.asarray(stands.all(axis=0) & ~swings.any(axis=0))
 

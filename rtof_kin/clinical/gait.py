@@ -10,14 +10,7 @@ import numpy as np
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait_events import GaitEvents
-from rtof_kin.clinical.gait_recognition import (
-    STANCE,
-    UNSTEADY,
-    GaitVerdict,
-    progression,
-    recognise_gait,
-    stride_shape,
-)
+from rtof_kin.clinical.gait_recognition import STANCE, UNSTEADY, GaitVerdict, progression, recognise_gait, stride_shape
 from rtof_kin.clinical.strides import LONGEST_STRIDE, Stride, find_strides
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -95,7 +88,6 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
     """Find strides and compute their parameters by side, and the symmetry of the sides.
 
     Args:
-        events: of both feet.
         angles: of the same motion; strides with unreliable knee flexion are excluded, with a note.
     """
     found = [stride for side in events.feet for stride in find_strides(side, events)]
@@ -103,9 +95,7 @@ def analyse_gait(events: GaitEvents, angles: ClinicalAngles | None = None) -> Ga
     summary: Summary = {}
     notes = list(events.notes)
     if len(strides) < len(found):
-        notes.append(
-            f"{len(found) - len(strides)} of {len(found)} strides are excluded: unreliable knee flexion"
-        )
+        notes.append(f"{len(found) - len(strides)} of {len(found)} strides are excluded: unreliable knee flexion")
     verdict = recognise_gait(strides, events)
     if found and not strides:
         verdict = replace(verdict, why_not="No stride has a reliable knee flexion throughout.")
@@ -177,9 +167,6 @@ def cycle_curves(angles: ClinicalAngles, gait: GaitAnalysis) -> tuple[CycleCurve
 
     Headings are from the direction of progression, which turns evenly in a stride with a turn. Angles without
     a stride in which they are known and reliable throughout are omitted.
-
-    Args:
-        angles, gait: of the same motion.
     """
     times, max_gap = angles.times, 1.5 / angles.rate_hz
     sampled: dict[str, list[Array]] = {side: [] for side in SIDES}

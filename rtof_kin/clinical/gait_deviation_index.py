@@ -115,11 +115,7 @@ def _basis(vectors: Array) -> tuple[Array, Array]:
 
 
 def deviation_index(curves: SideCurves, features: GaitFeatures) -> DeviationIndex:
-    """Return the index of one side; NaN if a variable is missing.
-
-    Args:
-        curves: of the side. features: of the reference.
-    """
+    """Return the index of one side; NaN if a variable is missing."""
     difference = curves.mean.ravel() - features.mean
     if np.isnan(difference).any():
         return DeviationIndex(*[float("nan")] * 4)

@@ -59,9 +59,6 @@ class GaitEvents:
 def gait_events(paths: BodyPaths) -> GaitEvents:
     """Detect heel strikes and toe offs of both feet.
 
-    Args:
-        paths: of a motion.
-
     Returns:
         The events. Those within a quarter of a stride of either end may be missing, because an extremum at
         an edge is not detected. There are none at a rate below `LEAST_RATE_HZ`.
@@ -120,9 +117,7 @@ def _heel_and_toe(paths: BodyPaths, side: str, notes: list[str]) -> tuple[Array,
     if unseen:
         seconds = f"{unseen / paths.rate_hz:.2g} s"
         notes.append(f"{side} foot: orientation unobserved for {seconds}, where it has no events")
-    heel, toe = (
-        np.where(turned[:, None], paths.points[f"{side} {word}"], np.nan) for word in ("heel", "toe")
-    )
+    heel, toe = (np.where(turned[:, None], paths.points[f"{side} {word}"], np.nan) for word in ("heel", "toe"))
     return heel, toe
 
 

@@ -91,11 +91,7 @@ class GaitVerdict:
 
 
 def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
-    """Return the shape of a stride.
-
-    Args:
-        stride: one of the events. events: of both feet.
-    """
+    """Return the shape of a stride."""
     own = stride.frames(events.times)
     times, pelvis, heel = events.times[own], events.pelvis[own], events.feet[stride.side].heel[own]
     inside = (times >= stride.start) & (times <= stride.stop)
@@ -108,9 +104,11 @@ def stride_shape(stride: Stride, events: GaitEvents) -> StrideShape:
     progress = float(np.linalg.norm(way))
     others = [foot.strikes for side, foot in events.feet.items() if side != stride.side]
     between = [
-        t for strikes in others for t in strikes[signals.within(strikes, stride.start, stride.stop)]
+        t
+        for strikes in others
+        for t in strikes[signals.within(strikes, stride.start, stride.stop)]
         if stride.start < t < stride.stop
-    ]  # fmt: skip
+    ]
     return StrideShape(
         stance_share=stride.stance_share,
         phase=(between[0] - stride.start) / stride.stride_time if between else float("nan"),
@@ -127,9 +125,6 @@ def progression(stride: Stride, events: GaitEvents) -> float:
 
     It is that of the way of the pelvis from strike to strike, or, on a treadmill, against the way of the heel
     in mid stance.
-
-    Args:
-        stride: one of the events. events: of both feet.
     """
     own = stride.frames(events.times)
     way = _way(events.times[own], events.pelvis[own], np.array([stride.start, stride.stop]))
@@ -146,11 +141,7 @@ def _way(times: Array, path: Array, at: Array) -> Array:
 
 
 def recognise_gait(strides: Sequence[Stride], events: GaitEvents) -> GaitVerdict:
-    """Decide whether strides are those of walking.
-
-    Args:
-        strides: found in the events, of both feet. events: of both feet.
-    """
+    """Decide whether strides are those of walking."""
     shapes = [stride_shape(stride, events) for stride in strides]
     against = [departures(shape) for shape in shapes]
     walking = tuple(stride for stride, reasons in zip(strides, against, strict=True) if not reasons)
@@ -169,7 +160,7 @@ def share_of_time(strides: Sequence[Stride], times: Array) -> float:
     """Return the share of a recording within strides.
 
     Args:
-        strides: of either foot. times: (T,) s.
+        times: (T,) s.
     """
     inside = np.zeros(len(times), dtype=np.bool_)
     for stride in strides:
@@ -178,30 +169,27 @@ def share_of_time(strides: Sequence[Stride], times: Array) -> float:
 
 
 def departures(shape: StrideShape) -> tuple[str, ...]:
-    """Return phrases on what a stride has that walking has not; empty for a stride of walking.
-
-    Args:
-        shape: of the stride.
-    """
+    """Return phrases on what a stride has that walking has not; empty for a stride of walking."""
     spot = shape.progress < ON_THE_SPOT
     low, high = SPOT_PHASE if spot else PHASE
     swing = SPOT_SWING if spot else LEAST_SWING
     one_foot = np.isnan(shape.phase)  # the other foot was not observed
     wrong = {
-        f"stance takes less than {100 * STANCE[0]:.0f} % of the stride, as in running and jumping":
-            shape.stance_share < STANCE[0],
+        f"stance takes less than {100 * STANCE[0]:.0f} % of the stride, as in running and jumping": shape.stance_share
+        < STANCE[0],
         f"stance takes more than {100 * STANCE[1]:.0f} % of the stride": shape.stance_share > STANCE[1],
         "the feet do not alternate evenly": not (one_foot or low <= shape.phase <= high),
         f"the foot swings less than {swing:.2f} m past the pelvis": not shape.swing >= swing,
-        f"the pelvis advances by {ON_THE_SPOT:.1f} to {LEAST_PROGRESS:.1f} m in a stride":
-            not (spot or shape.progress >= LEAST_PROGRESS),
+        f"the pelvis advances by {ON_THE_SPOT:.1f} to {LEAST_PROGRESS:.1f} m in a stride": not (
+            spot or shape.progress >= LEAST_PROGRESS
+        ),
         "the person moves backward or sideways": not (spot or shape.forward >= FORWARD),
-        f"the person turns by more than {np.degrees(LARGEST_TURN):.0f} deg within a stride":
-            not abs(shape.turn) <= LARGEST_TURN,
+        f"the person turns by more than {np.degrees(LARGEST_TURN):.0f} deg within a stride": not abs(shape.turn)
+        <= LARGEST_TURN,
         "the foot slides or hops during stance": not (spot or shape.slip <= LARGEST_SLIP),
-        "in place, the feet do not glide back as on a treadmill":
-            spot and not BELT[0] <= shape.slip / max(shape.swing, 1e-9) <= BELT[1],
-    }  # fmt: skip
+        "in place, the feet do not glide back as on a treadmill": spot
+        and not BELT[0] <= shape.slip / max(shape.swing, 1e-9) <= BELT[1],
+    }
     return tuple(text for text, flag in wrong.items() if flag)
 
 
@@ -221,7 +209,6 @@ def _why_not(strides: Sequence[Stride], walking: Sequence[Stride], against: Sequ
     times = np.array([stride.stride_time for stride in walking])
     if count >= FEWEST and (spread := float(times.std(ddof=1) / times.mean())) > UNSTEADY:
         return (
-            f"The strides are not steady: their times vary by {100 * spread:.0f} %, more than "
-            f"{100 * UNSTEADY:.0f} %."
+            f"The strides are not steady: their times vary by {100 * spread:.0f} %, more than {100 * UNSTEADY:.0f} %."
         )
     return ""

@@ -29,8 +29,7 @@ def build_reference(
     """Return a reference, and the people that are left out with the reasons.
 
     Args:
-        people: code -> strides of all recordings of the person. least_strides: see `LEAST_STRIDES`.
-        about: fields of `GaitReference`: licence, source, system, zero, notes.
+        least_strides: see `LEAST_STRIDES`. about: fields of `GaitReference`: licence, source, system, zero, notes.
 
     Raises:
         InvalidInputError: fewer than two people are left, or a licence or source is missing.
@@ -51,17 +50,23 @@ def build_reference(
     speeds = tuple(own.speed for own in kept.values())
     known = [speed for speed in speeds if np.isfinite(speed)]
     return GaitReference(
-        pooled.mean(axis=0), curves.std(axis=(0, 1), ddof=1), len(kept), curves=curves, names=tuple(kept),
+        pooled.mean(axis=0),
+        curves.std(axis=(0, 1), ddof=1),
+        len(kept),
+        curves=curves,
+        names=tuple(kept),
         strides=tuple((own.sides.count("right"), own.sides.count("left")) for own in kept.values()),
-        speeds=speeds, speed_range=(min(known), max(known)) if known else None, **about,
-    ), left_out  # fmt: skip
+        speeds=speeds,
+        speed_range=(min(known), max(known)) if known else None,
+        **about,
+    ), left_out
 
 
 def unsuitable(cycles: GaitCycles, least_strides: int) -> str:
     """Return why a person cannot be part of a reference; '' if that is possible.
 
     Args:
-        cycles: of the person. least_strides: of each side, with all variables.
+        least_strides: of each side, with all variables.
     """
     if cycles.why_not:
         return cycles.why_not

@@ -16,9 +16,8 @@ so a score of noisy curves is too large. `Score.noise` is the root of that secon
 the root of the difference. The value itself is not corrected: it is what the definition says.
 
 **Band.** All of d are one vector, and by the triangle inequality observed and true score differ by at most
-the root mean square of e. Of all Gaussian e with the same mean of s^2, one that lasts (of rank one) most
-often exceeds a limit beyond 1.24 of its root (Szekely and Bakirov, Probability Theory and Related Fields
-126, 2003). So
+the root mean square of e. Of all Gaussian e with the same mean of s^2, one that lasts (of rank one) most often exceeds
+a limit beyond 1.24 of its root (Szekely and Bakirov, Probability Theory and Related Fields 126, 2003). So
 
     |score_observed - score| <= 1.96 sqrt(mean of s^2)
 
@@ -125,11 +124,7 @@ class GaitScores:
 
 
 def gait_scores(cycles: GaitCycles, reference: GaitReference) -> GaitScores:
-    """Return the scores of a motion against a reference.
-
-    Args:
-        cycles: strides of the motion. reference: its mean is compared with.
-    """
+    """Return the scores of a motion against a reference."""
     curves = {side: side_curves(cycles, side) for side in SIDES}
     profile, missing = {}, {}
     for side in SIDES:
@@ -143,11 +138,7 @@ def gait_scores(cycles: GaitCycles, reference: GaitReference) -> GaitScores:
 
 
 def side_curves(cycles: GaitCycles, side: str) -> SideCurves:
-    """Return the mean curves of one side with their variances.
-
-    Args:
-        cycles: of a motion. side: 'right' or 'left'.
-    """
+    """Return the mean curves of one side with their variances."""
     known = cycles.complete(side)
     own = np.where(known[..., None], cycles.curves, np.nan)[known.any(axis=1)]
     mean, pose, strides, bound = (np.full(cycles.curves.shape[1:], np.nan) for _ in range(4))
@@ -204,9 +195,6 @@ def _root(variance: Array) -> float:
 
 def people_scores(reference: GaitReference) -> tuple[Array, Array] | None:
     """Return scores of the reference's own people, each against the mean of the others; None without curves.
-
-    Args:
-        reference: of at least two people.
 
     Returns:
         Variable scores (N, 2, 9) and profile scores (N, 2), rad, right and left.

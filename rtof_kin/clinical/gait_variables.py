@@ -1,11 +1,10 @@
 """The nine variables of the gait scores over the strides of a motion.
 
-Headings of pelvis and foot are relative to the **direction of progression** of each stride: that of the way
-of the pelvis from heel strike to heel strike, or, on a treadmill, against the way of the heel in mid stance.
-Foot progression is the rotation of the foot in the sequence of the pelvis (Baker 2001), the heading of its
-lateral axis: with a flat foot that of its long axis, which has none where the toes point down at toe off.
-Obliquity and rotation of the pelvis have the sign of the side whose cycle it is. Only straight strides of
-walking count.
+Headings of pelvis and foot are relative to the **direction of progression** of each stride: that of the way of the
+pelvis from heel strike to heel strike, or, on a treadmill, against the way of the heel in mid stance. Foot progression
+is the rotation of the foot in the sequence of the pelvis (Baker 2001), the heading of its lateral axis: with a flat
+foot that of its long axis, which has none where the toes point down at toe off. Obliquity and rotation of the pelvis
+have the sign of the side whose cycle it is. Only straight strides of walking count.
 """
 
 from __future__ import annotations
@@ -35,11 +34,16 @@ from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE
 STRAIGHT: Final = np.radians(20.0)  # [rad] largest change of the pelvis's heading within a counted stride
 _GAP: Final = 1.5  # longest interval between samples that is interpolated, in frames
 _ANGLES: Final = (
-    ("pelvis_tilt", 1, False), ("pelvis_list", -1, False), ("pelvis_rotation", 1, True),
-    ("{side}_hip_flexion", 1, False), ("{side}_hip_adduction", 1, False),
-    ("{side}_hip_internal_rotation", 1, False), ("{side}_knee_flexion", 1, False),
-    ("{side}_ankle_dorsiflexion", 1, False), ("{side}_foot_rotation", 1, True),
-)  # fmt: skip
+    ("pelvis_tilt", 1, False),
+    ("pelvis_list", -1, False),
+    ("pelvis_rotation", 1, True),
+    ("{side}_hip_flexion", 1, False),
+    ("{side}_hip_adduction", 1, False),
+    ("{side}_hip_internal_rotation", 1, False),
+    ("{side}_knee_flexion", 1, False),
+    ("{side}_ankle_dorsiflexion", 1, False),
+    ("{side}_foot_rotation", 1, True),
+)
 """Angle of each variable, its sign in a right cycle, and whether it is a heading."""
 _NEEDS: Final = {
     "hip_adduction": "a sensor on the pelvis, or a camera that sees both hips",
@@ -66,26 +70,19 @@ class GaitCycles:
     notes: tuple[str, ...] = ()
 
     def complete(self, side: str) -> Mask:
-        """Return a mask (n, 9) of the curves of one side that are known.
-
-        Args:
-            side: 'right' or 'left'.
-        """
+        """Return a mask (n, 9) of the curves of one side that are known."""
         known = np.isfinite(self.curves).all(axis=2)
         own = np.array([one == side for one in self.sides], dtype=np.bool_)
         return np.asarray(known & own[:, None])
 
     def missing(self, side: str) -> dict[str, str]:
-        """Return the variables without a complete curve of one side, and what they need.
-
-        Args:
-            side: 'right' or 'left'.
-        """
+        """Return the variables without a complete curve of one side, and what they need."""
         seen = self.complete(side)
         return {
             name: _NEEDS.get(name, "to be observed and reliable throughout a stride")
-            for v, name in enumerate(NAMES) if not seen[:, v].any()
-        }  # fmt: skip
+            for v, name in enumerate(NAMES)
+            if not seen[:, v].any()
+        }
 
     @property
     def speed(self) -> float:
@@ -95,11 +92,7 @@ class GaitCycles:
 
 
 def joined_cycles(parts: Sequence[GaitCycles]) -> GaitCycles:
-    """Return the strides of several motions of one person.
-
-    Args:
-        parts: of the motions, at least one.
-    """
+    """Return the strides of several motions of one person."""
     sigma = [part.sigma for part in parts if part.sigma is not None]
     return GaitCycles(
         tuple(side for part in parts for side in part.sides),

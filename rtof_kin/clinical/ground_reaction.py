@@ -88,11 +88,7 @@ class GroundReaction:
 
 
 def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPaths) -> GroundReaction:
-    """Return force and centre of pressure.
-
-    Args:
-        torques: with the wrench from outside. contacts: of the feet. paths: of the same motion.
-    """
+    """Return force and centre of pressure."""
     force = torques.wrench[:, :3]
     covariance = _total(torques.wrench_covariances)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))[:, :3]
@@ -108,10 +104,18 @@ def ground_reaction(torques: JointTorques, contacts: FootContacts, paths: BodyPa
     outside = _outside(pressure, soles, state)
     vertical = _vertical(force[:, 2], pressure, pressure_covariance, soles, state)
     found = GroundReaction(
-        torques.times, torques.weight_kg, state, force, sigma, pressure,
-        np.sqrt(np.maximum(np.diagonal(pressure_covariance, axis1=1, axis2=2), 0.0)), outside, vertical,
-        contacts.floor, (),
-    )  # fmt: skip
+        torques.times,
+        torques.weight_kg,
+        state,
+        force,
+        sigma,
+        pressure,
+        np.sqrt(np.maximum(np.diagonal(pressure_covariance, axis1=1, axis2=2), 0.0)),
+        outside,
+        vertical,
+        contacts.floor,
+        (),
+    )
     return replace(found, notes=(*_notes(found, missed), *contacts.notes))
 
 
@@ -180,9 +184,7 @@ def _hull_distance(points: Array, corners: Array) -> Array:
     return np.asarray(np.where(inside, 0.0, distance))
 
 
-def _vertical(
-    force: Array, pressure: Array, covariance: Array, soles: Array, state: NDArray[np.uint8]
-) -> Array:
+def _vertical(force: Array, pressure: Array, covariance: Array, soles: Array, state: NDArray[np.uint8]) -> Array:
     """(T, 2, 2) N, lowest and highest vertical force on each foot."""
     out = np.full((len(force), 2, 2), np.nan)
     for side, contact in enumerate((Contact.RIGHT, Contact.LEFT)):

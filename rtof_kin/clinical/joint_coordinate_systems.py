@@ -27,9 +27,6 @@ def anatomical_posture(skeleton: SkeletonModel, table: AngleTable) -> Array:
     """Return R_world_bone (J, 3, 3) of the anatomical standing posture facing world x.
 
     It is the N-pose (palms to the thighs) with forearms and hands supinated by 90 degrees.
-
-    Args:
-        skeleton: to pose. table: its clinical angles.
     """
     R_posture = np.array(skeleton.forward_kinematics(skeleton.n_pose()[None])[1][0])
     for side, quarter in (("right", -np.pi / 2), ("left", np.pi / 2)):
@@ -40,11 +37,7 @@ def anatomical_posture(skeleton: SkeletonModel, table: AngleTable) -> Array:
 
 
 def isb_frames(skeleton: SkeletonModel, table: AngleTable) -> Array:
-    """Return the constant R_bone_isb (J, 3, 3) of all segments.
-
-    Args:
-        skeleton: whose segments. table: its clinical angles.
-    """
+    """Return the constant R_bone_isb (J, 3, 3) of all segments."""
     return np.asarray(np.swapaxes(anatomical_posture(skeleton, table), -1, -2) @ R_ROS_ISB)
 
 
@@ -107,7 +100,7 @@ def relative_rotations(R_world_bone: Array, skeleton: SkeletonModel, table: Angl
     """Return R_parent_child (T, 3, 3) in ISB frames of all joint coordinate systems, mirrored if left.
 
     Args:
-        R_world_bone: (T, J, 3, 3). skeleton: with J segments. table: its clinical angles.
+        R_world_bone: (T, J, 3, 3).
     """
     R_world_isb = R_world_bone @ isb_frames(skeleton, table)
     out = {}

@@ -11,8 +11,7 @@ this person; it cancels in a change), the error c_v that the trials of a visit s
 neutral posture), the error m_vt of each trial by itself, and the variation w_vt of the person.
 
 - **Bands** state the variance B^2 of a + c + m together. `BandShares` divides it. A reconstruction does not
-  say how; by default all of it is c, which claims least: then averaging trials does not help, and nothing
-  cancels.
+  say how; by default all of it is c, which claims least: then averaging trials does not help, and nothing cancels.
 - **Trials** vary within visits by the variance W^2 of m + w, the mean square within visits of a one-way
   analysis of variance, with nu = sum of (n_v - 1) degrees of freedom.
 
@@ -26,11 +25,10 @@ so m is counted once: taken out of the bands by at most what the trials show of 
 With the default shares m stays in B as well as in W; V_v is then too large, by Var(m) at most, never too
 small. Without repeated trials V_v is B_v^2 (share of c + share of m / n_v), and w is not in it.
 
-The SEM is the standard deviation of an error, the MDC the difference of two visits that such errors exceed
-with a probability of 5 %: MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin
-Epidemiol 59, 2006: SEM of agreement), with Student's t in place of 1.96 where the SEM is estimated from few
-trials, and `MixedError` where it is partly so. A true change of the size of the MDC is shown in half of the
-cases.
+The SEM is the standard deviation of an error, the MDC the difference of two visits that such errors exceed with a
+probability of 5 %: MDC95 = 1.96 sqrt(2) SEM (Weir, J Strength Cond Res 19, 2005; de Vet et al., J Clin Epidemiol 59,
+2006: SEM of agreement), with Student's t in place of 1.96 where the SEM is estimated from few trials, and `MixedError`
+where it is partly so. A true change of the size of the MDC is shown in half of the cases.
 """
 
 from __future__ import annotations
@@ -113,36 +111,20 @@ class MeasurementErrors:
     shares: BandShares
 
     def of_visit(self, one: Measured) -> MixedError:
-        """Return the error of the mean of a visit that counts in a change.
-
-        Args:
-            one: the trials of the visit, and their band.
-        """
+        """Return the error of the mean of a visit that counts in a change."""
         return _of_visit(one, self.within, self.shares)
 
     def of_value(self, one: Measured) -> MixedError:
-        """Return the error of the value of a visit, with what cancels in a change.
-
-        Args:
-            one: the trials of the visit, and their band.
-        """
+        """Return the error of the value of a visit, with what cancels in a change."""
         own = self.of_visit(one)
         return replace(own, known=own.known + self.shares.all_visits * one.band_sigma**2)
 
     def of_change(self, a: Measured, b: Measured) -> MixedError:
-        """Return the error of the difference of the means of two visits.
-
-        Args:
-            a, b: the trials of both, and their bands.
-        """
+        """Return the error of the difference of the means of two visits."""
         return _sum(self.of_visit(a), self.of_visit(b))
 
     def of_sum(self, a: Measured, b: Measured) -> float:
-        """Return the largest standard deviation of the sum of the means of two visits: of shared errors.
-
-        Args:
-            a, b: the trials of both, and their bands.
-        """
+        """Return the largest standard deviation of the sum of the means of two visits: of shared errors."""
         first, second = self.of_value(a), self.of_value(b)
         known = (np.sqrt(first.known) + np.sqrt(second.known)) ** 2
         return float(np.sqrt(known + first.estimated + second.estimated))
@@ -152,8 +134,8 @@ def measurement_errors(visits: Sequence[Measured], shares: BandShares) -> Measur
     """Return the standard errors of one measure.
 
     Args:
-        visits: the values of the trials of each visit, at least one, and the mean standard deviation that the
-            bands of a visit state (0: they state none). shares: how the variance of the bands is divided.
+        visits: the values of the trials of each visit, at least one, and the mean standard deviation that the bands
+            of a visit state (0: they state none).
     """
     within = mean_square_within([one.values for one in visits])
     bands = MixedError(float(np.mean([one.band_sigma**2 for one in visits])) * (1 - shares.all_visits))
@@ -179,11 +161,7 @@ def mean_square_within(groups: Sequence[Array]) -> tuple[float, float]:
 
 
 def shown_mostly(error: MixedError, needed: float) -> float:
-    """Return the true change that is shown with a probability of `POWER`.
-
-    Args:
-        error: of the difference. needed: difference from which on it is called changed.
-    """
+    """Return the true change that is shown with a probability of `POWER`."""
     return needed + float(stats.norm.ppf(POWER)) * error.sigma
 
 

@@ -26,7 +26,7 @@ def relative_to_standing(angles: ClinicalAngles, paths: BodyPaths) -> ClinicalAn
     trunk in which no segment turns faster than 0.5 rad/s, and its angles are the medians there.
 
     Args:
-        angles: of a motion. paths: of the same motion, with `BodyPaths.standing`.
+        paths: of the same motion, with `BodyPaths.standing`.
 
     Raises:
         InvalidInputError: nobody stands still for half a second, or it was not looked for.

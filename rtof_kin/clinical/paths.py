@@ -48,11 +48,7 @@ class BodyPaths:
         return float(1 / np.median(np.diff(self.times))) if len(self) > 1 else 60.0
 
     def joint(self, term: str) -> int:
-        """Return the index of the joint of a term.
-
-        Args:
-            term: 'pelvis', 'right foot', ...
-        """
+        """Return the index of the joint of a term."""
         return self.skeleton.index(self.table.segments[term])[0]
 
 
@@ -63,7 +59,7 @@ class PathCollector:
         """Allocate the paths.
 
         Args:
-            skeleton: of the motion. times: (T,) s. standing: whether to find in which frames it stands.
+            times: (T,) s.
         """
         self._skeleton, self._times = skeleton, times
         self._table = angle_table(skeleton.table)
@@ -79,8 +75,7 @@ class PathCollector:
         """Add a block.
 
         Args:
-            frames: of the whole. poses: these, and the frames beside them if there are any.
-            own: `frames` in poses.
+            poses: these, and the frames beside them if there are any. own: `frames` in poses.
         """
         self._skeleton.check_joints(poses.names)
         for term, (joint, offset) in self._landmarks.items():
@@ -93,24 +88,17 @@ class PathCollector:
             self._standing[frames] = standing_frames(poses, self._rate_hz)[own]
 
     def paths(self, masks: ObservationMasks) -> BodyPaths:
-        """Return the paths.
-
-        Args:
-            masks: of all frames.
-        """
+        """Return the paths."""
         return BodyPaths(self._times, self._points, self._heading, self._standing, self._table, masks)
 
 
 def body_paths(
-    motion: MotionSequence | MotionSource | PoseSequence,
-    skeleton: SkeletonModel | None = None,
-    standing: bool = False,
+    motion: MotionSequence | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
 ) -> BodyPaths:
     """Return the paths of a motion.
 
     Args:
-        motion: a motion, or poses of all joints of `skeleton`. skeleton: of the poses.
-        standing: whether to find in which frames the person stands.
+        motion: a motion, or poses of all joints of `skeleton`.
 
     Raises:
         InvalidInputError: the poses are of another skeleton.

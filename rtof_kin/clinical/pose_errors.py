@@ -53,9 +53,7 @@ SPECTRA: Final = {
     "foot": ErrorSpectrum(1, 0.098),
 }
 """Of the root's position and of the turns of segments, by group."""
-GROUPS: Final = {
-    "upper arm": "arm", "forearm": "arm", "hand": "hand", "thigh": "leg", "shank": "leg", "foot": "foot",
-}  # fmt: skip
+GROUPS: Final = {"upper arm": "arm", "forearm": "arm", "hand": "hand", "thigh": "leg", "shank": "leg", "foot": "foot"}
 """De Leva's segment -> group; all others are the trunk."""
 UNOBSERVED: Final = 0.35
 """[rad] standard deviation of a joint without a covariance: the segment is kept in line with its parent."""
@@ -91,7 +89,7 @@ def error_gains(rate_hz: float, spectrum: ErrorSpectrum) -> Array:
     """Return what becomes of an error of unit variance that is filtered and differentiated as a motion is.
 
     Args:
-        rate_hz: of the motion, Hz. spectrum: of the error.
+        rate_hz: of the motion, Hz.
 
     Returns:
         (4,) variances of the error, 1, of its first derivative, 1/s^2, and of its second, 1/s^4, and the
@@ -113,7 +111,7 @@ def pose_errors(skeleton: SkeletonModel, q: Array, confidence: Confidence, R: Ar
     """Return the errors of some frames of a motion; NaN where the root has no covariance.
 
     Args:
-        skeleton: of the motion. q: (K, nq). confidence: of these frames. R: (K, J, 3, 3) R_world_bone.
+        q: (K, nq). R: (K, J, 3, 3) R_world_bone.
     """
     names, parents = skeleton.names, skeleton.parents
     K, n = len(q), 3 * (len(names) + 1)
@@ -138,11 +136,7 @@ def pose_errors(skeleton: SkeletonModel, q: Array, confidence: Confidence, R: Ar
 
 
 def cause_groups(skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the group of each of the 3 (J + 1) causes: three of the root's position, three per segment.
-
-    Args:
-        skeleton: of J joints.
-    """
+    """Return the group of each of the 3 (J + 1) causes: three of the root's position, three per segment."""
     segments = [max(joint.mass_shares, key=lambda share: share[1])[0] for joint in skeleton.table.joints]
     own = ["position", *(GROUPS.get(segment, "trunk") for segment in segments)]
     return tuple(group for group in own for _ in range(3))

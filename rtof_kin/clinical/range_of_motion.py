@@ -188,15 +188,10 @@ def smoothed(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
 
 
 def ranges_of_motion(angles: ClinicalAngles) -> tuple[RangeOfMotion, ...]:
-    """Return the range of motion of each angle, in their order.
-
-    Args:
-        angles: over time.
-    """
+    """Return the range of motion of each angle, in their order."""
     rate_hz = angles.rate_hz
     return tuple(
-        _range(angles, column, np.abs(_velocity(angles, column, rate_hz)))
-        for column in range(len(angles.rows))
+        _range(angles, column, np.abs(_velocity(angles, column, rate_hz))) for column in range(len(angles.rows))
     )
 
 
@@ -213,21 +208,29 @@ def _range(angles: ClinicalAngles, column: int, speed: Array) -> RangeOfMotion:
     peak = float(np.nanmax(speed)) if np.isfinite(speed).any() else nan
     ends = (nan, nan) if angles.sigma is None else angles.sigma[[low, high], column].tolist()
     return RangeOfMotion(
-        row.name, float(values[low]), float(values[high]), float(np.nanmean(values)),
-        float(angles.times[low]), float(angles.times[high]), peak, **shares, low_sigma=ends[0],
-        high_sigma=ends[1], range_sigma=range_deviation(*ends),
+        row.name,
+        float(values[low]),
+        float(values[high]),
+        float(np.nanmean(values)),
+        float(angles.times[low]),
+        float(angles.times[high]),
+        peak,
+        **shares,
+        low_sigma=ends[0],
+        high_sigma=ends[1],
+        range_sigma=range_deviation(*ends),
         uncertain_low=_beyond(angles, column, values[[low, high]], ends[0], -1),
         uncertain_high=_beyond(angles, column, values[[high, low]], ends[1], 1),
         one_turn=row.range[0] <= values[low] and values[high] <= row.range[1],
-    )  # fmt: skip
+    )
 
 
 def _beyond(angles: ClinicalAngles, column: int, ends: Array, sigma: float, sign: int) -> UncertainEnd | None:
     """Unreliable samples of an angle that may lie beyond a reliable end; each counts for the nearer end.
 
     Args:
-        angles, column: the angle. ends: (2,) rad, this reliable end and the other.
-        sigma: rad, of this end. sign: 1 for the highest, -1 for the lowest.
+        ends: (2,) rad, this reliable end and the other. sigma: rad, of this end.
+        sign: 1 for the highest, -1 for the lowest.
     """
     values, end = sign * angles.values[:, column], sign * float(ends[0])
     doubtful = np.isfinite(values) & ~np.isfinite(angles.trusted_angle(column)) & ~angles.singular[:, column]

@@ -80,9 +80,6 @@ def find_repetitions(paths: BodyPaths, angles: ClinicalAngles, kind: Kind) -> Re
 
     The height of the pelvis is measured from the ankles, or in world if no ankle is observed.
 
-    Args:
-        paths: of the motion. angles: its clinical angles, for the knees. kind: 'squat' or 'sit_to_stand'.
-
     Raises:
         UnknownNameError: another kind.
     """

@@ -59,11 +59,7 @@ class Stride:
 
 
 def find_strides(side: str, events: GaitEvents) -> list[Stride]:
-    """Return pairs of strikes with one toe off, one strike of the other foot (if observed) and no gap.
-
-    Args:
-        side: of the foot. events: of both feet.
-    """
+    """Return pairs of strikes with one toe off, one strike of the other foot (if observed) and no gap."""
     foot, times = events.feet[side], events.times
     others = [other.strikes for name, other in events.feet.items() if name != side]
     out = []

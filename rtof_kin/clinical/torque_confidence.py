@@ -24,8 +24,7 @@ force from outside, horizontal  1.0 to 1.2  1.6 to 2.0  1.7 to 2.1
 force from outside, vertical    0.5         1.4         1.5
 ==============================  ==========  ==========  ==========
 
-and 95 % bands contain 95 to 100 % of the errors, but only 85 % of those of the vertical force where no sensor
-is worn.
+and 95 % bands contain 95 to 100 % of the errors, but only 85 % of those of the vertical force where no sensor is worn.
 """
 
 from __future__ import annotations
@@ -59,15 +58,20 @@ def node_frames(count: int, rate_hz: float) -> Index:
     """Return the frames in which the confidence is computed, the first and the last among them.
 
     Args:
-        count: of frames. rate_hz: of the motion, Hz.
+        rate_hz: of the motion, Hz.
     """
     return np.union1d(np.arange(0, count, max(1, math.floor(EVERY * rate_hz))), [count - 1])
 
 
 def dynamics_confidence(
-    body: BodyDynamics, q: Array, v: Array, a: Array, carries: NDArray[np.int_],
-    errors: PoseErrors | None, rate_hz: float,
-) -> DynamicsConfidence:  # fmt: skip
+    body: BodyDynamics,
+    q: Array,
+    v: Array,
+    a: Array,
+    carries: NDArray[np.int_],
+    errors: PoseErrors | None,
+    rate_hz: float,
+) -> DynamicsConfidence:
     """Return the confidence in some frames.
 
     Args:
@@ -81,9 +85,7 @@ def dynamics_confidence(
     for t in range(n):
         S = body.derivatives(q[t], v[t], a[t], int(carries[t]))
         if errors is not None and gains is not None:
-            value, velocity, acceleration = (
-                rows @ errors.factors[t] for rows in (S.value, S.velocity, S.acceleration)
-            )
+            value, velocity, acceleration = (rows @ errors.factors[t] for rows in (S.value, S.velocity, S.acceleration))
             torques[0, t] = _products(value[:D], velocity[:D], acceleration[:D], gains)
             wrench[0, t] = _covariance(value[D:], velocity[D:], acceleration[D:], gains)
         torques[1, t] = MASS_SIGMA**2 * np.sum(S.masses[:D] ** 2, axis=1)
@@ -95,7 +97,7 @@ def interpolated(nodes: Index, values: Array, count: int) -> Array:
     """Return values (2, count, ...) between nodes.
 
     Args:
-        nodes: (n,) frames, from 0 to count - 1. values: (2, n, ...). count: of frames.
+        nodes: (n,) frames, from 0 to count - 1. values: (2, n, ...).
     """
     frames = np.arange(count)
     after = np.clip(np.searchsorted(nodes, frames), 1, max(len(nodes) - 1, 1)) if len(nodes) > 1 else frames
@@ -115,10 +117,7 @@ def _products(value: Array, velocity: Array, acceleration: Array, gains: Array) 
 def _covariance(value: Array, velocity: Array, acceleration: Array, gains: Array) -> Array:
     """Covariance (m, m) of the same."""
     out = np.asarray(
-        sum(
-            (rows * gain) @ rows.T
-            for rows, gain in zip((value, velocity, acceleration), gains.T, strict=False)
-        )
+        sum((rows * gain) @ rows.T for rows, gain in zip((value, velocity, acceleration), gains.T, strict=False))
     )
     both = (value * gains[:, 3]) @ acceleration.T
     return np.asarray(out + both + both.T)

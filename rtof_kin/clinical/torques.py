@@ -1,8 +1,7 @@
 """Joint torques by inverse dynamics, and the external wrench that a motion requires.
 
-The wrench that a motion needs from outside (`BodyDynamics`) is not made by muscles: it is the sum of all
-external forces (floor, seat, rail), and of errors of masses and motion. External forces are not measured, so
-either
+The wrench that a motion needs from outside (`BodyDynamics`) is not made by muscles: it is the sum of all external
+forces (floor, seat, rail), and of errors of masses and motion. External forces are not measured, so either
 
 * none is assigned: torques of limbs without contact are correct, those of a leg on the floor are those of a
   hanging leg; or
@@ -93,7 +92,7 @@ def joint_torques(
     Configurations are low-pass filtered at 6 Hz and differentiated twice.
 
     Args:
-        motion: with the bone lengths of the subject. weight_kg: body mass, kg.
+        weight_kg: body mass, kg.
         height: standing height, m; a skeleton more than 5 % off is noted, nothing is rescaled.
         sex: de Leva's column, None for the mean.
         support: (T,) the foot that bears all load, see `FootContacts.support`; None if unknown.
@@ -102,9 +101,7 @@ def joint_torques(
         InvalidInputError: no body mass, implausible values, or wrong support.
     """
     if weight_kg is None:
-        raise InvalidInputError(
-            "joint torques: no weight is given; they are proportional to it: pass it in kg"
-        )
+        raise InvalidInputError("joint torques: no weight is given; they are proportional to it: pass it in kg")
     source = MotionSource.of(motion)
     skeleton = source.skeleton.with_mass(weight_kg, sex)
     notes = _notes(source, height, support is None)
@@ -140,9 +137,12 @@ def joint_torques(
         )
     notes += _confidence_notes(whole)
     return JointTorques(
-        times=source.times, dof_names=skeleton.dof_names, weight_kg=skeleton.table.mass_kg,
-        notes=tuple(notes), **vars(whole),
-    )  # fmt: skip
+        times=source.times,
+        dof_names=skeleton.dof_names,
+        weight_kg=skeleton.table.mass_kg,
+        notes=tuple(notes),
+        **vars(whole),
+    )
 
 
 @dataclass(frozen=True)

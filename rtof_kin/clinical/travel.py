@@ -85,8 +85,10 @@ class Travel:
     @property
     def turns(self) -> str:
         """Turns in words: 'turning 87 \u00b1 30\u00b0 left', 'without turns', or '' if that is not known."""
-        sides = (("left", self.turned_left, self.turned_left_sigma),
-                 ("right", self.turned_right, self.turned_right_sigma))  # fmt: skip
+        sides = (
+            ("left", self.turned_left, self.turned_left_sigma),
+            ("right", self.turned_right, self.turned_right_sigma),
+        )
         said = []
         for side, turn, sigma in sides:
             if turn > 0 and np.isfinite(sigma):
@@ -130,7 +132,7 @@ def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None =
     """Return way and turning of a person.
 
     Args:
-        paths: of a motion in world, z up. verdict: of its gait.
+        paths: of a motion in world, z up.
         heading_sigma: (T,) rad, standard deviation of the heading of the pelvis; None if unknown.
     """
     pelvis, masks, nan = paths.joint("pelvis"), paths.masks, float("nan")
@@ -146,15 +148,21 @@ def travel(paths: BodyPaths, verdict: GaitVerdict, heading_sigma: Array | None =
     displacement = float(np.linalg.norm(way))
     displacement = 0.0 if displacement < LEAST_WAY else displacement
     direction = float(np.arctan2(way[1], way[0])) if displacement > 0 else nan
-    (left, left_sigma), (right, right_sigma) = (
-        (nan, nan) if turns is None else turns.sum(sign) for sign in (1, -1)
-    )
+    (left, left_sigma), (right, right_sigma) = ((nan, nan) if turns is None else turns.sum(sign) for sign in (1, -1))
     return Travel(
-        max(_path_length(known), displacement), displacement, direction,
-        _relative(direction, heading, turns), left, right, share_of_time(verdict.walking, paths.times),
-        float(seen.mean()), _notes(masks.provenance[:, pelvis], seen), left_sigma, right_sigma,
+        max(_path_length(known), displacement),
+        displacement,
+        direction,
+        _relative(direction, heading, turns),
+        left,
+        right,
+        share_of_time(verdict.walking, paths.times),
+        float(seen.mean()),
+        _notes(masks.provenance[:, pelvis], seen),
+        left_sigma,
+        right_sigma,
         turns is not None and not bool(turns.certain.all()),
-    )  # fmt: skip
+    )
 
 
 def _turns(times: Array, heading: Array, sigma: Array, path: Array) -> _Turns | None:

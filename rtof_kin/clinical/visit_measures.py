@@ -10,9 +10,8 @@ range           range, largest and smallest angle of the whole recording, not it
 ==============  =========================================================================================
 
 By cycle there are also stride time, length and stance share of each side, cadence and speed of both, and the
-symmetries of the sides, (right - left) / mean. The length of a stride, its symmetry and the speed have a band
-by the covariances of the foot at both ends; nothing states the error of the instant of an event, so times
-have none.
+symmetries of the sides, (right - left) / mean. The length of a stride, its symmetry and the speed have a band by the
+covariances of the foot at both ends; nothing states the error of the instant of an event, so times have none.
 """
 
 from __future__ import annotations
@@ -73,11 +72,7 @@ class Measure:
 
 
 def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Measured]:
-    """Return the measures of one trial that it has, from all its strides or repetitions.
-
-    Args:
-        trial: of a visit. by: what is measured over. kind: of the repetitions.
-    """
+    """Return the measures of one trial that it has, from all its strides or repetitions."""
     out = dict(_angles(trial, by, kind))
     if by == "cycle":
         out |= _gait(trial)
@@ -86,9 +81,7 @@ def measures_of(trial: Trial, by: Movement, kind: str = "") -> dict[Measure, Mea
 
 def _angles(trial: Trial, by: Movement, kind: str) -> Iterator[tuple[Measure, Measured]]:
     angles = trial.analysis.angles
-    strides = {
-        side: [(s.start, s.stop) for s in trial.analysis.gait.counted if s.side == side] for side in SIDES
-    }
+    strides = {side: [(s.start, s.stop) for s in trial.analysis.gait.counted if s.side == side] for side in SIDES}
     spans = strides if by == "cycle" else {"": trial.repetitions.get(kind, ())}
     ranges = {row.name: row for row in trial.analysis.ranges}
     for row in angles.rows:

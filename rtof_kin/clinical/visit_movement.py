@@ -15,13 +15,11 @@ LEAST_REPEATS: Final = 2
 """Fewest repetitions in each trial by which trials are measured by default."""
 
 
-def movement(
-    visits: Sequence[Visit], by: Movement | None, kind: str
-) -> tuple[Movement, str, str, dict[str, str]]:
+def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[Movement, str, str, dict[str, str]]:
     """Return what is measured over, the kind of the repetitions, why, and trials left out -> why.
 
     Args:
-        visits: of one person. by: what was asked for; None to choose. kind: of the repetitions; '' to choose.
+        by: what was asked for; None to choose. kind: of the repetitions; '' to choose.
 
     Raises:
         InvalidInputError: a visit does not have what was asked for. UnknownNameError: no such kind.
@@ -30,13 +28,13 @@ def movement(
     walking = [[one for one in visit.trials if not _not_gait(one)] for visit in visits]
     if by == "cycle" or (by is None and all(walking)):
         if absent := [v.name for v, own in zip(visits, walking, strict=True) if not own]:
-            raise InvalidInputError(
-                f"follow: no gait in {', '.join(absent)}; measure by repetition or range (--by)"
-            )
+            raise InvalidInputError(f"follow: no gait in {', '.join(absent)}; measure by repetition or range (--by)")
         out = {
             f"{visit.name}, {one.name}": f"left out, not gait: {_not_gait(one)}"
-            for visit in visits for one in visit.trials if _not_gait(one)
-        }  # fmt: skip
+            for visit in visits
+            for one in visit.trials
+            if _not_gait(one)
+        }
         return "cycle", "", "" if by else "all visits are walking", out
     if kind:
         indices_of("kind of repetitions", [kind], KINDS)

@@ -80,11 +80,7 @@ class Visit:
 
 
 def trial(name: str, motion: MotionSequence | MotionSource, setup: Setup | None = None) -> Trial:
-    """Return a motion with its analysis, repetitions and stated errors of its strides.
-
-    Args:
-        name: for all output. motion: reconstructed, which is read in blocks. setup: how it was recorded.
-    """
+    """Return a motion with its analysis, repetitions and stated errors of its strides."""
     source = MotionSource.of(motion)
     analysis = analyse_motion(source)
     spans = repetition_spans(analysis.paths, analysis.angles)
@@ -120,7 +116,7 @@ def incomparable(visits: Sequence[Visit], baseline: int) -> tuple[str, ...]:
     """Return sentences on what makes visits not comparable with the baseline, the gravest first.
 
     Args:
-        visits: of one person. baseline: index of the visit that the others are compared with.
+        baseline: index of the visit that the others are compared with.
     """
     first, lines = visits[baseline], list[str]()
     for visit in visits:
@@ -144,9 +140,12 @@ def _within(visit: Visit) -> list[str]:
 
 
 _TEXTS: Final = {
-    "subject": "another person", "mode": "another mode of reconstruction", "software": "another version",
-    "model": "another lifter or other settings", "protocol": "another task",
-}  # fmt: skip
+    "subject": "another person",
+    "mode": "another mode of reconstruction",
+    "software": "another version",
+    "model": "another lifter or other settings",
+    "protocol": "another task",
+}
 
 
 def _differences(a: Visit, b: Visit, view: bool = True) -> list[str]:
@@ -179,11 +178,7 @@ def _other_sensors(a: Visit, b: Visit) -> list[str]:
 def _other_bones(a: Visit, b: Visit) -> str | None:
     """Bone whose length differs most, where one does."""
     first, second = (visit.trials[0].analysis.paths.skeleton.bone_lengths for visit in (a, b))
-    off = {
-        bone: abs(second[bone] / length - 1)
-        for bone, length in first.items()
-        if bone in second and length > 0
-    }
+    off = {bone: abs(second[bone] / length - 1) for bone, length in first.items() if bone in second and length > 0}
     worst = max(off, key=lambda bone: off[bone])
     if off[worst] < OTHER_BONES:
         return None
@@ -199,9 +194,7 @@ def _other_view(a: Visit, b: Visit) -> str | None:
         gaps = [abs(np.angle(np.exp(1j * (setup.view - one.view)))) for one in own[0]]
         if all(gap > OTHER_VIEW for gap in gaps):  # not for NaN
             return f"filmed {np.degrees(min(gaps)):.0f} deg further around the person"
-    for name, limit, relative in (
-        ("camera_distance", OTHER_PLACE, True), ("camera_height", OTHER_HEIGHT, False)
-    ):  # fmt: skip
+    for name, limit, relative in (("camera_distance", OTHER_PLACE, True), ("camera_height", OTHER_HEIGHT, False)):
         x, y = (float(np.mean([getattr(one, name) for one in found])) for found in own)
         if abs(y - x) > limit * (x if relative else 1.0):
             return f"{name.replace('_', ' ')} {y:.1f} m rather than {x:.1f} m"

@@ -23,9 +23,6 @@ Shape = Sequence[int | str]
 def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> Any:
     """Return a read-only copy of an array whose shape is checked against e.g. ``("T", 21, 3)``.
 
-    Args:
-        field: name in error messages. value, shape: array and its expected shape. dtype: type of the copy.
-
     Raises:
         ShapeError: the value is not numeric or its shape differs.
     """
@@ -46,8 +43,7 @@ def freeze(record: object, name: str, **shapes: Shape) -> None:
     """Replace array fields of a frozen dataclass by read-only copies of checked shape.
 
     Args:
-        record: the instance, in its ``__post_init__``. name: prefix of fields in error messages.
-        shapes: expected shape of each field.
+        record: the instance, in its ``__post_init__``. shapes: expected shape of each field.
 
     Raises:
         ShapeError: see `readonly`.
@@ -60,7 +56,7 @@ def checked_times(field: str, times: ArrayLike) -> Array:
     """Return read-only times (T,) in seconds.
 
     Args:
-        field: name in error messages. times: (T,) s.
+        times: (T,) s.
 
     Raises:
         InvalidInputError: they are empty, not finite or not strictly increasing.
@@ -84,9 +80,6 @@ def checked_times(field: str, times: ArrayLike) -> Array:
 def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[int]:
     """Return the positions of names in a list.
 
-    Args:
-        kind: what the names are, for the error message. wanted: names. known: the list.
-
     Raises:
         UnknownNameError: names that are not in the list.
     """
@@ -98,9 +91,6 @@ def indices_of(kind: str, wanted: Sequence[str], known: Sequence[str]) -> list[i
 
 def checked_names(field: str, names: Sequence[str]) -> tuple[str, ...]:
     """Return unique names as a tuple.
-
-    Args:
-        field: name in error messages. names: to be checked.
 
     Raises:
         InvalidInputError: a name occurs more than once.
@@ -116,7 +106,7 @@ def checked_rotations(field: str, R: Array) -> None:
     """Check that each matrix is a rotation or NaN as a whole.
 
     Args:
-        field: name in error messages. R: (..., 3, 3).
+        R: (..., 3, 3).
 
     Raises:
         InvalidInputError: a matrix is neither.
@@ -131,6 +121,4 @@ def checked_rotations(field: str, R: Array) -> None:
         given = np.argwhere(~missing)
         first = next(i for i in given if not so3.is_rotation(R[tuple(i)], tolerance=1e-5))
         at = ", ".join(map(str, first))
-        raise InvalidInputError(
-            f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use"
-        )
+        raise InvalidInputError(f"{field}: not a rotation matrix at index ({at}); normalise quaternions before use")

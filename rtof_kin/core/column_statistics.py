@@ -21,11 +21,7 @@ class ColumnStatistics:
     """
 
     def __init__(self, columns: int, medians: bool = True) -> None:
-        """Begin without rows.
-
-        Args:
-            columns: K. medians: whether rows are kept for them.
-        """
+        """Begin without rows."""
         self._medians = medians
         self.known = np.zeros(columns, dtype=np.int64)
         """(K,) number of finite values."""

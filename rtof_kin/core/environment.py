@@ -19,9 +19,15 @@ from rtof_kin.core.threads import threads
 PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")
 """Dependencies that compute."""
 SWITCHES: Final = (
-    "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "ATEN_CPU_CAPABILITY",
-    "ONEDNN_MAX_CPU_ISA", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES",
-)  # fmt: skip
+    "OPENBLAS_CORETYPE",
+    "NPY_DISABLE_CPU_FEATURES",
+    "NPY_ENABLE_CPU_FEATURES",
+    "ATEN_CPU_CAPABILITY",
+    "ONEDNN_MAX_CPU_ISA",
+    "MKL_ENABLE_INSTRUCTIONS",
+    "MKL_CBWR",
+    "GLIBC_TUNABLES",
+)
 """Environment variables by which libraries choose a processor's instructions."""
 _ROOT: Final = Path(__file__).parents[2]
 _SOURCES: Final = ("rtof_kin/**/*.py", "rtof_kin/**/*.c", "lifting/**/*.py")
@@ -58,11 +64,7 @@ def differences(then: dict[str, str], now: dict[str, str]) -> list[str]:
 
 
 def package_version(name: str) -> str:
-    """Return the version of an installed package, else that it is not installed.
-
-    Args:
-        name: of its distribution.
-    """
+    """Return the version of an installed package, else that it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:

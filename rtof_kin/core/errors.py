@@ -12,27 +12,17 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-_CONTROL: Final = re.compile(
-    r"\x1b\[[0-?]*[ -/]*[@-~]?|\x1b\][^\x07\x1b]*(\x07|\x1b\\)?|[\x00-\x08\x0b-\x1f\x7f-\x9f]"
-)
+_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]?|\x1b\][^\x07\x1b]*(\x07|\x1b\\)?|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Escape sequences (ECMA-48) and other control characters but tab and newline."""
 
 
 def plain(text: str) -> str:
-    """Return a text without what a terminal would obey.
-
-    Args:
-        text: maybe of another package, or with names of files.
-    """
+    """Return a text without what a terminal would obey."""
     return _CONTROL.sub("", text)
 
 
 def too_long(path: object) -> str:
-    """Return the sentence about a path that the system does not take.
-
-    Args:
-        path: of the error.
-    """
+    """Return the sentence about a path that the system does not take."""
     return (
         f"{str(path)[:60]}...: the path is longer than the system allows (usually 255 bytes a name, 4,096 in "
         "all); name a shorter one"
@@ -43,7 +33,7 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
     """Return a question about the nearest valid names, ' Did you mean ...?'; '' if there is none near.
 
     Args:
-        unknown: names that are not valid. known: names that are, whatever their case.
+        unknown: names that are not valid.
     """
     near = nearest(unknown, known)
     return f" Did you mean {', '.join(map(repr, near))}?" if near else ""
@@ -53,7 +43,7 @@ def nearest(unknown: Iterable[str], known: Iterable[str]) -> list[str]:
     """Return the nearest valid name of each that is not valid, where one is near.
 
     Args:
-        unknown: names that are not valid. known: names that are, whatever their case.
+        unknown: names that are not valid.
     """
     lower = {name.lower(): name for name in known}
     return [lower[match] for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
@@ -63,7 +53,7 @@ def line_of(path: str | Path, word: str, field: str = "") -> int | None:
     """Return the first line of a text file with a word outside of comments, from 1; None if there is none.
 
     Args:
-        path: of the file. word: e.g. a misspelt name. field: '[table] field' after whose table it stands.
+        field: '[table] field' after whose table it stands.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
@@ -104,9 +94,14 @@ class UnknownNameError(RtofError, KeyError):
     """A joint, landmark, sensor or setting of this name does not exist."""
 
     def __init__(
-        self, kind: str, unknown: Iterable[str], known: Sequence[str], path: str | Path | None = None,
-        field: str = "", also: Iterable[str] = (),
-    ):  # fmt: skip
+        self,
+        kind: str,
+        unknown: Iterable[str],
+        known: Sequence[str],
+        path: str | Path | None = None,
+        field: str = "",
+        also: Iterable[str] = (),
+    ):
         """Take the kind of names, the unknown names, all valid ones, the text file and its field where the
         unknown ones stand, and further words that may be meant.
         """

@@ -20,11 +20,7 @@ class Extensions(Generic[T]):
     """What is added to one list of this package."""
 
     def __init__(self, group: str, kind: type[T], name: Callable[[T], str]) -> None:
-        """Describe the list.
-
-        Args:
-            group: of the entry points. kind: type of an item. name: of an item.
-        """
+        """Describe the list."""
         self.group, self._kind, self._name = group, kind, name
         self._added: dict[str, T] = {}
 
@@ -40,16 +36,11 @@ class Extensions(Generic[T]):
     def add(self, item: T, built_in: Collection[str] = ()) -> None:
         """Add to the list of this process; an item added before under the same name is replaced.
 
-        Args:
-            item: to add. built_in: names that are taken.
-
         Raises:
             InvalidInputError: its name is taken.
         """
         if self._name(item) in built_in:
-            raise InvalidInputError(
-                f"{self._name(item)!r} is the name of one that is built in; choose another"
-            )
+            raise InvalidInputError(f"{self._name(item)!r} is the name of one that is built in; choose another")
         self._added[self._name(item)] = item
 
     @cached_property

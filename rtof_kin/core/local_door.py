@@ -27,11 +27,7 @@ class Door:
     """Lets in who has the token; for servers of the package ``websockets``."""
 
     def __init__(self, host: str = LOOPBACK):
-        """Make a token.
-
-        Args:
-            host: address that the server listens at.
-        """
+        """Make a token."""
         self._host = host.lower()
         self._token, self._ticket = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
 
@@ -46,11 +42,7 @@ class Door:
         return f"/{self._ticket}/"
 
     def answer(self, request: Request) -> Response | None:
-        """Return what answers a request at the door; None lets it in, with a path that lacks the token.
-
-        Args:
-            request: changed.
-        """
+        """Return what answers a request at the door; None lets it in, with a path that lacks the token."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or not self._trusts(hosts[0]):
             return response(HTTPStatus.MISDIRECTED_REQUEST, "use the address as numbers, or localhost")
@@ -90,7 +82,7 @@ def response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = 
     """Return an answer that closes the connection.
 
     Args:
-        status: of HTTP. text: body. headers: None for those of plain text.
+        headers: None for those of plain text.
     """
     http, structures = (optional(f"websockets.{name}", "live") for name in ("http11", "datastructures"))
     body = text.encode()

@@ -15,9 +15,7 @@ def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -
     """Import a module of an optional package.
 
     Args:
-        module: its name. extra: this package's extra that installs it.
-        purpose: what needs it, the subject of the error's sentence.
-        remedy: how it is installed, where no extra does it.
+        extra: this package's extra that installs it. purpose: what needs it, the subject of the error's sentence.
 
     Raises:
         MissingPackageError: it is not installed, or its libraries cannot be loaded.
@@ -33,11 +31,7 @@ def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -
 
 
 def install(extra: str) -> str:
-    """Return the command that installs an extra of this package.
-
-    Args:
-        extra: its name.
-    """
+    """Return the command that installs an extra of this package."""
     return f'pip install "rtof-kin[{extra}]"'
 
 

@@ -76,7 +76,7 @@ def about_axis(axis: str, angle: ArrayLike) -> Array:
     """Return rotations (..., 3, 3) about a coordinate axis.
 
     Args:
-        axis: 'x', 'y' or 'z'. angle: (...) rad.
+        angle: (...) rad.
     """
     angle = np.asarray(angle, dtype=float)
     i = "xyz".index(axis)
@@ -113,8 +113,7 @@ def angle_about(axis: Array, R: Array) -> float:
 def minimal_rotation(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the rotations (..., 3, 3) of smallest angle that turn direction a into direction b.
 
-    For opposite directions an arbitrary axis perpendicular to `a` is used; `kinematics.swing` chooses it
-    over time.
+    For opposite directions an arbitrary axis perpendicular to `a` is used; `kinematics.swing` chooses it over time.
 
     Args:
         a, b: (..., 3), of any length. A zero vector gives the identity.
@@ -283,7 +282,7 @@ def matrix_to_euler(order: str, R: ArrayLike) -> Array:
     At a singular posture (middle angle +-90 degrees) the first angle is 0 and the third is the whole turn.
 
     Args:
-        order: three different axes. R: (..., 3, 3).
+        R: (..., 3, 3).
     """
     R = np.asarray(R, dtype=float)
     i, j, k = ("xyz".index(axis) for axis in order)

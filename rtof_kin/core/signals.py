@@ -67,9 +67,7 @@ def interpolate_rotations(times: Array, R: Array, at: ArrayLike, max_gap: float 
     return out
 
 
-def hat_average(
-    times: Array, values: Array, at: ArrayLike, half_width: float, max_gap: float = np.inf
-) -> Array:
+def hat_average(times: Array, values: Array, at: ArrayLike, half_width: float, max_gap: float = np.inf) -> Array:
     """Average a signal with a triangular kernel: (T', ...), NaN outside the recording and at gaps.
 
     ``(x(t+h) - 2 x(t) + x(t-h)) / h^2`` equals the second derivative of x averaged with a hat of half-width
@@ -108,7 +106,7 @@ def derivative(values: ArrayLike, rate_hz: float, order: int) -> Array:
     """Return finite differences (T - order, ...) along the first axis, times rate**order.
 
     Args:
-        values: (T, ...). rate_hz: sampling rate, Hz. order: of the derivative.
+        values: (T, ...). rate_hz: sampling rate, Hz.
     """
     return np.asarray(np.diff(np.asarray(values, dtype=float), n=order, axis=0) * rate_hz**order)
 
@@ -118,7 +116,6 @@ def low_pass(values: ArrayLike, rate_hz: float, cutoff_hz: float, order: int = 2
 
     Args:
         values: (T, ...). rate_hz: sampling rate, Hz. cutoff_hz: -3 dB frequency of one pass, Hz.
-        order: of one pass.
     """
     from scipy import signal  # slow to import
 

@@ -36,8 +36,7 @@ def limit_threads(count: int | None) -> None:
     if "numpy" in sys.modules:
         if count not in (None, threads()):
             raise InvalidInputError(
-                f"threads: numerical libraries are loaded already; set {VARIABLES[0]}={count} before "
-                "Python starts"
+                f"threads: numerical libraries are loaded already; set {VARIABLES[0]}={count} before Python starts"
             )
         return
     for name in VARIABLES:

@@ -73,8 +73,7 @@ class Camera:
         regular = self.K[0, 0] * self.K[1, 1] - self.K[0, 1] * self.K[1, 0] > 0
         if not (self.K[0, 0] > 0 and self.K[1, 1] > 0 and regular and np.allclose(self.K[2], [0, 0, 1])):
             raise InvalidInputError(
-                "camera K: singular; it needs positive focal lengths on the diagonal and "
-                "0, 0, 1 as its last row"
+                "camera K: singular; it needs positive focal lengths on the diagonal and 0, 0, 1 as its last row"
             )
         for name in ("K", "t_camera_world", "distortion"):
             if not np.all(np.isfinite(getattr(self, name))):
@@ -84,17 +83,12 @@ class Camera:
 
     @classmethod
     def looking_at(
-        cls,
-        position: ArrayLike,
-        target: ArrayLike,
-        focal_px: float,
-        width_px: int = 1920,
-        height_px: int = 1080,
+        cls, position: ArrayLike, target: ArrayLike, focal_px: float, width_px: int = 1920, height_px: int = 1080
     ) -> Camera:
         """Return an upright camera whose optical axis passes through a point.
 
         Args:
-            position, target: (3,) in world, m. focal_px: focal length, px. width_px, height_px: image size.
+            position, target: (3,) in world, m. focal_px: focal length, px.
         """
         position = np.asarray(position, dtype=float)
         forward = so3.unit(np.asarray(target, dtype=float) - position)
@@ -152,11 +146,7 @@ class Camera:
         return so3.unit(rays @ self.R_camera_world)
 
     def carried(self, before: Camera, after: Camera) -> Camera:
-        """Return the camera with its pose relative to another one kept while that one is corrected.
-
-        Args:
-            before, after: the other camera.
-        """
+        """Return the camera with its pose relative to another one kept while that one is corrected."""
         relative = self.R_camera_world @ before.R_camera_world.T
         R = so3.nearest_rotation(relative @ after.R_camera_world)
         t = self.t_camera_world + relative @ (after.t_camera_world - before.t_camera_world)

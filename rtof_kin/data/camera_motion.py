@@ -51,9 +51,7 @@ class CameraMotion:
             raise InvalidInputError("camera motion: no rotation is known")
         for name in ("sigma", "drift"):
             if not 0 <= getattr(self, name) < np.inf:
-                raise InvalidInputError(
-                    f"camera motion {name}: {getattr(self, name)} is no standard deviation"
-                )
+                raise InvalidInputError(f"camera motion {name}: {getattr(self, name)} is no standard deviation")
         if self.focal_px is not None and not (np.isfinite(self.focal_px) and self.focal_px > 0):
             raise InvalidInputError(f"camera motion focal_px: {self.focal_px} is not positive")
         if self.up_first is not None:
@@ -90,9 +88,6 @@ def stabilised(keypoints: KeypointSequence, motion: CameraMotion) -> KeypointSeq
     The declared pose of the camera is taken for that of the mean orientation. Where the motion knows gravity,
     the declared heading and position stay and the tilt is the measured one.
 
-    Args:
-        keypoints: of the camera that turns. motion: on their clock.
-
     Returns:
         Keypoints with `Camera.stabilised`: they may lie beyond the borders of its image. They are missing
         where the rotation is unknown or they lie more than 65 degrees from the still camera's axis.
@@ -108,7 +103,7 @@ def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple
     """Return rotations (T, 3, 3) from the camera to one that stands still, and that one; see `stabilised`.
 
     Args:
-        camera: that turns. times: (T,) s, of its frames. motion: on their clock.
+        times: (T,) s, of its frames.
 
     Raises:
         InvalidInputError: see `stabilised`.
@@ -118,9 +113,9 @@ def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple
     known = np.isfinite(motion.R_first_camera).all(axis=(1, 2))
     span, step = (motion.times[known][[0, -1]], np.median(np.diff(times)) if len(times) > 1 else 0.0)
     inside = (times >= span[0] - 1.5 * step) & (times <= span[1] + 1.5 * step)  # a frame more at either end
-    R = signals.interpolate_rotations(
-        motion.times, motion.R_first_camera[:, None], np.clip(times, *span), LONGEST_GAP
-    )[:, 0]
+    R = signals.interpolate_rotations(motion.times, motion.R_first_camera[:, None], np.clip(times, *span), LONGEST_GAP)[
+        :, 0
+    ]
     R[~inside] = np.nan
     if np.isnan(R).all():
         raise InvalidInputError(
@@ -135,8 +130,8 @@ def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) ->
     """Return keypoints as another camera at the same place sees them.
 
     Args:
-        keypoints: of T frames. R_camera_seen: (T, 3, 3) axes of their camera to those of the other; NaN where
-            unknown. camera: the other, without distortion.
+        R_camera_seen: (T, 3, 3) axes of their camera to those of the other; NaN where unknown.
+        camera: the other, without distortion.
 
     Returns:
         Keypoints; missing where the rotation is, or more than 65 degrees from the axis of the other camera.
@@ -153,9 +148,12 @@ def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) ->
     elif not keypoints.camera.stabilised:  # else the camera of the video is unknown
         turning = CameraTurning(keypoints.camera, camera.K, R_camera_seen)
     return replace(
-        keypoints, camera=camera, uv_px=np.where(near[..., None], uv, np.nan),
-        confidence=np.where(near, keypoints.confidence, 0.0), turning=turning,
-    )  # fmt: skip
+        keypoints,
+        camera=camera,
+        uv_px=np.where(near[..., None], uv, np.nan),
+        confidence=np.where(near, keypoints.confidence, 0.0),
+        turning=turning,
+    )
 
 
 def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera:
@@ -167,6 +165,10 @@ def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera
             uncertainty = replace(uncertainty, tilt=min(uncertainty.tilt, _SIGMA_TILT))
     t = -R @ camera.center_world
     return replace(
-        camera.undistorted(), R_camera_world=R, t_camera_world=t, uncertainty=uncertainty, stabilised=True,
+        camera.undistorted(),
+        R_camera_world=R,
+        t_camera_world=t,
+        uncertainty=uncertainty,
+        stabilised=True,
         heading_drift=motion.drift,
-    )  # fmt: skip
+    )

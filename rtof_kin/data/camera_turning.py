@@ -46,7 +46,7 @@ class CameraTurning:
         """Return the same for keypoints that were turned once more.
 
         Args:
-            R_other_still: (T, 3, 3) axes of the still camera to those of another. K_other: its intrinsics.
+            R_other_still: (T, 3, 3) axes of the still camera to those of another.
         """
         return replace(self, R_still_camera=R_other_still @ self.R_still_camera, K_still=K_other)
 
@@ -54,7 +54,7 @@ class CameraTurning:
         """Return pixels (n, ..., 2) of the video; NaN where the camera looked elsewhere.
 
         Args:
-            uv_still: (n, ..., 2) pixels of the still camera. frames: n of the T frames.
+            uv_still: (n, ..., 2) pixels of the still camera.
         """
         xy = (uv_still - self.K_still[:2, 2]) @ np.linalg.inv(self.K_still[:2, :2]).T
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)

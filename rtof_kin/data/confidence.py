@@ -94,11 +94,7 @@ class Confidence:
         return np.stack([per_axis(self.turn(WORLD, name)) for name in self.names], axis=1)
 
     def turn(self, parent: str, child: str) -> Array:
-        """Return `turn_covariance` (T, 3, 3) of a pair; NaN unless among the pairs.
-
-        Args:
-            parent, child: names of segments.
-        """
+        """Return `turn_covariance` (T, 3, 3) of a pair; NaN unless among the pairs."""
         if (parent, child) not in self.pairs:
             return np.full((len(self), 3, 3), np.nan)
         return np.asarray(self.turn_covariance[:, self.pairs.index((parent, child))])
@@ -114,11 +110,7 @@ def per_axis(covariance: Array) -> Array:
 
 
 def joined(parts: Sequence[Confidence]) -> Confidence:
-    """Concatenate consecutive parts of one motion.
-
-    Args:
-        parts: of the same joints and pairs.
-    """
+    """Concatenate consecutive parts of one motion."""
     whole: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in ("times", *_COVARIANCES)
     }

@@ -57,9 +57,6 @@ class UnitCheck:
     def check(self, names: Sequence[str]) -> None:
         """Check the samples that were added.
 
-        Args:
-            names: S sensors.
-
         Raises:
             UnitError: a sensor's unit is another one, or its gravity was removed.
         """
@@ -153,8 +150,7 @@ class ImuSequence:
         """Join sensors; if their times differ, resample all to even times at the fastest sensor's rate.
 
         Args:
-            parts: any number of sensors each.
-            max_gap: longest gap that is interpolated, s; beyond it values are NaN.
+            parts: any number of sensors each. max_gap: longest gap that is interpolated, s; beyond it values are NaN.
 
         Raises:
             InvalidInputError: there are none, or two of the same name.
@@ -179,17 +175,12 @@ class ImuSequence:
         return replace(
             self,
             times=times,
-            R_inertial_sensor=signals.interpolate_rotations(
-                self.times, self.R_inertial_sensor, times, max_gap
-            ),
+            R_inertial_sensor=signals.interpolate_rotations(self.times, self.R_inertial_sensor, times, max_gap),
             f_sensor=signals.interpolate(self.times, self.f_sensor, times, max_gap),
         )
 
     def select(self, names: Sequence[str]) -> Self:
         """Return sensors in the order of `names`.
-
-        Args:
-            names: sensors.
 
         Raises:
             UnknownNameError: a sensor does not exist.
@@ -231,17 +222,11 @@ class BoneImuSequence:
 
     def __getitem__(self, frames: slice) -> Self:
         return replace(
-            self,
-            times=self.times[frames],
-            R_world_bone=self.R_world_bone[frames],
-            a_world=self.a_world[frames],
+            self, times=self.times[frames], R_world_bone=self.R_world_bone[frames], a_world=self.a_world[frames]
         )
 
     def select(self, joints: Sequence[str]) -> Self:
         """Return the sensors of segments in the order of `joints`.
-
-        Args:
-            joints: segments by their proximal joint.
 
         Raises:
             UnknownNameError: a segment has no sensor.

@@ -74,9 +74,6 @@ class ImuCalibration:
     def select(self, sensors: tuple[str, ...]) -> Self:
         """Return the calibration of sensors in the order given.
 
-        Args:
-            sensors: names.
-
         Raises:
             UnknownNameError: a sensor has no calibration.
         """
@@ -94,17 +91,13 @@ class ImuCalibration:
     def apply(self, imus: ImuSequence) -> BoneImuSequence:
         """Return orientations of the segments and accelerations in world without gravity.
 
-        Args:
-            imus: S' calibrated sensors, whose order and times are kept.
-
         Raises:
             CalibrationError: a sensor has no calibration.
         """
         missing = [name for name in imus.names if name not in self.sensors]
         if missing:
             raise CalibrationError(
-                f"no calibration for the sensors {', '.join(missing)}; there is one for "
-                f"{', '.join(self.sensors)}"
+                f"no calibration for the sensors {', '.join(missing)}; there is one for {', '.join(self.sensors)}"
             )
         own = self.select(imus.names)
         R_world_sensor = own.R_world_inertial @ imus.R_inertial_sensor

@@ -64,9 +64,7 @@ class Declaration:
             if getattr(self, name) not in choices:
                 raise UnknownNameError(name.replace("_", " "), [str(getattr(self, name))], choices)
         if self.rate_hz is not None and not 0 < self.rate_hz < 1e5:
-            raise InvalidInputError(
-                f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second"
-            )
+            raise InvalidInputError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
 
     def changed(self, **values: Any) -> Self:
         """Return the declaration with other values of some fields.
@@ -113,8 +111,7 @@ class Declaration:
 
         Args:
             acceleration: (T, 3) of the file.
-            R_inertial_sensor: (T, 3, 3) from `rotations`; required if gravity was removed or axes are
-                inertial.
+            R_inertial_sensor: (T, 3, 3) from `rotations`; required if gravity was removed or axes are inertial.
 
         Raises:
             InvalidInputError: it is required and not given.

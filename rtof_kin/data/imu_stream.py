@@ -46,9 +46,12 @@ class SensorStream:
         set_(self, "notes", tuple(self.notes))
         T = len(self.times)
         shapes: dict[str, tuple[int, ...]] = {
-            "f_sensor": (T, 3), "R_inertial_sensor": (T, 3, 3), "w_sensor": (T, 3), "m_sensor": (T, 3),
+            "f_sensor": (T, 3),
+            "R_inertial_sensor": (T, 3, 3),
+            "w_sensor": (T, 3),
+            "m_sensor": (T, 3),
             "quaternion_norm": (T,),
-        }  # fmt: skip
+        }
         freeze(self, where, **{n: shape for n, shape in shapes.items() if getattr(self, n) is not None})
 
     def __len__(self) -> int:
@@ -116,11 +119,7 @@ class SensorLog:
 
     @classmethod
     def of_imus(cls, imus: ImuSequence, path: str | Path) -> Self:
-        """Return the sensors of a recording.
-
-        Args:
-            imus: of the recording. path: its folder, or a name for messages.
-        """
+        """Return the sensors of a recording."""
         streams = tuple(
             SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
             for s, name in enumerate(imus.names)
@@ -141,9 +140,6 @@ class SensorLog:
     def select(self, names: Sequence[str]) -> Self:
         """Return sensors in the order of `names`.
 
-        Args:
-            names: sensors.
-
         Raises:
             UnknownNameError: a sensor does not exist.
         """
@@ -152,9 +148,6 @@ class SensorLog:
 
     def renamed(self, names: Mapping[str, str]) -> Self:
         """Rename sensors, e.g. from serial numbers to segments.
-
-        Args:
-            names: new names by old ones.
 
         Raises:
             UnknownNameError: a sensor does not exist. InvalidInputError: two would have the same name.

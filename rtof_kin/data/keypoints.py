@@ -1,8 +1,7 @@
 """Detected landmarks of one person in a video.
 
-Axes are time, element, component. Missing is NaN in the value and 0 in the confidence. Beside the skeleton's
-landmarks there may be the points of the detector that these were estimated from, named
-``mediapipe33:LeftEar`` after its layout.
+Axes are time, element, component. Missing is NaN in the value and 0 in the confidence. Beside the skeleton's landmarks
+there may be the points of the detector that these were estimated from, named ``mediapipe33:LeftEar`` after its layout.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ def detector_point(layout: str, point: str) -> str:
     """Return the name of a detector's own point in a `KeypointSequence`.
 
     Args:
-        layout: of the detector. point: of the layout, e.g. ``LeftEar``.
+        point: of the layout, e.g. ``LeftEar``.
     """
     return f"{layout}{_OF}{point}"
 
@@ -95,14 +94,13 @@ class KeypointSequence:
         """Return some of the frames with other points.
 
         Args:
-            frames: T' of them, as an index of arrays. uv_px: (T', L, 2). confidence: (T', L).
+            uv_px: (T', L, 2). confidence: (T', L).
         """
         turning = None if self.turning is None else self.turning[frames]
         own_times = None if self.own_times is None else self.own_times[frames]
         return replace(
-            self, times=self.times[frames], uv_px=uv_px, confidence=confidence, turning=turning,
-            own_times=own_times,
-        )  # fmt: skip
+            self, times=self.times[frames], uv_px=uv_px, confidence=confidence, turning=turning, own_times=own_times
+        )
 
     def on_clock(self, times: Array) -> Self:
         """Return the frames at their times on another clock; `video_times` stay.
@@ -143,9 +141,13 @@ class KeypointSequence:
         if own is not None:
             own = at + np.interp(at, self.times, own - self.times)
         return replace(
-            self, times=times, uv_px=uv, confidence=np.clip(np.nan_to_num(confidence), 0, 1), turning=turning,
+            self,
+            times=times,
+            uv_px=uv,
+            confidence=np.clip(np.nan_to_num(confidence), 0, 1),
+            turning=turning,
             own_times=own,
-        )  # fmt: skip
+        )
 
     def project(self, p_world: Array, frames: Any) -> Array:
         """Project points to pixels (n, ..., 2) of the upright video; NaN outside the camera's sight.
@@ -188,11 +190,7 @@ class KeypointSequence:
         return replace(self, uv_px=self.uv_px[:, kept], confidence=self.confidence[:, kept], names=names)
 
     def select(self, names: Sequence[str]) -> Self:
-        """Return landmarks in the order of `names`; missing ones are NaN with confidence 0.
-
-        Args:
-            names: landmarks.
-        """
+        """Return landmarks in the order of `names`; missing ones are NaN with confidence 0."""
         uv = np.full((len(self), len(names), 2), np.nan)
         confidence = np.zeros((len(self), len(names)))
         for i, name in enumerate(names):

@@ -103,9 +103,7 @@ class PoseSequence:
         finite = np.isfinite(self.p_world_joint).all(axis=-1)
         provenance = np.zeros((T, J)) if self.provenance is None else self.provenance
         if not np.all(np.isin(provenance, list(Provenance))):
-            raise InvalidInputError(
-                f"pose provenance: a value is not one of {', '.join(map(repr, Provenance))}"
-            )
+            raise InvalidInputError(f"pose provenance: a value is not one of {', '.join(map(repr, Provenance))}")
         set_(self, "provenance", readonly("pose provenance", provenance, (T, J), np.uint8))
         valid = readonly("pose valid", finite if self.valid is None else self.valid, (T, J), np.bool_)
         set_(self, "valid", readonly("pose valid", valid & finite, (T, J), np.bool_))
@@ -130,7 +128,7 @@ class PoseSequence:
         """Return some frames with other poses.
 
         Args:
-            frames: to be kept. p_world_joint: (T', J, 3) m.
+            p_world_joint: (T', J, 3) m.
             R_world_bone: (T', J, 3, 3); if given, `sigma_rad` becomes NaN, else orientations are kept.
         """
         sigma_rad = self.sigma_rad[frames]

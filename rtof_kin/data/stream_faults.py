@@ -12,9 +12,7 @@ class FaultKind(Enum):
     """Fault and treatment, as a sentence."""
 
     SIDES = "left and right were exchanged in the keypoints; they were exchanged back"
-    SIDES_IN_DOUBT = (
-        "left and right of the keypoints may be exchanged; when that ended is unclear, so they were kept"
-    )
+    SIDES_IN_DOUBT = "left and right of the keypoints may be exchanged; when that ended is unclear, so they were kept"
     SOMEBODY_ELSE = "the keypoints jumped to another person and back; they were left out"
     JUMP = "the keypoints jumped and did not come back; which person is tracked is unclear"
     UNSEEN = "nobody is seen in this gap; positions in it are bridged, or not valid"

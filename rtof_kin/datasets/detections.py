@@ -47,11 +47,10 @@ def read_detections(
     """Read the detections in the video of one take and camera.
 
     Args:
-        folder: of the files. subject, take: names. number: of the camera. camera: its calibration.
         skeleton: that has the landmarks; the 21-joint one by default.
         rate_hz: frame rate of the video, Hz, for files without times.
-        layout: of a detector's points, or `files.RECOGNISE`; by default the skeleton's own landmarks. Only
-            for the 21-joint skeleton.
+        layout: of a detector's points, or `files.RECOGNISE`; by default the skeleton's own landmarks. Only for the
+            21-joint skeleton.
 
     Raises:
         FileFormatError: no file, different files, or one that is damaged or of another format or layout.
@@ -70,18 +69,17 @@ def read_detections(
     shape = files.needed(path, shapes, "uv_px", "(T, L, 2)")
     if shape[1:] != (len(names), 2):
         raise FileFormatError(
-            path, f"uv_px has shape {shape}, and {len(names)} landmarks are named; list the names of its "
-            f"points, one a line, in {Path(folder) / LANDMARKS}, or name a detector's layout"
-        )  # fmt: skip
+            path,
+            f"uv_px has shape {shape}, and {len(names)} landmarks are named; list the names of its "
+            f"points, one a line, in {Path(folder) / LANDMARKS}, or name a detector's layout",
+        )
     unknown = [name for name in names if name not in skeleton.landmarks]
     if unknown:
         kind = f"landmark (a detector's own points need the name of their layout) in {path}"
         raise UnknownNameError(kind, unknown, list(skeleton.landmarks))
     with files.naming(path):
         uv, confidence = files.keypoint_arrays(arrays)
-        return KeypointSequence(
-            camera, arrays.get("times", np.arange(len(uv)) / rate_hz), uv, confidence, names
-        )
+        return KeypointSequence(camera, arrays.get("times", np.arange(len(uv)) / rate_hz), uv, confidence, names)
 
 
 def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> KeypointSequence:
@@ -89,9 +87,7 @@ def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> Keypoin
     found = read_detector_file(path, camera.width_px, camera.height_px)
     times = np.arange(len(found)) / rate_hz if found.times is None else found.times
     with files.naming(path):
-        adapted = keypoints_from_detections(
-            found, times, camera, None if layout == files.RECOGNISE else layout
-        )
+        adapted = keypoints_from_detections(found, times, camera, None if layout == files.RECOGNISE else layout)
     _log.info("%s: %s", path, adapted.summary)
     return adapted.keypoints
 
@@ -125,7 +121,8 @@ def _find(folder: Path, subject: str, take: str, number: int, formats: Sequence[
     path = only_one(sorted(found))
     if path is None:
         raise FileFormatError(
-            folder, f"no detections of {subject} {take} camera {number}: expected a file such as "
+            folder,
+            f"no detections of {subject} {take} camera {number}: expected a file such as "
             f"TC_{subject}_{take}_cam{number}.npz",
-        )  # fmt: skip
+        )
     return path

@@ -34,25 +34,36 @@ from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}
 SEGMENTS: Final = {
-    "pelvis": "pelvis", "torso": "sternum", "femur_r": "right thigh", "femur_l": "left thigh",
-    "tibia_r": "right shank", "tibia_l": "left shank", "calcn_r": "right foot", "calcn_l": "left foot",
-}  # fmt: skip
+    "pelvis": "pelvis",
+    "torso": "sternum",
+    "femur_r": "right thigh",
+    "femur_l": "left thigh",
+    "tibia_r": "right shank",
+    "tibia_l": "left shank",
+    "calcn_r": "right foot",
+    "calcn_l": "left foot",
+}
 """Body of OpenSim in the metadata -> segment; the right foot's second sensor, on the toes, is left out."""
 POSE_SECONDS: Final = 1.0
 """[s] of the T-pose from `start_ts` on that are used."""
 _QUATERNION: Final = re.compile(r"(.+)_Q([WXYZ])")
 _MARKER: Final = re.compile(r"(.+)_([XYZ])_\[mm\]")
 _MARKERS: Final[dict[str, tuple[str, ...]]] = {
-    "right_asis": ("R_IAS",), "left_asis": ("L_IAS",), "right_psis": ("R_IPS",), "left_psis": ("L_IPS",),
-    "right_knee": ("R_FLE", "R_FME"), "left_knee": ("L_FLE", "L_FME"),
-    "right_ankle": ("R_FAL", "R_TAM"), "left_ankle": ("L_FAL", "L_TAM"),
-}  # fmt: skip
+    "right_asis": ("R_IAS",),
+    "left_asis": ("L_IAS",),
+    "right_psis": ("R_IPS",),
+    "left_psis": ("L_IPS",),
+    "right_knee": ("R_FLE", "R_FME"),
+    "left_knee": ("L_FLE", "L_FME"),
+    "right_ankle": ("R_FAL", "R_TAM"),
+    "left_ankle": ("L_FAL", "L_TAM"),
+}
 """Point -> the markers whose middle it is."""
 _OF_LEGS: Final = tuple(
-    f"{name}_{side}" for side in "rl"
-    for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle",
-                 "subtalar_angle")
-)  # fmt: skip
+    f"{name}_{side}"
+    for side in "rl"
+    for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle", "subtalar_angle")
+)
 _LAYOUT: Final = "SUBJECT/ng/xsens_imu_data_SUBJECT_ng.csv with metadata and markers"
 
 
@@ -101,9 +112,10 @@ class Gaitex:
             source = "OpenSim inverse kinematics of optical markers, run by the user"
             return Truth(read_opensim_table(own), _OF_LEGS, source, reach=0.5)
         path = existing(
-            take.folder / f"qualisys_marker_data_{take.key}.csv", "the positions of the markers",
+            take.folder / f"qualisys_marker_data_{take.key}.csv",
+            "the positions of the markers",
             "unpack the raw data of GAITEX",
-        )  # fmt: skip
+        )
         times, points = read_markers(path)
         centres = {name: _point(path, points, markers) for name, markers in _MARKERS.items()}
         table = hinge_table(times, hip_centres(centres) | centres)
@@ -191,9 +203,7 @@ def _table(path: Path, time: str) -> tuple[list[str], Array]:
     lines = [line for line in read_text(path, "CSV").splitlines() if line.strip()]
     names = [name.strip().strip('"') for name in lines[0].split(",")] if lines else []
     if not names or names[0] != time:
-        raise FileFormatError(
-            path, f"expected {time!r} as first column, found {names[0] if names else ''!r}", 1
-        )
+        raise FileFormatError(path, f"expected {time!r} as first column, found {names[0] if names else ''!r}", 1)
     rows = []
     for number, line in enumerate(lines[1:], 2):
         cells = line.split(",")

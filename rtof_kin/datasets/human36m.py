@@ -100,9 +100,6 @@ class Human36M:
     def motion(self, subject: str, action: str) -> Motion:
         """Return the positions of an action and the subject's body.
 
-        Args:
-            subject, action: names in the archive.
-
         Raises:
             UnknownNameError: no such subject or action. FileFormatError: this action is corrupt.
             UnitError: positions are not in metres.
@@ -115,10 +112,11 @@ class Human36M:
         if len(wrong):
             bone = int(wrong[0])
             raise FileFormatError(
-                self._archives.path_3d, f"{subject} {action!r}: the bone that ends at "
+                self._archives.path_3d,
+                f"{subject} {action!r}: the bone that ends at "
                 f"{self.skeleton.names[bone]} is {own[bone]:.3f} m long, but {usual[bone]:.3f} m in all "
-                "of the subject's actions together; get the archive again"
-            )  # fmt: skip
+                "of the subject's actions together; get the archive again",
+            )
         return Motion(subject, action, p, offsets)
 
     def recording(self, subject: str, action: str, camera: int) -> Recording:
@@ -129,7 +127,7 @@ class Human36M:
         the subject's others with the same camera, `notes` says so: a known fault of a few sequences of S9.
 
         Args:
-            subject, action: names in the archive. camera: 0 to 3, see `human36m_cameras.CAMERA_IDS`.
+            camera: 0 to 3, see `human36m_cameras.CAMERA_IDS`.
 
         Raises:
             UnknownNameError: no such subject, action or camera. FileFormatError: a corrupt entry.
@@ -242,7 +240,7 @@ def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
     """Return the median distance (J,) of each joint from its parent, m, 0 for the root.
 
     Args:
-        skeleton: with the parents. p_world_joint: (T, J, 3) m, joints in its order, finite.
+        p_world_joint: (T, J, 3) m, joints in its order, finite.
     """
     parents = np.maximum(skeleton.parents, 0)
     distance = np.linalg.norm(p_world_joint - p_world_joint[:, parents], axis=-1)
@@ -257,7 +255,7 @@ def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
     analysis over the frames, without scale (Gower 1975), in axes nearest to the table's.
 
     Args:
-        skeleton: with the table. p_world_joint: (T, J, 3) m, joints in its order, finite.
+        p_world_joint: (T, J, 3) m, joints in its order, finite.
 
     Raises:
         InvalidInputError: a bone has no length.

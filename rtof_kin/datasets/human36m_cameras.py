@@ -38,9 +38,6 @@ _PLAUSIBLE_DISTANCE = (1.0, 30.0)
 def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
     """Read the cameras in the file by subject ('S9') and number (0 to 3), world z up, m.
 
-    Args:
-        path: of the .json or .py file.
-
     Raises:
         FileFormatError: another kind of file, or a missing or invalid entry.
         UnitError: an implausible position, not in millimetres.
@@ -49,9 +46,8 @@ def read_cameras(path: str | Path) -> dict[str, dict[int, Camera]]:
     readers = {".json": _read_json, ".py": _read_source}
     if path.suffix.lower() not in readers:
         raise FileFormatError(
-            path, "not a file of cameras; name the JSON file of camera parameters or VideoPose3D's "
-            "h36m_dataset.py"
-        )  # fmt: skip
+            path, "not a file of cameras; name the JSON file of camera parameters or VideoPose3D's h36m_dataset.py"
+        )
     cameras = readers[path.suffix.lower()](path)
     if not cameras:
         raise FileFormatError(path, "there is no camera of any subject in it")
@@ -123,9 +119,7 @@ def _literal(path: Path, text: str, name: str) -> Any:
             ):
                 return ast.literal_eval(statement.value)
     except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError) as error:
-        raise FileFormatError(
-            path, f"{name} is not written out in numbers ({error}); it is read, never run"
-        ) from error
+        raise FileFormatError(path, f"{name} is not written out in numbers ({error}); it is read, never run") from error
     raise FileFormatError(path, f"there is no {name} in it; name VideoPose3D's common/h36m_dataset.py")
 
 
@@ -154,9 +148,7 @@ def _table(path: Path, where: str, value: Any) -> Mapping[str, Any]:
     return value
 
 
-def _array(
-    path: Path, where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None = None
-) -> Array:
+def _array(path: Path, where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None = None) -> Array:
     """Return a field's finite numbers, of that shape if one is given."""
     try:
         array = np.array(table[field], dtype=np.float64)

@@ -46,9 +46,10 @@ class Archives:
             if (self.root / name).is_file():
                 return self.root / name
         raise FileFormatError(
-            self.root, f"neither {' nor '.join(_CAMERA_FILES)} is in this folder; name the file of "
-            "cameras, which the archives of poses do not hold"
-        )  # fmt: skip
+            self.root,
+            f"neither {' nor '.join(_CAMERA_FILES)} is in this folder; name the file of "
+            "cameras, which the archives of poses do not hold",
+        )
 
     @cached_property
     def all_positions(self) -> Mapping[str, Mapping[str, Any]]:
@@ -73,11 +74,7 @@ class Archives:
         return read_cameras(self.path_cameras)
 
     def positions(self, subject: str, action: str) -> Array:
-        """Return (T, 17, 3) m, world z up; NaN where not finite.
-
-        Args:
-            subject, action: names in the archive.
-        """
+        """Return (T, 17, 3) m, world z up; NaN where not finite."""
         actions = _entry(f"subject in {self.path_3d.name}", self.all_positions, subject)
         value = _entry(f"action of {subject} in {self.path_3d.name}", actions, action)
         p = _numbers(self.path_3d, f"{subject} {action!r}", value, (32, 3))[:, JOINTS_OF_32]
@@ -90,7 +87,7 @@ class Archives:
         """Return (T', 17, 2) px; NaN where not finite. T' may differ from T by some frames.
 
         Args:
-            subject, action: names in the archive. camera: 0 to 3.
+            camera: 0 to 3.
         """
         actions = _entry(f"subject in {self.path_2d.name}", self.all_keypoints, subject)
         cameras = _entry(f"action of {subject} in {self.path_2d.name}", actions, action)
@@ -107,7 +104,7 @@ class Archives:
         """Return a subject's camera.
 
         Args:
-            subject: name in the file. number: 0 to 3.
+            number: 0 to 3.
         """
         name = self.path_cameras.name
         cameras: Mapping[int, Camera] = _entry(f"subject in {name}", self.all_cameras, subject)
@@ -118,11 +115,7 @@ class Archives:
 
 
 def by_number(subjects: Iterable[str]) -> list[str]:
-    """Return subjects in the order of their numbers: S9 before S11.
-
-    Args:
-        subjects: names.
-    """
+    """Return subjects in the order of their numbers: S9 before S11."""
     return sorted(subjects, key=lambda name: (len(name), name))
 
 
@@ -142,9 +135,10 @@ def _check_metadata(path: Path, metadata: Any) -> None:
         sides = []
     if given.get("num_joints") != 17 or layout != "h36m" or sides != _SYMMETRY:
         raise FileFormatError(
-            path, f"metadata: {given.get('num_joints')} points, layout {layout!r}, left and right "
-            f"{sides}; only Human3.6M's own 17 joints can be compared with its positions"
-        )  # fmt: skip
+            path,
+            f"metadata: {given.get('num_joints')} points, layout {layout!r}, left and right "
+            f"{sides}; only Human3.6M's own 17 joints can be compared with its positions",
+        )
 
 
 def _entry(kind: str, table: Mapping[str, Any], name: str) -> Any:

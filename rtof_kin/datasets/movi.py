@@ -26,32 +26,51 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.joint_centres import hinge_table
-from rtof_kin.datasets.public_sets import (
-    Movement,
-    Take,
-    TakeInputs,
-    Truth,
-    checked_root,
-    kind_of,
-    natural,
-    some,
-)
+from rtof_kin.datasets.public_sets import Movement, Take, TakeInputs, Truth, checked_root, kind_of, natural, some
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
 CENTRES: Final = (
-    "head", "mid_hip", "pelvis", "thorax", "left_ankle", "left_elbow", "left_hip", "left_hand", "left_knee",
-    "left_shoulder", "left_wrist", "left_foot", "right_ankle", "right_elbow", "right_hip", "right_hand",
-    "right_knee", "right_shoulder", "right_wrist", "right_foot",
-)  # fmt: skip
+    "head",
+    "mid_hip",
+    "pelvis",
+    "thorax",
+    "left_ankle",
+    "left_elbow",
+    "left_hip",
+    "left_hand",
+    "left_knee",
+    "left_shoulder",
+    "left_wrist",
+    "left_foot",
+    "right_ankle",
+    "right_elbow",
+    "right_hip",
+    "right_hand",
+    "right_knee",
+    "right_shoulder",
+    "right_wrist",
+    "right_foot",
+)
 """Order of the virtual markers."""
 VIDEO_HZ, MARKERS_HZ = 30.0, 120.0
 SIZE_PX: Final = (800, 600)
 _KINDS: Final[dict[str, Movement]] = {
-    "walking": "walk", "sitting_down": "sit-to-stand", "squatting": "squat", "crawling": "floor",
-    "cross_legged_sitting": "floor", "pointing": "arms", "hand_clapping": "arms", "crossarms": "arms",
-    "cross_arms": "arms", "hand_waving": "arms", "checking_watch": "arms", "taking_photo": "arms",
-    "throw": "arms", "scratching_head": "arms", "phone_talking": "arms",
-}  # fmt: skip
+    "walking": "walk",
+    "sitting_down": "sit-to-stand",
+    "squatting": "squat",
+    "crawling": "floor",
+    "cross_legged_sitting": "floor",
+    "pointing": "arms",
+    "hand_clapping": "arms",
+    "crossarms": "arms",
+    "cross_arms": "arms",
+    "hand_waving": "arms",
+    "checking_watch": "arms",
+    "taking_photo": "arms",
+    "throw": "arms",
+    "scratching_head": "arms",
+    "phone_talking": "arms",
+}
 _CAMERAS: Final = ("PG1", "PG2")
 _MARKERS: Final = re.compile(r"F_v3d_Subject_(\d+)\.mat", re.IGNORECASE)
 _LAYOUT: Final = "F_v3d_Subject_1.mat beside F_PG1_Subject_1_L.avi and cameraParams_PG1.npz, at any depth"
@@ -100,9 +119,12 @@ class Movi:
         video = self._found(rf"F_{take.camera}_Subject_{number}(_L)?\.(avi|mp4)")
         first, last = self._of(take)["flags30"][_index(take)]
         return TakeInputs(
-            video=video, span=((first - 1) / VIDEO_HZ, (last - 1) / VIDEO_HZ),
-            size_px=None if video else SIZE_PX, rate_hz=VIDEO_HZ, camera=self._camera(take.camera),
-        )  # fmt: skip
+            video=video,
+            span=((first - 1) / VIDEO_HZ, (last - 1) / VIDEO_HZ),
+            size_px=None if video else SIZE_PX,
+            rate_hz=VIDEO_HZ,
+            camera=self._camera(take.camera),
+        )
 
     def _camera(self, name: str) -> Camera:
         intrinsics, extrinsics = f"cameraParams_{name}.npz", f"Extrinsics_{name}.npz"
@@ -147,10 +169,6 @@ def _index(take: Take) -> int:
 def read_camera(intrinsics: Path, extrinsics: Path) -> Camera:
     """Read a camera; MATLAB multiplies rows from the left and counts pixels from 1.
 
-    Args:
-        intrinsics: with IntrinsicMatrix and RadialDistortion.
-        extrinsics: with rotationMatrix and translationVector.
-
     Raises:
         FileFormatError: an array is missing, of another shape, or no camera.
     """
@@ -170,9 +188,7 @@ def _arrays(path: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
     found = read_npz(path)
     for name, shape in shapes.items():
         if name not in found or np.size(found[name]) != np.prod(shape):
-            raise FileFormatError(
-                path, f"{name}: expected an array {shape}; is it of another version of the set?"
-            )
+            raise FileFormatError(path, f"{name}: expected an array {shape}; is it of another version of the set?")
     return {name: np.asarray(found[name], dtype=float).reshape(shape) for name, shape in shapes.items()}
 
 
@@ -211,9 +227,7 @@ def read_motions(path: Path) -> dict[str, Any]:
         found[field] = flags
     if found["flags120"].max(initial=0) > len(points):
         raise FileFormatError(path, f"move.flags120 ends after the {len(points)} frames of the markers")
-    return {
-        "motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points,
-    }  # fmt: skip
+    return {"motions": motions, "flags30": found["flags30"], "flags120": found["flags120"], "points": points}
 
 
 def _field(path: Path, struct: Any, name: str) -> Any:
@@ -232,8 +246,4 @@ def _plain(value: Any) -> Any:
     """Return what nested arrays of one element hold."""
     while isinstance(value, np.ndarray) and value.dtype == object and value.size == 1:
         value = value.flat[0]
-    return (
-        value.flat[0]
-        if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1
-        else value
-    )
+    return value.flat[0] if isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.size == 1 else value

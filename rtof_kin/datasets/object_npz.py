@@ -25,7 +25,7 @@ def read_object_npz(path: str | Path, wanted: Sequence[str], limit: int = LARGES
     """Read members of an .npz file whose objects are plain data; nothing in the file is executed.
 
     Args:
-        path: the archive. wanted: names of the members to read. limit: maximum sum of their sizes, bytes.
+        limit: maximum sum of their sizes, bytes.
 
     Returns:
         By name: a read-only numeric array, or (for a 0-d array of one object) an object made of dict with

@@ -39,12 +39,24 @@ _NO_MOVEMENT: Final = ("static", "extrinsics", "calib", "neutral")
 _VIDEOS: Final = (".avi", ".mp4", ".mov")
 _SYNCHRONISED: Final = "_syncdWithMocap"
 _MEASURED: Final = (
-    "lumbar_extension", "lumbar_bending", "lumbar_rotation",
-    *(f"{name}_{side}" for side in "rl" for name in (
-        "hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle", "subtalar_angle",
-        "elbow_flex", "pro_sup",
-    )),
-)  # fmt: skip
+    "lumbar_extension",
+    "lumbar_bending",
+    "lumbar_rotation",
+    *(
+        f"{name}_{side}"
+        for side in "rl"
+        for name in (
+            "hip_flexion",
+            "hip_adduction",
+            "hip_rotation",
+            "knee_angle",
+            "ankle_angle",
+            "subtalar_angle",
+            "elbow_flex",
+            "pro_sup",
+        )
+    ),
+)
 _LAYOUT: Final = "subjectN/VideoData/SessionN/CamN/TRIAL/ and subjectN/OpenSimData/Mocap/IK/TRIAL.mot"
 
 
@@ -77,9 +89,10 @@ class OpenCapValidation:
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""
         calibration = existing(
-            take.folder.parent / "cameraIntrinsicsExtrinsics.pickle", "the calibration of the camera",
+            take.folder.parent / "cameraIntrinsicsExtrinsics.pickle",
+            "the calibration of the camera",
             "unpack it from LabValidation_withVideos, or measure without one: --camera unknown",
-        )  # fmt: skip
+        )
         return TakeInputs(video=_video(take), rate_hz=60.0, camera=calibration, height=_height(take))
 
     def truth(self, take: Take) -> Truth:
@@ -90,9 +103,11 @@ class OpenCapValidation:
         if "knee_angle_r" not in table.names:
             raise FileFormatError(path, "has no column knee_angle_r: is it another version of the set?")
         return Truth(
-            table, _MEASURED, "OpenSim inverse kinematics of optical markers",
+            table,
+            _MEASURED,
+            "OpenSim inverse kinematics of optical markers",
             reach=1.0 if _is_synchronised(take) else 3.0,
-        )  # fmt: skip
+        )
 
 
 def _height(take: Take) -> float:

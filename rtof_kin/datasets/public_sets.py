@@ -1,9 +1,8 @@
 """What the adapters of public data sets have in common: takes, their inputs and their reference.
 
 An adapter reads a folder that the user has downloaded and unpacked. It lists takes without reading them
-(`PublicSet.takes`), names the files that a recording is made from (`inputs`) and reads what it is compared
-with (`truth`). Nothing is guessed of a file that is missing: the take is listed and fails with the file's
-name.
+(`PublicSet.takes`), names the files that a recording is made from (`inputs`) and reads what it is compared with
+(`truth`). Nothing is guessed of a file that is missing: the take is listed and fails with the file's name.
 """
 
 from __future__ import annotations
@@ -108,9 +107,6 @@ class PublicSet(Protocol):
 def checked_root(root: Path, title: str) -> Path:
     """Return the folder of a set.
 
-    Args:
-        root: given by the user. title: of the set, for the message.
-
     Raises:
         FileFormatError: there is no such folder.
     """
@@ -123,7 +119,7 @@ def existing(path: Path, what: str, remedy: str) -> Path:
     """Return a file that exists.
 
     Args:
-        path: the file. what: it is, in words. remedy: what to do without it.
+        remedy: what to do without it.
 
     Raises:
         FileFormatError: there is no such file.
@@ -135,9 +131,6 @@ def existing(path: Path, what: str, remedy: str) -> Path:
 
 def some(takes: Iterable[Take], root: Path, title: str, layout: str) -> tuple[Take, ...]:
     """Return the takes of a set.
-
-    Args:
-        takes: found. root: folder. title: of the set. layout: of its files, for the message.
 
     Raises:
         FileFormatError: there is none.
@@ -152,7 +145,7 @@ def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:
     """Return the class of a movement by the beginning of its name in small letters; 'other' if unknown.
 
     Args:
-        name: of the movement. kinds: beginning -> class; the longest that fits counts.
+        kinds: beginning -> class; the longest that fits counts.
     """
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     fitting = [start for start in kinds if plain.startswith(start)]
@@ -160,9 +153,5 @@ def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:
 
 
 def natural(text: str) -> list[tuple[int, str]]:
-    """Return a key that sorts numbers in names by their value.
-
-    Args:
-        text: the name.
-    """
+    """Return a key that sorts numbers in names by their value."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", text) if part]

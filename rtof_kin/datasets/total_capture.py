@@ -47,9 +47,7 @@ from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_c
 from rtof_kin.recording import files
 from rtof_kin.recording.recording import Recording
 
-__all__ = [
-    "ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Take", "TotalCapture",
-]  # fmt: skip
+__all__ = ["ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Take", "TotalCapture"]
 
 ACKNOWLEDGEMENT = (
     "Total Capture: M. Trumble, A. Gilbert, C. Malleson, A. Hilton, J. Collomosse, 'Total Capture: 3D "
@@ -201,9 +199,6 @@ class TotalCapture:
     def __init__(self, root: str | Path):
         """Search for the files.
 
-        Args:
-            root: folder of the dataset.
-
         Raises:
             FileFormatError: there is no such folder, or no file of the dataset in it.
         """
@@ -246,9 +241,7 @@ class TotalCapture:
         """
         key = (subject.upper(), name.lower())
         if key not in self.index.files:
-            raise UnknownNameError(
-                f"take in {self.root}", [" ".join(key)], [" ".join(take) for take in self.takes]
-            )
+            raise UnknownNameError(f"take in {self.root}", [" ".join(key)], [" ".join(take) for take in self.takes])
         truth = read_truth(key, partial(self.index.one, key), partial(self._others, key))
         if truth is None:
             raise FileFormatError(
@@ -298,9 +291,7 @@ class TotalCapture:
         table = read_sensors(path)
         bone, ref = read_imu_calibration(calib_bone), read_imu_calibration(calib_ref)
         known = SkeletonModel.default().sensors
-        for where, have in (
-            (path, table.names), (calib_bone, bone), (calib_ref, ref), ("the skeleton", known)
-        ):  # fmt: skip
+        for where, have in ((path, table.names), (calib_bone, bone), (calib_ref, ref), ("the skeleton", known)):
             absent = [name for name in {**dict.fromkeys(table.names), **known} if name not in have]
             if absent:
                 where = where.name if isinstance(where, Path) else where
@@ -347,9 +338,8 @@ def _sensor_rotations(path: Path, quat_wxyz: Array, names: list[str], notes: lis
     if wrong.any():
         frame, sensor = np.argwhere(wrong)[0]
         raise FileFormatError(
-            path, f"the quaternion of {names[sensor]} in frame {frame + 1} has norm "
-            f"{norm[frame, sensor]:.3g}, not 1",
-        )  # fmt: skip
+            path, f"the quaternion of {names[sensor]} in frame {frame + 1} has norm {norm[frame, sensor]:.3g}, not 1"
+        )
     for sensor in np.flatnonzero(absent.any(axis=0)):
         lost = int(absent[:, sensor].sum())
         notes.append(f"{names[sensor]}: no orientation in {lost} frames: unknown")

@@ -29,17 +29,12 @@ _IMU_DEG: Final = 15.0
 _REPROJECTION_PX: Final = 20.0
 _BIAS_PX: Final = {2: float(np.hypot(20, -8))}
 """Known error of detections on a miscalibrated camera's video, px."""
-_T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand",
-                 "RightLeg", "RightFoot", "LeftLeg", "LeftFoot")  # fmt: skip
+_T_POSE_BONES = ("RightForeArm", "RightHand", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftLeg", "LeftFoot")
 """Child joints of the limb bones that make a T-pose."""
 
 
 def check_take(take: Take) -> list[Check]:
-    """Check the T-pose and facing at frame 0, the body's size, rigidity, and every sensor.
-
-    Args:
-        take: to check.
-    """
+    """Check the T-pose and facing at frame 0, the body's size, rigidity, and every sensor."""
     checks = [*_check_start(take), _check_size(take), _check_bones(take)]
     if take.imus is not None and take.calibration is not None:
         bone_imus = take.calibration.apply(take.imus)
@@ -58,16 +53,15 @@ def check_camera(camera: int) -> list[Check]:
         return []
     advice = f"{_sentence(MISCALIBRATED[camera])}; ground-truth 2D is not affected"
     return [
-        Check("known bias of the calibration", f"camera {camera}", _BIAS_PX[camera], _REPROJECTION_PX,
-              "px", advice)
-    ]  # fmt: skip
+        Check("known bias of the calibration", f"camera {camera}", _BIAS_PX[camera], _REPROJECTION_PX, "px", advice)
+    ]
 
 
 def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> list[Check]:
     """Check the median reprojection error of the reference's joints.
 
     Args:
-        take: with the reference. camera: number, 1 to 8. keypoints: detections on its video.
+        camera: number, 1 to 8.
 
     Raises:
         UnknownNameError: the take has no such camera.
@@ -91,8 +85,7 @@ def _check_start(take: Take) -> Iterator[Check]:
     right = p[skeleton.index("RightUpLeg")[0]] - p[skeleton.index("LeftUpLeg")[0]]
     turned_deg = float(np.degrees(np.arctan2(right[1], right[0])))
     advice = "Is the take cut, or in another world frame?"
-    yield Check("turn from the usual facing at frame 0", "take", abs(turned_deg), _FACING_DEG, "deg",
-                advice)  # fmt: skip
+    yield Check("turn from the usual facing at frame 0", "take", abs(turned_deg), _FACING_DEG, "deg", advice)
     R_world_t_pose = so3.about_axis("z", np.radians(turned_deg + 90.0))
     children = skeleton.index(*_T_POSE_BONES)
     bones = p[children] - p[[skeleton.parents[child] for child in children]]
@@ -118,13 +111,18 @@ def _check_bones(take: Take) -> Check:
     """Check that the skeleton is rigid; with derived orientations, that bones have constant length."""
     if np.isfinite(take.spread_mm):
         advice = "Do positions and orientations belong together?"
-        return Check("spread of joints in their parents' frames", "take", take.spread_mm, RIGID_MM,
-                     "mm", advice)  # fmt: skip
+        return Check("spread of joints in their parents' frames", "take", take.spread_mm, RIGID_MM, "mm", advice)
     p = take.truth.p_world_joint
     lengths = np.linalg.norm(p[:, 1:] - p[:, list(take.skeleton.parents[1:])], axis=-1)
     spread_mm = 1000 * float(np.nanstd(lengths, axis=0).max())
-    return Check("spread of bone lengths", "take", spread_mm, RIGID_MM, "mm",
-                 "The reference's bones are rigid: are the positions damaged?")  # fmt: skip
+    return Check(
+        "spread of bone lengths",
+        "take",
+        spread_mm,
+        RIGID_MM,
+        "mm",
+        "The reference's bones are rigid: are the positions damaged?",
+    )
 
 
 def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> list[Check]:
@@ -143,10 +141,9 @@ def _check_orientations(take: Take, imus: BoneImuSequence, sensors: tuple[str, .
         share = f"{failed} of {len(medians_deg)} sensors"
         advice = f"{share} fail this: is it the calibration of another take?"
     return [
-        Check("median angle to the reference's segment", f"sensor {sensor}", value, _IMU_DEG, "deg",
-              advice)
+        Check("median angle to the reference's segment", f"sensor {sensor}", value, _IMU_DEG, "deg", advice)
         for sensor, value in medians_deg.items()
-    ]  # fmt: skip
+    ]
 
 
 def _check_accelerations(take: Take, imus: BoneImuSequence, sensors: tuple[str, ...]) -> Iterator[Check]:

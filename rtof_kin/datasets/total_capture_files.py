@@ -24,9 +24,8 @@ MISCALIBRATED = {2: "camera 2 is miscalibrated: detections on its video lie (+20
 TRAIN = tuple(
     (subject, take)
     for subject in ("S1", "S2", "S3")
-    for take in ("rom1", "rom2", "rom3", "walking1", "walking3", "freestyle1", "freestyle2",
-                 "acting1", "acting2")
-)  # fmt: skip
+    for take in ("rom1", "rom2", "rom3", "walking1", "walking3", "freestyle1", "freestyle2", "acting1", "acting2")
+)
 """Takes of the paper's training set, without a running take that is not in the dataset."""
 TEST = tuple((subject, take) for subject in SUBJECTS for take in ("walking2", "acting3", "freestyle3"))
 """Takes of the paper's test set."""
@@ -68,7 +67,7 @@ class FileIndex:
         """Return the file of a kind, or None.
 
         Args:
-            take: subject and take. kind: one of `KINDS`.
+            kind: one of `KINDS`.
 
         Raises:
             FileFormatError: there are several, and they differ.
@@ -78,9 +77,6 @@ class FileIndex:
 
 def only_one(candidates: list[Path]) -> Path | None:
     """Return the first of several equal files, or None without any.
-
-    Args:
-        candidates: paths.
 
     Raises:
         FileFormatError: they differ.
@@ -94,17 +90,12 @@ def only_one(candidates: list[Path]) -> Path | None:
         except OSError as error:
             raise FileFormatError(first, f"cannot be compared with {other} ({error})") from error
         if not same:
-            raise FileFormatError(
-                first, f"{other} claims to be the same file and differs; remove the wrong one"
-            )
+            raise FileFormatError(first, f"{other} claims to be the same file and differs; remove the wrong one")
     return first
 
 
 def find_files(root: str | Path) -> FileIndex:
     """Search a folder for the dataset's files.
-
-    Args:
-        root: the folder.
 
     Raises:
         FileFormatError: there is no such folder, or none of the dataset's files in it.
@@ -132,13 +123,8 @@ def find_files(root: str | Path) -> FileIndex:
         problem = "holds no file of Total Capture (such as S1/acting1/gt_skel_gbl_pos.txt)"
         if index.unassigned:
             problem = f"subject and take of {index.unassigned[0]} are not in its path"
-        raise FileFormatError(
-            root, f"{problem}; name the folder in which the dataset's archives were unpacked"
-        )
-    for paths, reason in (
-        (unreadable, "cannot be read"),
-        (index.unassigned, "subject and take are not in the path"),
-    ):
+        raise FileFormatError(root, f"{problem}; name the folder in which the dataset's archives were unpacked")
+    for paths, reason in ((unreadable, "cannot be read"), (index.unassigned, "subject and take are not in the path")):
         for path in paths:
             _log.warning("%s: %s; not used", path, reason)
     return index
@@ -146,18 +132,12 @@ def find_files(root: str | Path) -> FileIndex:
 
 def _forget_second_names(index: FileIndex) -> None:
     """Drop unassigned paths (of links) to files that were found under another path."""
-    known = {
-        os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths
-    }
+    known = {os.path.realpath(path) for kinds in index.files.values() for paths in kinds.values() for path in paths}
     index.unassigned[:] = [p for p in index.unassigned if os.path.realpath(p) not in known]
 
 
 def walk(root: Path, unreadable: list[Path]) -> Iterator[Path]:
-    """Yield the files below a folder, without hidden ones; links are followed, but not in circles.
-
-    Args:
-        root: the folder. unreadable: gets the folders that cannot be read.
-    """
+    """Yield the files below a folder, without hidden ones; links are followed, but not in circles."""
     folders: list[tuple[Path, tuple[str, ...]]] = [(root, ())]
     visits: Counter[str] = Counter()
     while folders:

@@ -59,14 +59,12 @@ class Truth:
 
 
 def read_truth(
-    take: tuple[str, str],
-    find: Callable[[str], Path | None],
-    others: Callable[[], Iterable[tuple[str, Array]]],
+    take: tuple[str, str], find: Callable[[str], Path | None], others: Callable[[], Iterable[tuple[str, Array]]]
 ) -> Truth | None:
     """Read positions and orientations of a take; None without positions and a BVH file.
 
     Args:
-        take: subject and take. find: returns the take's file of a kind, or None.
+        find: returns the take's file of a kind, or None.
         others: yields name and joint offsets of the subject's other takes, for a take without orientations.
 
     Raises:
@@ -98,9 +96,8 @@ def read_truth(
             raise FileFormatError(about, _why_not_rigid(p, R, skeleton, spread))
         observed = np.ones(len(skeleton.names), dtype=bool)
     poses = PoseSequence(
-        np.arange(len(p)) / RATE_HZ, p, R, skeleton.names,
-        valid=_valid(take, p, notes), orientation_observed=observed,
-    )  # fmt: skip
+        np.arange(len(p)) / RATE_HZ, p, R, skeleton.names, valid=_valid(take, p, notes), orientation_observed=observed
+    )
     return Truth(poses, offsets, float(spread), tuple(notes))
 
 
@@ -119,14 +116,10 @@ def _ordered(path: Path, width: int, skeleton: SkeletonModel, notes: list[str]) 
     return table.values[:, index]
 
 
-def _indices(
-    path: Path, skeleton: SkeletonModel, names: tuple[str, ...], line: int | None = None
-) -> list[int]:
+def _indices(path: Path, skeleton: SkeletonModel, names: tuple[str, ...], line: int | None = None) -> list[int]:
     absent = [name for name in skeleton.names if name not in names]
     if absent:
-        raise FileFormatError(
-            path, f"has no joint {', '.join(absent)}; its joints are {', '.join(names)}", line
-        )
+        raise FileFormatError(path, f"has no joint {', '.join(absent)}; its joints are {', '.join(names)}", line)
     return indices_of("joint", skeleton.names, names)
 
 
@@ -149,9 +142,8 @@ def _orientations(path: Path, skeleton: SkeletonModel, notes: list[str]) -> Arra
     if wrong.any():
         frame, joint = np.argwhere(wrong)[0]
         raise FileFormatError(
-            path, f"the quaternion of {skeleton.names[joint]} has norm {norm[frame, joint]:.3g}, not 1",
-            int(frame) + 2,
-        )  # fmt: skip
+            path, f"the quaternion of {skeleton.names[joint]} has norm {norm[frame, joint]:.3g}, not 1", int(frame) + 2
+        )
     if absent.all():
         notes.append(f"{path.name} holds no orientation at all")
         return None
@@ -198,9 +190,7 @@ def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Arra
     if len(p) != len(R):
         text = f"{len(p)} frames of positions and {len(R)} of orientations"
         if abs(len(p) - len(R)) > _LENGTH_DIFFERENCE:
-            raise FileFormatError(
-                path, f"{text}: one file is cut off or of another take; fetch and unpack both again"
-            )
+            raise FileFormatError(path, f"{text}: one file is cut off or of another take; fetch and unpack both again")
         notes.append(f"{text}: the shorter counts")
     count = min(len(p), len(R))
     return p[:count], R[:count]
@@ -231,9 +221,10 @@ def _from_bvh(
         apart_mm = 1000 * np.linalg.norm(p[:count] - p_bvh[:count], axis=-1)
         if np.median(apart_mm) > _SAME_MM:
             raise FileFormatError(
-                path, f"its joints are {np.median(apart_mm):.0f} mm (median) away from those in the "
+                path,
+                f"its joints are {np.median(apart_mm):.0f} mm (median) away from those in the "
                 "take's positions: a file of another take?",
-            )  # fmt: skip
+            )
     if p is None:
         notes.append(f"no positions: taken from {path.name}")
         p = p_bvh

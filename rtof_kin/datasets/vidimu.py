@@ -6,10 +6,9 @@ Files of a trial, subjects S40 to S57 with sensors::
     dataset/videoandimus/S40/S40_A01_T01.raw     CSV: QUAT,w,x,y,z,timestamp; five lines an instant, 50 Hz
     dataset/videoandimus/S40/ik_S40_A01_T01.mot  OpenSim's inverse kinematics of those sensors
 
-The first instant of a ``.raw`` is the N-pose before the trial, with a time stamp of its own. A01 to A04 have
-sensors on pelvis, thighs and shanks, A05 to A13 on back, upper arms and forearms. There are no
-accelerations. The reference is computed from the same sensors: it tests what is found from the video alone
-(mode rto).
+The first instant of a ``.raw`` is the N-pose before the trial, with a time stamp of its own. A01 to A04 have sensors
+on pelvis, thighs and shanks, A05 to A13 on back, upper arms and forearms. There are no accelerations. The reference is
+computed from the same sensors: it tests what is found from the video alone (mode rto).
 """
 
 from __future__ import annotations
@@ -33,27 +32,37 @@ from rtof_kin.formats.opensim_table import read_opensim_table
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 LOWER: Final = {
-    "qsHIPS": "pelvis", "qsRUL": "right thigh", "qsRLL": "right shank", "qsLUL": "left thigh",
+    "qsHIPS": "pelvis",
+    "qsRUL": "right thigh",
+    "qsRLL": "right shank",
+    "qsLUL": "left thigh",
     "qsLLL": "left shank",
-}  # fmt: skip
+}
 UPPER: Final = {
-    "qsBACK": "sternum", "qsRUA": "right upper arm", "qsRLA": "right forearm", "qsLUA": "left upper arm",
+    "qsBACK": "sternum",
+    "qsRUA": "right upper arm",
+    "qsRLA": "right forearm",
+    "qsLUA": "left upper arm",
     "qsLLA": "left forearm",
-}  # fmt: skip
+}
 """Sensors of A01 to A04 and of A05 to A13 -> segment."""
 ACTIVITIES: Final[dict[str, tuple[str, Movement]]] = {
-    "A01": ("walk forward", "walk"), "A02": ("walk backward", "walk"), "A03": ("walk along a line", "walk"),
-    "A04": ("sit to stand", "sit-to-stand"), "A05": ("move a bottle, right arm", "arms"),
-    "A06": ("move a bottle, left arm", "arms"), "A07": ("drink, right arm", "arms"),
-    "A08": ("drink, left arm", "arms"), "A09": ("assemble a tower", "arms"),
+    "A01": ("walk forward", "walk"),
+    "A02": ("walk backward", "walk"),
+    "A03": ("walk along a line", "walk"),
+    "A04": ("sit to stand", "sit-to-stand"),
+    "A05": ("move a bottle, right arm", "arms"),
+    "A06": ("move a bottle, left arm", "arms"),
+    "A07": ("drink, right arm", "arms"),
+    "A08": ("drink, left arm", "arms"),
+    "A09": ("assemble a tower", "arms"),
     "A10": ("throw and catch", "arms"),
-    "A11": ("reach up, right arm", "arms"), "A12": ("reach up, left arm", "arms"),
+    "A11": ("reach up, right arm", "arms"),
+    "A12": ("reach up, left arm", "arms"),
     "A13": ("tear paper and throw", "arms"),
-}  # fmt: skip
+}
 _LEGS: Final = tuple(
-    f"{name}_{side}"
-    for side in "rl"
-    for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
+    f"{name}_{side}" for side in "rl" for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
 )
 _ARMS: Final = ("elbow_flex_r", "elbow_flex_l", "pro_sup_r", "pro_sup_l")
 _COLUMNS: Final = ("QUAT", "w", "x", "y", "z", "timestamp")
@@ -89,9 +98,7 @@ class Vidimu:
             name = _TRIAL.fullmatch(path.stem.removeprefix("ik_"))
             if name is None or path.parent.name != name[1] or name[2] not in ACTIVITIES:
                 continue
-            if not path.parent.parent.name.startswith(
-                "videoandimusync"
-            ):  # cut copies without videos of their own
+            if not path.parent.parent.name.startswith("videoandimusync"):  # cut copies without videos of their own
                 found.setdefault(name[0], path.parent)
         for key, folder in sorted(found.items()):
             subject, activity, _ = key.split("_")
@@ -99,9 +106,7 @@ class Vidimu:
 
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""
-        path = existing(
-            take.folder / f"{take.key}.raw", "the sensors' quaternions", "unpack dataset.zip of VIDIMU"
-        )
+        path = existing(take.folder / f"{take.key}.raw", "the sensors' quaternions", "unpack dataset.zip of VIDIMU")
         places = LOWER if take.movement in ("A01", "A02", "A03", "A04") else UPPER
         log = read_raw(path, tuple(places))
         return TakeInputs(video=self._video(take), rate_hz=30.0, sensors=log, places=places)
@@ -115,9 +120,10 @@ class Vidimu:
     def truth(self, take: Take) -> Truth:
         """See `PublicSet.truth`."""
         path = existing(
-            take.folder / f"ik_{take.key}.mot", "OpenSim's inverse kinematics",
+            take.folder / f"ik_{take.key}.mot",
+            "OpenSim's inverse kinematics",
             "unpack dataset.zip of VIDIMU; trials that failed have none: leave them out by --takes",
-        )  # fmt: skip
+        )
         lower = take.movement in ("A01", "A02", "A03", "A04")
         table = read_opensim_table(path)
         if len(table.times) <= _OF_POSE + 1:
@@ -140,9 +146,11 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
     header = tuple(name.strip() for name in lines[0].split(",")) if lines else ()
     if header[:5] != _COLUMNS[:5]:
         raise FileFormatError(
-            path, f"expected the columns {','.join(_COLUMNS)}, found {','.join(header) or 'nothing'}; is it "
-            "of another version of the set?", 1,
-        )  # fmt: skip
+            path,
+            f"expected the columns {','.join(_COLUMNS)}, found {','.join(header) or 'nothing'}; is it "
+            "of another version of the set?",
+            1,
+        )
     rows: dict[str, list[list[float]]] = {name: [] for name in sensors}
     for number, line in enumerate(lines[1:], 2):
         cells = line.split(",")
@@ -161,16 +169,12 @@ def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
 def _log(path: Path, rows: dict[str, Array]) -> SensorLog:
     short = [name for name, own in rows.items() if len(own) < 3]
     if short:
-        raise FileFormatError(
-            path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?"
-        )
+        raise FileFormatError(path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?")
     if not all(measurable(own) for own in rows.values()):
         raise FileFormatError(path, "holds a number that cannot be a quaternion or a time")
     norms = np.concatenate([np.linalg.norm(own[:, :4], axis=1) for own in rows.values()])
     if not 0.9 < np.median(norms) < 1.1:
-        raise FileFormatError(
-            path, f"quaternions have a norm of {np.median(norms):.3g}, not 1: another unit?"
-        )
+        raise FileFormatError(path, f"quaternions have a norm of {np.median(norms):.3g}, not 1: another unit?")
     first = min(float(own[1, 4]) for own in rows.values()) if len(next(iter(rows.values()))[0]) == 5 else 0.0
     readings = [Readings(name, _times(own[1:], first), quaternions=own[1:, :4]) for name, own in rows.items()]
     try:

@@ -55,8 +55,11 @@ class ArticulatedMotion:
             raise InvalidInputError("motion parents: the root comes first, then parents before children")
         set_(self, "end_parents", tuple(int(p) for p in self.end_parents))
         shapes: dict[str, tuple[int, ...]] = {
-            "offsets": (J, 3), "p_root": (T, 3), "R_parent_joint": (T, J, 3, 3), "end_offsets": (E, 3),
-        }  # fmt: skip
+            "offsets": (J, 3),
+            "p_root": (T, 3),
+            "R_parent_joint": (T, J, 3, 3),
+            "end_offsets": (E, 3),
+        }
         if self.p_parent_joint is not None:
             shapes["p_parent_joint"] = (T, J, 3)
         for name, shape in shapes.items():
@@ -84,9 +87,6 @@ class ArticulatedMotion:
 
     def renamed(self, names: Mapping[str, str]) -> Self:
         """Return the motion with other names for some joints.
-
-        Args:
-            names: present name -> new name.
 
         Raises:
             UnknownNameError: no such joint. InvalidInputError: two joints would have one name.

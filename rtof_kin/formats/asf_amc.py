@@ -1,11 +1,10 @@
 """Acclaim files: a skeleton (.asf) and a motion of it (.amc).
 
-A bone's rotation is given about its own axes: with C the rotation that its `axis` line states and M
-the product of its degrees of freedom, the bone turns by C M C^-1 against its parent; before any
-rotation all frames are parallel to the file's world. C and M turn about fixed axes in the order
-listed, so the last one stands leftmost. A bone begins at its parent's end and runs along
-`direction` for `length`. Source: the notes on ASF/AMC files of the University of Wisconsin-Madison
-(course CS 838, 1999), and the skeletons of mocap.cs.cmu.edu.
+A bone's rotation is given about its own axes: with C the rotation that its `axis` line states and M the product of its
+degrees of freedom, the bone turns by C M C^-1 against its parent; before any rotation all frames are parallel to the
+file's world. C and M turn about fixed axes in the order listed, so the last one stands leftmost. A bone begins at its
+parent's end and runs along `direction` for `length`. Source: the notes on ASF/AMC files of the University of
+Wisconsin-Madison (course CS 838, 1999), and the skeletons of mocap.cs.cmu.edu.
 """
 
 from __future__ import annotations
@@ -64,7 +63,6 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
     """Read an Acclaim skeleton and a motion of it, in the file's axes and units.
 
     Args:
-        path_asf: the skeleton. path_amc: the motion.
         rate_hz: frames per second, which the format does not state; CMU's are 120, a few 60.
 
     Returns:
@@ -130,9 +128,7 @@ def _axis_order(path: Path, line: int, word: str) -> str:
 def _read_skeleton(path: Path) -> _Skeleton:
     lines = _text_lines(path)
     skeleton = _Skeleton(path)
-    readers = {
-        ":units": _read_units, ":root": _read_root, ":bonedata": _read_bones, ":hierarchy": _read_hierarchy,
-    }  # fmt: skip
+    readers = {":units": _read_units, ":root": _read_root, ":bonedata": _read_bones, ":hierarchy": _read_hierarchy}
     starts = [i for i, (_, text) in enumerate(lines) if text.startswith(":")]
     sections = [lines[i][1].split()[0].lower() for i in starts]
     for name in (":root", ":bonedata", ":hierarchy"):
@@ -287,9 +283,7 @@ def _read_frames(path: Path, bones: list[_Bone], angle_unit: float) -> tuple[lis
             raise FileFormatError(path, f"{name[:40]!r} is no moving bone of the skeleton", line)
         count = len(moving[name].dofs)
         if len(words) != count or len(rows[name]) != frames - 1:
-            raise FileFormatError(
-                path, f"{name}: expected {count} value(s) once a frame, found {text[:40]!r}", line
-            )
+            raise FileFormatError(path, f"{name}: expected {count} value(s) once a frame, found {text[:40]!r}", line)
         rows[name].append(_numbers(path, line, words, count, name))
     check_frame(lines[-1][0])
     if frames == 0:

@@ -1,9 +1,8 @@
 """Biovision hierarchy files (.bvh): a tree of joints and one line of channel values per frame.
 
-The format has no standard. As its readers agree: the order of a joint's CHANNELS is the order of
-intrinsic rotations, in degrees, and position channels replace the joint's OFFSET. Some programs give
-every joint position channels and fill those of all but the root with zeros: such a joint stays at its
-OFFSET.
+The format has no standard. As its readers agree: the order of a joint's CHANNELS is the order of intrinsic rotations,
+in degrees, and position channels replace the joint's OFFSET. Some programs give every joint position channels and fill
+those of all but the root with zeros: such a joint stays at its OFFSET.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
     """Read a BVH file, in its own axes and length unit.
 
     Args:
-        path: the file. rate_hz: frames per second, where the file's are missing or wrong.
+        rate_hz: frames per second, where the file's are missing or wrong.
 
     Returns:
         The motion. `p_parent_joint` is set where joints other than the root move in their parent.
@@ -176,9 +175,7 @@ def _read_channels(tokens: _Tokens, most: int) -> list[tuple[str, str]]:
     return channels
 
 
-def _read_motion(
-    path: Path, lines: list[str], start: int, width: int, rate_hz: float | None
-) -> tuple[float, Array]:
+def _read_motion(path: Path, lines: list[str], start: int, width: int, rate_hz: float | None) -> tuple[float, Array]:
     """Read the rate in Hz and the channel values (T, width) of the lines after line `start`."""
     filled = [(n, text) for n, text in enumerate(lines[start:], start + 1) if text.strip()]
     end = (len(lines), "")
@@ -238,9 +235,7 @@ def _moving(nodes: list[_Joint], values: Array) -> list[bool]:
             if kind == "position":
                 p[:, "xyz".index(axis)] = values[:, column]
             column += 1
-        moving.append(
-            bool(moving) and bool(p.any()) and not np.array_equal(p, np.tile(node.offset, (len(p), 1)))
-        )
+        moving.append(bool(moving) and bool(p.any()) and not np.array_equal(p, np.tile(node.offset, (len(p), 1))))
     return moving
 
 
@@ -276,15 +271,12 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[b
 # --- writing -------------------------------------------------------------------------------------
 
 
-def write_bvh(
-    path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy", overwrite: bool = False
-) -> None:
+def write_bvh(path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy", overwrite: bool = False) -> None:
     """Write a motion that `read_bvh` reads back, in its own axes and length unit.
 
     Args:
-        path: the file. motion: finite positions and rotations.
-        order: order of the rotation channels, the same for all joints, since some readers take the first
-            joint's for all, and others always z x y.
+        order: order of the rotation channels, the same for all joints, since some readers take the first joint's for
+            all, and others always z x y.
         overwrite: whether an existing file is replaced.
 
     Raises:
@@ -295,14 +287,12 @@ def write_bvh(
 
 
 def write_bvh_blocks(
-    path: str | Path, blocks: Iterable[ArticulatedMotion], frames: int, *, order: str = "zxy",
-    overwrite: bool = False,
-) -> None:  # fmt: skip
+    path: str | Path, blocks: Iterable[ArticulatedMotion], frames: int, *, order: str = "zxy", overwrite: bool = False
+) -> None:
     """Write a motion as `write_bvh` does, block by block.
 
     Args:
-        path: the file. blocks: of consecutive frames of one tree; at least one. frames: number of all.
-        order, overwrite: see `write_bvh`.
+        blocks: of consecutive frames of one tree; at least one. order, overwrite: see `write_bvh`.
 
     Raises:
         As `write_bvh`.

@@ -50,9 +50,8 @@ def read_c3d(path: str | Path, *, up: str | None = None) -> MarkerSequence:
     their place; angles, forces, moments and powers that a model stored as points are left out.
 
     Args:
-        path: the file.
-        up: the axis of the file that points up, see `rtof_kin.formats.world_axes.UP`; by default the
-            one that the file declares vertical on a screen (POINT:Y_SCREEN).
+        up: the axis of the file that points up, see `rtof_kin.formats.world_axes.UP`; by default the one that the
+            file declares vertical on a screen (POINT:Y_SCREEN).
 
     Returns:
         The points. Times count from the frame numbered 1, so a trimmed file does not begin at 0.
@@ -145,9 +144,7 @@ def _number(reader: Any, name: str, default: float) -> float:
 def _up(path: Path, reader: Any) -> str:
     vertical = "".join(_texts(reader, "Y_SCREEN")[:1]).strip().lower().lstrip("+")
     if vertical not in ("x", "y", "z", "-x", "-y", "-z"):
-        raise FileFormatError(
-            path, "does not say which axis points up (POINT:Y_SCREEN); declare it, e.g. up='z'"
-        )
+        raise FileFormatError(path, "does not say which axis points up (POINT:Y_SCREEN); declare it, e.g. up='z'")
     return vertical
 
 
@@ -178,9 +175,7 @@ def _points(path: Path, data: bytes, reader: Any) -> Array:
     fitting = len(frames_data) // frame_bytes
     frames = _frames(reader, fitting)
     if not 0 < frames <= fitting:
-        raise FileFormatError(
-            path, f"announces {frames} frames and holds {fitting}; it is damaged or was cut off"
-        )
+        raise FileFormatError(path, f"announces {frames} frames and holds {fitting}; it is damaged or was cut off")
     table = np.frombuffer(frames_data, np.uint8, frames * frame_bytes).reshape(frames, frame_bytes)
     parse: Any = _floats if scale < 0 else _integers
     values = parse(reader, table[:, : 4 * width * points].tobytes()).reshape(frames, points, 4)
@@ -208,7 +203,6 @@ def write_c3d(
     """Write points in mm, which `read_c3d` reads back to the format's 32 bits.
 
     Args:
-        path: the file. markers: the points. up: the axis that points up in the file.
         overwrite: whether an existing file is replaced.
 
     Raises:

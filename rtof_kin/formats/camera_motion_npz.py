@@ -34,16 +34,11 @@ _SHAPES = {
 def read_camera_motion(path: Path) -> CameraMotion:
     """Read the motion of a camera.
 
-    Args:
-        path: .npz file.
-
     Raises:
         FileFormatError: damaged, or an array is missing, unknown or of another shape.
     """
     arrays = read_npz(path)
-    wrong = [name for name in arrays if name not in _SHAPES] or [
-        n for n in list(_SHAPES)[:2] if n not in arrays
-    ]
+    wrong = [name for name in arrays if name not in _SHAPES] or [n for n in list(_SHAPES)[:2] if n not in arrays]
     if wrong:
         form = ", ".join(f"{name} {shape}" for name, shape in _SHAPES.items())
         problem = "unknown" if wrong[0] in arrays else "missing"
@@ -64,15 +59,18 @@ def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = Fals
     """Write a motion; `read_camera_motion` restores it exactly.
 
     Args:
-        path: .npz file. motion: to write. overwrite: whether to replace an existing file.
+        overwrite: whether to replace an existing file.
 
     Raises:
         OutputExistsError: the file exists and may not be replaced. RtofError: it cannot be written.
     """
     arrays = {
-        "times": motion.times, "R_first_camera": motion.R_first_camera, "sigma_rad": motion.sigma,
+        "times": motion.times,
+        "R_first_camera": motion.R_first_camera,
+        "sigma_rad": motion.sigma,
         "drift_rad_s": motion.drift,
-        "up_first": motion.up_first, "focal_px": motion.focal_px,
-    }  # fmt: skip
+        "up_first": motion.up_first,
+        "focal_px": motion.focal_px,
+    }
     known = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
     write_npz(path, known, overwrite)

@@ -39,7 +39,7 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
     """Read the cameras of a file by name, in its order, into a world with z up.
 
     Args:
-        path: the file. up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`.
+        up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`.
         metres_per_unit: length of the file's unit, m; 0.001 for mm.
 
     Raises:
@@ -87,14 +87,19 @@ def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Ca
         distortion = _shaped(section, "distortions", (5,), (4,))
     except FileFormatError as error:
         raise section.error(
-            "distortions", "expected k1, k2, p1, p2 and perhaps k3; undistort with the tool that made "
-            "the file if its lens needs more"
-        ) from error  # fmt: skip
+            "distortions",
+            "expected k1, k2, p1, p2 and perhaps k3; undistort with the tool that made the file if its lens needs more",
+        ) from error
     try:
         return Camera(
-            section.array("matrix", (3, 3)), R @ R_world_file.T, t, round(width), round(height),
-            np.pad(distortion, (0, 5 - len(distortion))), section.optional_names("assumed") or (),
-        )  # fmt: skip
+            section.array("matrix", (3, 3)),
+            R @ R_world_file.T,
+            t,
+            round(width),
+            round(height),
+            np.pad(distortion, (0, 5 - len(distortion))),
+            section.optional_names("assumed") or (),
+        )
     except InvalidInputError as error:
         raise FileFormatError(section.path, f"[{section.name}]: {error}") from error
 
@@ -103,7 +108,7 @@ def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
     """Convert a camera's translation to metres and check that it can be in metres.
 
     Args:
-        where: the field, for messages. t: (3,) in the file's unit. metres_per_unit: that unit, m.
+        t: (3,) in the file's unit. metres_per_unit: that unit, m.
 
     Raises:
         UnitError: the camera is more than `FURTHEST` away.
@@ -132,7 +137,7 @@ def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite
     """Write cameras, z up and in metres, which `read_camera_toml` reads back to rounding; Pose2Sim too.
 
     Args:
-        path: the file. cameras: by name. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.

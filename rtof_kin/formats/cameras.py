@@ -13,9 +13,13 @@ from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 
 READERS: Final[dict[str, Callable[..., dict[str, Camera]]]] = {
-    ".toml": read_camera_toml, ".yml": read_opencv_yaml, ".yaml": read_opencv_yaml,
-    ".json": read_opencv_yaml, ".pickle": read_opencap, ".pkl": read_opencap,
-}  # fmt: skip
+    ".toml": read_camera_toml,
+    ".yml": read_opencv_yaml,
+    ".yaml": read_opencv_yaml,
+    ".json": read_opencv_yaml,
+    ".pickle": read_opencap,
+    ".pkl": read_opencap,
+}
 """Reader of all cameras of a file, by the file's suffix; `up` and `metres_per_unit` have own defaults."""
 
 
@@ -25,15 +29,14 @@ def read_camera(
     """Read one camera, in a world with z up, from a TOML, OpenCV's YAML or JSON, or OpenCap's pickle.
 
     Args:
-        path: the file. name: the camera's name; needed where the file holds several.
-        up: the file's axis that points up, see `world_axes.UP`; by default z, and what
-            `rtof_kin.formats.opencap` finds.
+        name: the camera's name; needed where the file holds several.
+        up: the file's axis that points up, see `world_axes.UP`; by default z, and what `rtof_kin.formats.opencap`
+            finds.
         metres_per_unit: length of the file's unit, m; by default 1, and 0.001 for OpenCap.
 
     Raises:
-        FileFormatError: unknown suffix, unreadable, or several cameras and no `name`.
-        UnknownNameError: no camera of that name. UnitError: it is too far away for metres.
-        InvalidInputError: invalid `up` or `metres_per_unit`.
+        FileFormatError: unknown suffix, unreadable, or several cameras and no `name`. UnknownNameError: no camera of
+        that name. UnitError: it is too far away for metres. InvalidInputError: invalid `up` or `metres_per_unit`.
     """
     path = Path(path)
     read = READERS.get(path.suffix.lower())

@@ -61,13 +61,25 @@ _UNITS: Final = {
 }
 """Field of `Declaration` -> its values -> their spellings in metadata."""
 _UNIT_OF: Final = {
-    "acceleration": "acceleration_unit", "free": "acceleration_unit", "linear": "acceleration_unit",
+    "acceleration": "acceleration_unit",
+    "free": "acceleration_unit",
+    "linear": "acceleration_unit",
     "gyroscope": "angular_unit",
-}  # fmt: skip
+}
 _POINT_ENDINGS: Final = {
-    "_u_px": "x", "_v_px": "y", "_x": "x", "_y": "y", "_z": "", "_presence": "",
-    "_confidence": "c", "_visibility": "c", "_score": "c", "_likelihood": "c", "_c": "c", "_v": "c",
-}  # fmt: skip
+    "_u_px": "x",
+    "_v_px": "y",
+    "_x": "x",
+    "_y": "y",
+    "_z": "",
+    "_presence": "",
+    "_confidence": "c",
+    "_visibility": "c",
+    "_score": "c",
+    "_likelihood": "c",
+    "_c": "c",
+    "_v": "c",
+}
 POINT_ENDINGS: Final = tuple(_POINT_ENDINGS)
 """Endings of the names of a point's columns."""
 _NUMBERED_POINT: Final = re.compile(r"(x|y|z|v|c|visibility|confidence|score|presence)_?(\d{1,4})")
@@ -206,20 +218,15 @@ class _Sorted:
                 if value is None:
                     raise InvalidInputError(f"{where}: unknown unit {unit!r}; give {' or '.join(known)}")
                 if stated.setdefault(field, value) != value:
-                    raise InvalidInputError(
-                        f"{where}: is in {value}, others in {stated[field]}; give one unit"
-                    )
+                    raise InvalidInputError(f"{where}: is in {value}, others in {stated[field]}; give one unit")
         kinds = {self._acceleration(name) for name in self.names} - {None}
         if len(kinds) > 1:
             raise InvalidInputError(
-                f"stream {self.stream}: some sensors have acceleration with gravity and some without; send "
-                "all alike"
+                f"stream {self.stream}: some sensors have acceleration with gravity and some without; send all alike"
             )
         own = Declaration()
         if "free" in kinds or "linear" in kinds:
-            own = Declaration(
-                gravity="removed", acceleration_axes="inertial" if "free" in kinds else "sensor"
-            )
+            own = Declaration(gravity="removed", acceleration_axes="inertial" if "free" in kinds else "sensor")
         return own, stated
 
     def _acceleration(self, sensor: str) -> str | None:
@@ -292,7 +299,7 @@ class PointChannels:
         """Return what the channels hold: ``<landmark>_x``, ``_y`` in px, and ``_confidence``.
 
         Args:
-            stream: its name. labels, units: of each channel; units may be empty.
+            labels, units: of each channel; units may be empty.
 
         Raises:
             InvalidInputError: no point, one without x or y, a channel twice, or coordinates not in px.
@@ -335,11 +342,7 @@ class PointChannels:
 
 
 def point_part(label: str) -> tuple[str, str] | None:
-    """Return the point of a column and its part: x, y, c, or '' if unused; None where it is of no point.
-
-    Args:
-        label: of the column.
-    """
+    """Return the point of a column and its part: x, y, c, or '' if unused; None where it is of no point."""
     numbered = _NUMBERED_POINT.fullmatch(label.strip().lower())
     if numbered:
         part = numbered[1]

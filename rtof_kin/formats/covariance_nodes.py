@@ -83,8 +83,7 @@ def interpolated(found: Index, entries: Array, frames: Index) -> Array:
     """Return entries (n, M, k) in some frames.
 
     Args:
-        found: (K,) frames of nodes. entries: (K, M, k) at them.
-        frames: (n,), from the first to the last node.
+        found: (K,) frames of nodes. entries: (K, M, k) at them. frames: (n,), from the first to the last node.
     """
     before = np.searchsorted(found, frames, side="right") - 1
     after = np.minimum(before + 1, len(found) - 1)
@@ -123,9 +122,6 @@ def matrices(entries: Array | NDArray[np.float32]) -> Array:
 
 def checked_nodes(field: str, value: NDArray[np.generic], frames: int) -> Index:
     """Return the frames of nodes of a file.
-
-    Args:
-        field: for the error message. value: of the file. frames: of the motion.
 
     Raises:
         InvalidInputError: they do not increase from the first to the last frame.

@@ -38,7 +38,7 @@ class FrameReader(ABC, Generic[Block]):
         """Pass over the file, on from where the last pass ended; see `NpzBlocks.scan`.
 
         Args:
-            stop: ends the pass early when set. until: number of frames that are wanted; default: all.
+            until: number of frames that are wanted; default: all.
 
         Raises:
             FileFormatError: the file is damaged.

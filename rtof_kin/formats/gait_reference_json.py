@@ -17,10 +17,9 @@
       ]
     }
 
-Required are all of the first block but speed and notes, and one variable. `zero` is "model" (the anatomical
-posture of the model), "standing" (each person's quiet standing) or, of another system, its definition.
-`positive` and the zero of a variable are for readers; the signs are those of `VARIABLES`. Unknown fields are
-refused.
+Required are all of the first block but speed and notes, and one variable. `zero` is "model" (the anatomical posture of
+the model), "standing" (each person's quiet standing) or, of another system, its definition. `positive` and the zero of
+a variable are for readers; the signs are those of `VARIABLES`. Unknown fields are refused.
 """
 
 from __future__ import annotations
@@ -49,9 +48,6 @@ _DIGITS: Final = 6
 def read_gait_reference(path: str | Path) -> GaitReference:
     """Read a reference.
 
-    Args:
-        path: of the file.
-
     Raises:
         FileFormatError: it is none, or a field is missing or wrong, which is named. UnknownNameError: unknown
             field or variable.
@@ -69,16 +65,20 @@ def read_gait_reference(path: str | Path) -> GaitReference:
     mean, sd = _means(file.table("variables"))
     curves, people = _curves(file.tables("curves"))
     speeds = file.optional_array("speed_m_per_s", (2,))
-    fields: dict[str, Any] = {
-        name: file.text(name) for name in ("licence", "source", "system", "zero")
-    }  # fmt: skip
+    fields: dict[str, Any] = {name: file.text(name) for name in ("licence", "source", "system", "zero")}
     count, notes = file.integer("people"), file.optional_names("notes") or ()
     file.close()
     try:
         return GaitReference(
-            mean, sd, count, **fields, curves=curves, **people, notes=notes,
+            mean,
+            sd,
+            count,
+            **fields,
+            curves=curves,
+            **people,
+            notes=notes,
             speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
-        )  # fmt: skip
+        )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
@@ -124,7 +124,7 @@ def write_gait_reference(path: str | Path, reference: GaitReference, overwrite: 
     """Write a reference, to a millionth of a degree.
 
     Args:
-        path: of the file. reference: what is written. overwrite: replace an existing file.
+        overwrite: replace an existing file.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. WritingError: it cannot be written.
@@ -153,8 +153,7 @@ def _person(reference: GaitReference, k: int) -> dict[str, Any]:
     if reference.speeds and math.isfinite(reference.speeds[k]):
         out["speed_m_per_s"] = round(reference.speeds[k], 4)
     return out | {
-        side: {name: _degrees(curve) for name, curve in zip(NAMES, curves, strict=True)}
-        for side, curves in sides
+        side: {name: _degrees(curve) for name, curve in zip(NAMES, curves, strict=True)} for side, curves in sides
     }
 
 

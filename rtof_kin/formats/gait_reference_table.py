@@ -26,13 +26,11 @@ _WIDEST: Final = 5.0  # largest distance of two instants, per cent
 _LARGEST: Final = 16 * 2**20
 
 
-def read_gait_reference_table(
-    path: str | Path, *, negated: Collection[str] = (), **about: Any
-) -> GaitReference:
+def read_gait_reference_table(path: str | Path, *, negated: Collection[str] = (), **about: Any) -> GaitReference:
     """Read a table.
 
     Args:
-        path: CSV file. negated: variables whose sign in the table is the opposite of `VARIABLES`.
+        negated: variables whose sign in the table is the opposite of `VARIABLES`.
         about: fields of `GaitReference`: people, licence, source, system, zero, speed_range, notes.
 
     Raises:
@@ -69,9 +67,10 @@ def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
         absent = [name for name in _COLUMNS[:3] if name not in header]
         if absent or len(set(header)) < len(header):
             raise FileFormatError(
-                path, f"the first line names the columns {', '.join(_COLUMNS)}, each once; found "
-                f"{', '.join(header)[:200]}", 1,
-            )  # fmt: skip
+                path,
+                f"the first line names the columns {', '.join(_COLUMNS)}, each once; found {', '.join(header)[:200]}",
+                1,
+            )
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
@@ -79,9 +78,7 @@ def _rows(path: Path) -> Iterator[tuple[int, str, float, float, float]]:
                 raise FileFormatError(path, f"{len(row)} cells, not {len(header)}", reader.line_num)
             cells = dict(zip(header, (cell.strip() for cell in row), strict=True))
             if (name := cells["variable"]) not in NAMES:
-                raise FileFormatError(
-                    path, str(UnknownNameError("variable", [name[:60]], NAMES)), reader.line_num
-                )
+                raise FileFormatError(path, str(UnknownNameError("variable", [name[:60]], NAMES)), reader.line_num)
             numbers = [_number(path, reader.line_num, column, cells) for column in _COLUMNS[1:]]
             yield reader.line_num, name, numbers[0], numbers[1], numbers[2]
     except csv.Error as error:
@@ -107,9 +104,10 @@ def _curves(path: str | Path, name: str, samples: dict[float, tuple[float, float
     at = np.array(sorted(samples))
     if at[0] != 0 or at[-1] != 100 or np.diff(at).max() > _WIDEST:
         raise FileFormatError(
-            path, f"{name}: {len(at)} instants from {at[0]:g} to {at[-1]:g} %; needed are those from 0 to "
+            path,
+            f"{name}: {len(at)} instants from {at[0]:g} to {at[-1]:g} %; needed are those from 0 to "
             f"100 %, at most {_WIDEST:g} % apart",
-        )  # fmt: skip
+        )
     values = np.array([samples[percent] for percent in at.tolist()])
     mean, sd = (np.interp(PERCENT, at, column) for column in values.T)
     return mean, sd

@@ -34,7 +34,7 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
     """Read a calibration.
 
     Args:
-        path: the file. skeleton: its segments carry the sensors; it has the default positions.
+        skeleton: its segments carry the sensors; it has the default positions.
 
     Raises:
         FileFormatError: no such file, no sensor in it, or a missing or invalid field, which is named.
@@ -48,13 +48,11 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
     return calibration
 
 
-def write_imu_calibration_toml(
-    path: str | Path, calibration: ImuCalibration, overwrite: bool = False
-) -> None:
+def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, overwrite: bool = False) -> None:
     """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits.
 
     Args:
-        path: the file. calibration: what is written. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
@@ -67,7 +65,7 @@ def calibration_of(sensors: Section, skeleton: SkeletonModel) -> ImuCalibration 
     """Read the calibration in a table of sensors; None where the table is empty.
 
     Args:
-        sensors: the table. skeleton: as for `read_imu_calibration_toml`, whose errors are raised.
+        skeleton: as for `read_imu_calibration_toml`, whose errors are raised.
     """
     if len(sensors) == 0:
         return None

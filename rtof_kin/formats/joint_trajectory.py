@@ -37,7 +37,7 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
     """Central differences on the configuration manifold, one-sided at the ends.
 
     Args:
-        skeleton: the model. q: (T, nq) configurations. times: (T,) s.
+        q: (T, nq) configurations. times: (T,) s.
 
     Returns:
         (T, nv) in Pinocchio's convention: base linear and angular velocity in the root's frame, then rad/s.
@@ -55,7 +55,7 @@ def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence | Motion
     orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table.
 
     Args:
-        path: the table; an existing file is replaced. motion: configurations and their observability.
+        path: the table; an existing file is replaced.
     """
     path, source = Path(path), MotionSource.of(motion)
     skeleton = source.skeleton
@@ -68,9 +68,7 @@ def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence | Motion
             for block, masks in source.observed_blocks():
                 numbers = np.column_stack([block.times, block.q]).tolist()
                 valid = np.column_stack([root_turn_observed(masks), observed_dofs(masks)]).astype(int)
-                writer.writerows(
-                    [*map(repr, row), *flags] for row, flags in zip(numbers, valid.tolist(), strict=True)
-                )
+                writer.writerows([*map(repr, row), *flags] for row, flags in zip(numbers, valid.tolist(), strict=True))
         write_text(path.with_suffix(".json"), sidecar, overwrite=True)
 
 
@@ -89,8 +87,7 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
         "units": units,
         "valid": "NAME_valid: 1 where NAME was observed, 0 where it comes from a prior or the model",
         "names": {
-            name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim}
-            for name in skeleton.dof_names
+            name: {"clinical": dofs[name].clinical, "opensim": dofs[name].opensim} for name in skeleton.dof_names
         },
         "sign": "a leading '-' of a clinical or OpenSim name: its sign is the opposite of the column's",
         "limits": dict(zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True)),
@@ -99,9 +96,6 @@ def _sidecar(path: Path, skeleton: SkeletonModel) -> dict[str, Any]:
 
 def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]:
     """Read column names and numbers (T, columns) of a trajectory written here.
-
-    Args:
-        path: the table.
 
     Raises:
         FileFormatError: missing, or not a table of numbers whose first column is `time`.

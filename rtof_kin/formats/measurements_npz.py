@@ -52,9 +52,7 @@ SCHEMA_VERSION: Final = 2
 CAMERA: Final = ("K", "R_camera_world", "t_camera_world", "distortion")
 FULL: Final = 255
 """Number in the file of a confidence of 1."""
-_CONSTANT: Final = (
-    "quat_wxyz_bone_sensor", "p_bone_sensor", "K_still", "video_K", "video_distortion"
-)  # fmt: skip
+_CONSTANT: Final = ("quat_wxyz_bone_sensor", "p_bone_sensor", "K_still", "video_K", "video_distortion")
 """Arrays, or ends of their names, that do not have one row per frame."""
 _HEADER_BYTES: Final = 16 * 2**20
 
@@ -68,9 +66,6 @@ class MeasurementsReader(FrameReader[Measurements]):
 
     def __init__(self, path: str | Path):
         """Read what does not change over time.
-
-        Args:
-            path: the file.
 
         Raises:
             FileFormatError: missing, damaged, of a newer schema, or an array is missing.
@@ -129,9 +124,6 @@ class MeasurementsReader(FrameReader[Measurements]):
 def read_measurements_npz(path: str | Path) -> Measurements:
     """Read measurements; nothing in the file is executed.
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: missing, damaged, of a newer schema, or an array is missing or has a wrong shape.
     """
@@ -143,7 +135,7 @@ def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measur
     """Return frames of a file.
 
     Args:
-        header: of the file. arrays: float64, by name.
+        arrays: float64, by name.
     """
     times = arrays["times"]
     floor = header["floor_height"]
@@ -165,9 +157,7 @@ def _measurements(header: dict[str, Any], arrays: Mapping[str, Array]) -> Measur
     )
 
 
-def _view(
-    i: int, header: dict[str, Any], times: Array, arrays: Mapping[str, Array], full: int
-) -> KeypointSequence:
+def _view(i: int, header: dict[str, Any], times: Array, arrays: Mapping[str, Array], full: int) -> KeypointSequence:
     own = header["camera"]
     K, R, t, distortion = (np.array(own[name], dtype=float) for name in CAMERA)
     size = int(own["width_px"]), int(own["height_px"])

@@ -111,9 +111,6 @@ class MeasurementsWriter:
 def write_measurements_npz(path: str | Path, measurements: Measurements) -> None:
     """Write measurements over an existing file.
 
-    Args:
-        path: the file. measurements: to write.
-
     Raises:
         RtofError: it cannot be written.
     """
@@ -136,9 +133,11 @@ def _header(m: Measurements) -> dict[str, Any]:
 def _camera(camera: Camera) -> dict[str, Any]:
     numbers = {name: getattr(camera, name).tolist() for name in CAMERA}
     return numbers | {
-        "width_px": int(camera.width_px), "height_px": int(camera.height_px), "assumed": camera.assumed,
+        "width_px": int(camera.width_px),
+        "height_px": int(camera.height_px),
+        "assumed": camera.assumed,
         "stabilised": camera.stabilised,
-    }  # fmt: skip
+    }
 
 
 def _arrays(m: Measurements) -> tuple[dict[str, Array], dict[str, NDArray[Any]]]:
@@ -168,7 +167,4 @@ def _arrays(m: Measurements) -> tuple[dict[str, Array], dict[str, NDArray[Any]]]
 def _view(view: KeypointSequence) -> dict[str, NDArray[Any]]:
     """Return the points of a camera; a point that was seen keeps a confidence above 0."""
     confidence = np.maximum(np.round(view.confidence * FULL), view.confidence > 0)
-    return {
-        "uv_px": multiples(view.uv_px, _PIXEL_BITS).astype(np.float32),
-        "confidence": confidence.astype(np.uint8),
-    }
+    return {"uv_px": multiples(view.uv_px, _PIXEL_BITS).astype(np.float32), "confidence": confidence.astype(np.uint8)}

@@ -211,8 +211,7 @@ _LINKS = (
     "the base floats: add a floating joint where the file is loaded"
 )
 _COORDINATES = (
-    "coordinates of skeleton.osim by name, zero in the T-pose; pelvis_* are of the root in "
-    f"{_GROUND}; even times"
+    f"coordinates of skeleton.osim by name, zero in the T-pose; pelvis_* are of the root in {_GROUND}; even times"
 )
 FORMATS: Final[dict[str, Format]] = {
     "csv": Format(
@@ -228,13 +227,9 @@ FORMATS: Final[dict[str, Format]] = {
         "MultiDOFJointTrajectory of the root link in world, z up, m, quaternion x y z w",
         _ros,
     ),
-    "osim": Format(
-        f"OpenSim 4: bodies are the URDF's links in their frames, markers its landmarks; {_GROUND}", _osim
-    ),
+    "osim": Format(f"OpenSim 4: bodies are the URDF's links in their frames, markers its landmarks; {_GROUND}", _osim),
     "mot": Format(f"{_COORDINATES}; degrees and m", _pieces(".mot", write_mot), even=True),
-    "sto": Format(
-        f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s", _pieces(".sto", write_sto), even=True
-    ),
+    "sto": Format(f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s", _pieces(".sto", write_sto), even=True),
     "trc": Format(
         f"landmarks by name in {_GROUND}; m; even times",
         _whole({"motion.trc": lambda path, m: write_trc(path, landmark_blocks(m), up="opensim")}),
@@ -244,9 +239,7 @@ FORMATS: Final[dict[str, Format]] = {
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",
-        _pieces(
-            ".bvh", lambda path, m: write_bvh_blocks(path, joint_tree_blocks(m), len(m)), has_times=False
-        ),
+        _pieces(".bvh", lambda path, m: write_bvh_blocks(path, joint_tree_blocks(m), len(m)), has_times=False),
         even=True,
     ),
 }

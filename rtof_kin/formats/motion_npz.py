@@ -61,9 +61,18 @@ _WHOLE: Final = ("p_world_joint", "R_world_bone")
 """Poses in a file of version 1."""
 COVARIANCES: Final = ("position_covariance", "relative_covariance", "turn_covariance")
 _HEADER: Final = (
-    "schema_version", "names", "dof_names", "joint_offsets", "first_frame", "mode", "skeleton",
-    "confidence_pairs", "covariance_frames", "mass_kg", "sex",
-)  # fmt: skip
+    "schema_version",
+    "names",
+    "dof_names",
+    "joint_offsets",
+    "first_frame",
+    "mode",
+    "skeleton",
+    "confidence_pairs",
+    "covariance_frames",
+    "mass_kg",
+    "sex",
+)
 _HEADER_BYTES: Final = 64 * 2**20
 _AHEAD: Final = 1024
 """[frames] of all arrays that become readable together."""
@@ -146,9 +155,6 @@ class MotionReader(FrameReader[MotionFile]):
     def __init__(self, path: str | Path):
         """Read the header and the times.
 
-        Args:
-            path: the file.
-
         Raises:
             FileFormatError: missing, damaged, of a newer schema, or not a motion.
         """
@@ -161,9 +167,7 @@ class MotionReader(FrameReader[MotionFile]):
             except FileFormatError:
                 raise
             except KeyError as error:
-                raise FileFormatError(
-                    self.path, f"the array {error} is missing; reconstruct again"
-                ) from error
+                raise FileFormatError(self.path, f"the array {error} is missing; reconstruct again") from error
             except (RtofError, ValueError, TypeError) as error:
                 raise FileFormatError(self.path, str(error)) from error
             failed.pop_all()
@@ -244,14 +248,12 @@ class MotionReader(FrameReader[MotionFile]):
         """Return frames; see `FrameReader.block`.
 
         Args:
-            start, stop: frames. confidence: whether to read it if there is one, which takes longest.
+            confidence: whether to read it if there is one, which takes longest.
         """
         self._find(start, stop)
         try:
             q = readonly("q", self._rows.rows("q", start, stop), (stop - start, 7 + len(self.dof_names)))
-            masks: dict[str, Any] = {
-                name: self._rows.rows(name, start, stop) for name in MASKS if name in self._rows
-            }
+            masks: dict[str, Any] = {name: self._rows.rows(name, start, stop) for name in MASKS if name in self._rows}
             p, R = self._poses(q, start, stop)
             poses = PoseSequence(self.times[start:stop], p, R, self.names, **masks)
             known = self._confidence(start, stop) if self._pairs and confidence else None
@@ -268,9 +270,6 @@ class MotionReader(FrameReader[MotionFile]):
 
     def root(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         """Return positions (n, 3) of the root, m, NaN where missing, and their provenance (n,), fast.
-
-        Args:
-            start, stop: frames.
 
         Raises:
             FileFormatError: the file is damaged.
@@ -292,9 +291,7 @@ class MotionReader(FrameReader[MotionFile]):
             return self._rows.rows("p_world_joint", start, stop), self._rows.rows("R_world_bone", start, stop)
         p, R = self.skeleton.forward_kinematics(q)
         if "poses_stored" in self._rows:
-            stored: Mask = readonly(
-                "poses_stored", self._rows.rows("poses_stored", start, stop), (len(q),), np.bool_
-            )
+            stored: Mask = readonly("poses_stored", self._rows.rows("poses_stored", start, stop), (len(q),), np.bool_)
             given, turns = (self._rows.rows(name, start, stop)[stored].astype(float) for name in STORED)
             p[stored], R[stored] = given, so3.known_exp(turns)
         return p, R
@@ -317,9 +314,6 @@ class MotionReader(FrameReader[MotionFile]):
 
 def read_motion_npz(path: str | Path) -> MotionFile:
     """Read a motion; nothing in the file is executed.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: missing, damaged, of a newer schema, or an array is missing or has a wrong shape.

@@ -19,12 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.observability import (
-    ObservationMasks,
-    observed_dofs,
-    observed_landmarks,
-    root_turn_observed,
-)
+from rtof_kin.body.observability import ObservationMasks, observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.body.skeleton import MotionSequence
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.packages import optional
@@ -53,11 +48,7 @@ class Column:
 
 
 def motion_columns(motion: MotionSequence, masks: ObservationMasks | None = None) -> list[Column]:
-    """Return the columns of the table of a motion, in their order.
-
-    Args:
-        motion: a whole one, or a block. masks: of the block.
-    """
+    """Return the columns of the table of a motion, in their order."""
     skeleton, poses = motion.skeleton, motion.poses
     masks = masks or ObservationMasks.of(motion)
     dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
@@ -76,19 +67,15 @@ def motion_columns(motion: MotionSequence, masks: ObservationMasks | None = None
         columns.append(Column(f"{name}_seen_by", "", words[poses.provenance[:, j]]))
     beside = len(skeleton.names)  # landmarks are the joints first
     names = (BASE_TURN, *skeleton.dof_names, *tuple(skeleton.landmarks)[beside:])
-    observed = np.column_stack(
-        [root_turn_observed(masks), observed_dofs(masks), observed_landmarks(masks)[:, beside:]]
-    )
+    observed = np.column_stack([root_turn_observed(masks), observed_dofs(masks), observed_landmarks(masks)[:, beside:]])
     return columns + [Column(f"{n}_valid", "", valid) for n, valid in zip(names, observed.T, strict=True)]
 
 
-def write_motion_csv(
-    path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False
-) -> None:
+def write_motion_csv(path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
 
     Args:
-        path: the file. motion: what is written. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
@@ -111,14 +98,12 @@ def _cells(values: NDArray[Any]) -> list[str]:
     return ["" if value != value else repr(value) for value in values.tolist()]
 
 
-def write_motion_parquet(
-    path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False
-) -> None:
+def write_motion_parquet(path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
     convention, skeleton and joint offsets in that of the table.
 
     Args:
-        path: the file. motion: what is written. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         RtofError: pyarrow is not installed, or the file cannot be written.

@@ -10,12 +10,7 @@ import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.observability import (
-    ObservationMasks,
-    observed_dofs,
-    observed_landmarks,
-    root_turn_observed,
-)
+from rtof_kin.body.observability import ObservationMasks, observed_dofs, observed_landmarks, root_turn_observed
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times
@@ -127,11 +122,7 @@ def landmark_blocks(motion: MotionSource) -> MarkerBlocks:
 
 
 def landmark_points(motion: MotionSequence, masks: ObservationMasks) -> Array:
-    """Return positions (T, L, 3) of landmarks in world, m; NaN where unobserved.
-
-    Args:
-        motion: a whole one, or a block. masks: of the block.
-    """
+    """Return positions (T, L, 3) of landmarks in world, m; NaN where unobserved."""
     p = motion.skeleton.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
     return np.where(observed_landmarks(masks)[..., None], p, np.nan)
 

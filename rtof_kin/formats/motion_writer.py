@@ -31,14 +31,11 @@ _FILL: Final = 1024
 class MotionWriter:
     """Writes a motion by blocks; the file appears complete at the end of the context, or not at all."""
 
-    def __init__(
-        self, path: str | Path, skeleton: SkeletonModel, *, mode: str = "", first_frame: int = 0
-    ) -> None:
+    def __init__(self, path: str | Path, skeleton: SkeletonModel, *, mode: str = "", first_frame: int = 0) -> None:
         """Write nothing yet.
 
         Args:
-            path: the file, which is replaced. skeleton: of the motion. mode: of the reconstruction.
-            first_frame: number of the first frame in the video.
+            path: the file, which is replaced. first_frame: number of the first frame in the video.
         """
         self._path, self._skeleton = Path(path), skeleton
         self._header: dict[str, NDArray[Any]] = {
@@ -121,9 +118,7 @@ class MotionWriter:
         elif stored.any():
             turns = rotation_vectors(poses.R_world_bone, _Q_BITS)
             kept = stored[:, None, None]
-            self._append_stored(
-                stored, [np.where(kept, part, np.nan) for part in (poses.p_world_joint, turns)]
-            )
+            self._append_stored(stored, [np.where(kept, part, np.nan) for part in (poses.p_world_joint, turns)])
 
     def _append_none(self, count: int) -> None:
         """Append frames whose poses are the forward kinematics of `q`."""
@@ -152,14 +147,11 @@ class MotionWriter:
             self._arrays.add("confidence_pairs", np.array(self._pairs).reshape(-1, 2))
 
 
-def write_motion_npz(
-    path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = ""
-) -> None:
+def write_motion_npz(path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = "") -> None:
     """Write a motion over an existing file.
 
     Args:
-        path: the file. motion: what is written. first_frame: number of the first frame in the video.
-        mode: mode of the reconstruction.
+        first_frame: number of the first frame in the video.
 
     Raises:
         RtofError: it cannot be written.

@@ -35,20 +35,16 @@ LARGEST_BYTES: Final = 2**20
 """Largest file that is read, bytes; OpenCap's have about one thousand."""
 _LARGEST_TILT: Final = np.radians(35.0)
 """Largest angle between the image's upward direction and the axis of the board that is taken as up."""
-_SIZES: Final = {
-    "intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3,
-}  # fmt: skip
+_SIZES: Final = {"intrinsicMat": 9, "distortion": 5, "imageSize": 2, "rotation": 9, "translation": 3}
 
 
-def read_opencap(
-    path: str | Path, *, up: str | None = None, metres_per_unit: float = MILLIMETRE
-) -> dict[str, Camera]:
+def read_opencap(path: str | Path, *, up: str | None = None, metres_per_unit: float = MILLIMETRE) -> dict[str, Camera]:
     """Read the camera of a file, by the folder's name, into a world with z up.
 
     Args:
-        path: the file. metres_per_unit: length of the file's unit, m.
-        up: axis of the checkerboard that points up, see `rtof_kin.formats.world_axes.UP`; by default the
-            nearest to the image's upward direction.
+        metres_per_unit: length of the file's unit, m.
+        up: axis of the checkerboard that points up, see `rtof_kin.formats.world_axes.UP`; by default the nearest to
+            the image's upward direction.
 
     Raises:
         FileFormatError: unreadable, no such pickle, or no axis of the board is near upright.
@@ -88,8 +84,9 @@ def _upward(path: Path, R_camera_file: Array) -> str:
     if along[best] < np.cos(_LARGEST_TILT):
         angle = np.degrees(np.arccos(np.clip(along[best], -1, 1)))
         raise FileFormatError(
-            path, f"no axis of the checkerboard is upright in the image; the nearest, {best}, is "
+            path,
+            f"no axis of the checkerboard is upright in the image; the nearest, {best}, is "
             f"{angle:.0f} degrees away; tell which one points up, e.g. up = '-y' for a board that hangs on "
-            "a wall, '-z' or 'z' for one on the floor"
-        )  # fmt: skip
+            "a wall, '-z' or 'z' for one on the floor",
+        )
     return best

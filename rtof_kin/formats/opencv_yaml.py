@@ -36,9 +36,7 @@ LARGEST_BYTES: Final = 4 * 2**20
 _DEEPEST: Final = 12
 _NAMES: Final = {
     "matrix": ("camera_matrix", "cameraMatrix", "K", "M", "mtx", "intrinsic_matrix", "intrinsics"),
-    "distortion": (
-        "distortion_coefficients", "distCoeffs", "dist_coeffs", "dist_coeff", "dist", "D", "distortion",
-    ),
+    "distortion": ("distortion_coefficients", "distCoeffs", "dist_coeffs", "dist_coeff", "dist", "D", "distortion"),
     "rotation": ("R", "rvec", "rotation", "rotation_matrix", "rotation_vector"),
     "translation": ("T", "t", "tvec", "translation", "translation_vector"),
     "pose": ("extrinsics", "extrinsic", "extrinsic_matrix", "T_camera_world"),
@@ -46,7 +44,7 @@ _NAMES: Final = {
     "height": ("image_height", "height"),
     "size": ("image_size", "imageSize", "size", "resolution"),
     "name": ("camera_name", "name"),
-}  # fmt: skip
+}
 """Accepted names of the entries. 'pose' is 3 x 4 or 4 x 4, [R T]; 'size' is width, height."""
 MATRIX_NAMES: Final = _NAMES["matrix"]
 """Names of the entry that every camera has."""
@@ -87,9 +85,10 @@ def read_opencv_yaml(
             raise entries.error("R", "missing, as is T; each camera but a first one needs a pose")
         if R is None and up == "z":
             raise entries.error(
-                "R", "missing, so the world is this camera's own axes, and z is its viewing direction; "
-                "add R and T, or declare up='-y' for a level camera"
-            )  # fmt: skip
+                "R",
+                "missing, so the world is this camera's own axes, and z is its viewing direction; "
+                "add R and T, or declare up='-y' for a level camera",
+            )
         R_camera_world = (np.eye(3) if R is None else R) @ R_world_file.T
         t = checked_distance(f"{path}: {name}, T", t, metres_per_unit)
         width, height = size_px or entries.size()
@@ -110,9 +109,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 
 
 for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # the latter is OpenCV 5's for vectors
-    _Loader.add_constructor(
-        f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True)
-    )
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", lambda loader, node: loader.construct_mapping(node, deep=True))
 
 
 def _load_yaml(path: Path) -> dict[str, Any]:
@@ -249,7 +246,8 @@ class _Entries:
         given = self.array("distortion", 0, 1, 2, 4, 5, 8, 12, 14)
         if np.any(given[5:]):
             raise self.error(
-                _NAMES["distortion"][0], f"{len(given)} coefficients, of which only the first five are "
-                "modelled; calibrate with five, or undistort the images first"
-            )  # fmt: skip
+                _NAMES["distortion"][0],
+                f"{len(given)} coefficients, of which only the first five are "
+                "modelled; calibrate with five, or undistort the images first",
+            )
         return np.pad(given[:5], (0, max(5 - len(given), 0)))

@@ -1,9 +1,8 @@
 """``.osim``: the skeleton as a model for OpenSim 4, for its motions, markers and inverse dynamics.
 
-Bodies are the URDF's segments, with the same link frames and masses, without the light links between
-revolutes: a joint's three revolutes are one CustomJoint about the same axes in the same order. A marker
-stands at each landmark, under its name in the .trc. The joint of the root takes the world (z up) to
-OpenSim's ground (y up).
+Bodies are the URDF's segments, with the same link frames and masses, without the light links between revolutes: a
+joint's three revolutes are one CustomJoint about the same axes in the same order. A marker stands at each landmark,
+under its name in the .trc. The joint of the root takes the world (z up) to OpenSim's ground (y up).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = F
     """Write a skeleton as an OpenSim model.
 
     Args:
-        path: the file. skeleton: the body. overwrite: whether an existing file is replaced.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.

@@ -5,11 +5,10 @@ about the opposite of the revolute's axis, so that its values have OpenSim's sig
 in OpenSim keeps the URDF's. Every angle is zero in the T-pose. The root has OpenSim's pelvis_tilt, _list,
 _rotation, _tx, _ty and _tz: rotations about z, x, y and translations along x, y, z of its ground, y up.
 
-Both files are tables for the .osim of the same skeleton: a header that ends with ``endheader``, then
-tab-separated columns, the first one time in s. OpenSim needs even times and takes a NaN for the end of the
-file, so a motion with gaps becomes several files. A ``.mot`` lacks the coordinates that were never
-observed, for which OpenSim's tools take the model's zero; a ``.sto`` must have all states, so its header
-names them.
+Both files are tables for the .osim of the same skeleton: a header that ends with ``endheader``, then tab-separated
+columns, the first one time in s. OpenSim needs even times and takes a NaN for the end of the file, so a motion with
+gaps becomes several files. A ``.mot`` lacks the coordinates that were never observed, for which OpenSim's tools take
+the model's zero; a ``.sto`` must have all states, so its header names them.
 """
 
 from __future__ import annotations
@@ -63,9 +62,6 @@ class Coordinate:
 def coordinates(table: SkeletonTable) -> tuple[Coordinate, ...]:
     """Return all coordinates: three rotations and three translations of the root, then three rotations of
     each joint in the order of its axes.
-
-    Args:
-        table: the skeleton.
 
     Raises:
         InvalidInputError: two would have one name.
@@ -128,7 +124,6 @@ def write_mot(path: str | Path, motion: Motion, *, overwrite: bool = False) -> N
     """Write coordinates, angles in degrees, without those that were never observed.
 
     Args:
-        path: the file. motion: known configurations at even times.
         overwrite: whether an existing file is replaced.
 
     Raises:
@@ -149,7 +144,6 @@ def write_sto(path: str | Path, motion: Motion, *, overwrite: bool = False) -> N
     differences (0 for a single frame).
 
     Args:
-        path: the file. motion: known configurations at even times.
         overwrite: whether an existing file is replaced.
 
     Raises:
@@ -173,9 +167,8 @@ def _states(motion: MotionSource) -> Iterator[Array]:
 
 
 def _write_table(
-    path: Path, motion: MotionSource, names: list[str], blocks: Iterable[Array], in_degrees: bool,
-    overwrite: bool,
-) -> None:  # fmt: skip
+    path: Path, motion: MotionSource, names: list[str], blocks: Iterable[Array], in_degrees: bool, overwrite: bool
+) -> None:
     header = [
         path.stem,
         "version=1",
@@ -203,6 +196,8 @@ def _unseen(motion: MotionSource) -> list[str]:
     unseen = {c.name: dofs[c.urdf] for c in coordinates(motion.skeleton.table) if c.urdf in dofs}
     return [
         f"Unobserved {what} and the share of the frames: "
-        + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items()) + "."
-        for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen)) if shares
-    ]  # fmt: skip
+        + ", ".join(f"{name} {100 * share:.3g} %" for name, share in shares.items())
+        + "."
+        for what, shares in (("joints", from_prior(motion)), ("coordinates", unseen))
+        if shares
+    ]

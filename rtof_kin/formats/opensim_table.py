@@ -47,11 +47,7 @@ class OpenSimTable:
         freeze(self, "coordinate", values=(len(self.times), len(self.names)))
 
     def rotation(self, name: str) -> Array | None:
-        """Return one rotation (T,) in rad; None if there is no such column.
-
-        Args:
-            name: of the coordinate.
-        """
+        """Return one rotation (T,) in rad; None if there is no such column."""
         if name not in self.names:
             return None
         column = np.array(self.values[:, self.names.index(name)])
@@ -60,9 +56,6 @@ class OpenSimTable:
 
 def read_opensim_table(path: str | Path) -> OpenSimTable:
     """Read coordinates of a ``.mot`` or ``.sto``.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: no such file, not such a table, or without the unit of its rotations.

@@ -52,7 +52,7 @@ def read_joints(path: str | Path, width: int) -> JointTable:
     """Read a table with a line of names and then a line for each frame.
 
     Args:
-        path: the file. width: numbers per joint: 3 for positions, 4 for orientations.
+        width: numbers per joint: 3 for positions, 4 for orientations.
 
     Raises:
         FileFormatError: unreadable, cut off, or not such a table; names the line.
@@ -81,9 +81,6 @@ def read_joints(path: str | Path, width: int) -> JointTable:
 
 def read_sensors(path: str | Path) -> SensorTable:
     """Read orientation and specific force of all sensors; further columns (gyroscope, ...) are ignored.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: unreadable, cut off, other frames than announced, or sensors that change.
@@ -120,9 +117,7 @@ def _sensor_names(path: Path, rows: list[list[str]], S: int, T: int) -> tuple[st
     at = next((i for i in range(end) if heads[i] != expected[i]), end)
     cut_there = at == len(rows) - 1 < T * (S + 1) - 1
     if at < end and not cut_there:
-        raise FileFormatError(
-            path, f"{announced}, and where {expected[at]!r} should stand is {heads[at]!r}", at + 2
-        )
+        raise FileFormatError(path, f"{announced}, and where {expected[at]!r} should stand is {heads[at]!r}", at + 2)
     whole = len(rows) // (S + 1)
     if len(rows) % (S + 1) == 0 and rows and len(rows[-1]) < max(8, len(rows[1])):
         whole -= 1
@@ -156,9 +151,6 @@ def read_sensor_log(path: Path, **declared: Any) -> SensorLog:
 def read_imu_calibration(path: str | Path) -> dict[str, Array]:
     """Read quaternions x y z w by sensor, from ``calib_imu_ref.txt`` or ``calib_imu_bone.txt``.
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: unreadable, cut off, or a quaternion that is not of unit norm.
     """
@@ -190,9 +182,6 @@ def read_imu_calibration(path: str | Path) -> dict[str, Array]:
 def read_cameras(path: str | Path) -> dict[int, Camera]:
     """Read cameras by number from 1, in the dataset's own world (y up, metres).
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: unreadable, cut off, or numbers that make no camera.
     """
@@ -210,9 +199,10 @@ def read_cameras(path: str | Path) -> dict[int, Camera]:
     if not (0 < count < 1000 and 0 <= order <= 3) or len(cells) != wanted:
         cut = f"; {_AGAIN}" if len(cells) < wanted else ""
         raise FileFormatError(
-            path, f"announces {count} cameras with {order} distortion terms, which take {wanted} "
+            path,
+            f"announces {count} cameras with {order} distortion terms, which take {wanted} "
             f"numbers, and holds {len(cells)}{cut}",
-        )  # fmt: skip
+        )
     rows = numbers[0, 2:].reshape(count, each)
     return {i: _camera(path, i, row, order) for i, row in enumerate(rows, 1)}
 

@@ -1,9 +1,8 @@
 """Track row column files (.trc): markers over time, as OpenSim and Pose2Sim read and write them.
 
-Cells are separated by tabs. After ``PathFileType`` come a line of keys and one of their values, a line
-with the name of a marker in every third cell, a line ``X1 Y1 Z1 X2 ...``, perhaps an empty one, and a
-line for each frame: its number, its time in s and three coordinates for each marker. A missing marker has
-three empty cells; their tabs stay.
+Cells are separated by tabs. After ``PathFileType`` come a line of keys and one of their values, a line with the name
+of a marker in every third cell, a line ``X1 Y1 Z1 X2 ...``, perhaps an empty one, and a line for each frame: its
+number, its time in s and three coordinates for each marker. A missing marker has three empty cells; their tabs stay.
 """
 
 from __future__ import annotations
@@ -23,9 +22,15 @@ from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, R_WORLD_GROUND, world_of_file
 
 _KEYS: Final = (
-    "DataRate", "CameraRate", "NumFrames", "NumMarkers",
-    "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
-)  # fmt: skip
+    "DataRate",
+    "CameraRate",
+    "NumFrames",
+    "NumMarkers",
+    "Units",
+    "OrigDataRate",
+    "OrigDataStartFrame",
+    "OrigNumFrames",
+)
 _HEADER: Final = 5
 """Lines above the first frame."""
 
@@ -34,14 +39,11 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
     """Read markers into a world with z up, metres.
 
     Args:
-        path: the file.
-        up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`; y in OpenSim's and
-            Pose2Sim's files. "opensim" is y with the x axis kept, as in files that go with an .osim of
-            this package (`R_WORLD_GROUND`).
+        up: the file's axis that points up, see `rtof_kin.formats.world_axes.UP`; y in OpenSim's and Pose2Sim's files.
+            "opensim" is y with the x axis kept, as in files that go with an .osim of this package (`R_WORLD_GROUND`).
 
     Raises:
-        FileFormatError: no such file, incomplete or inconsistent; names the line.
-        InvalidInputError: unknown `up`.
+        FileFormatError: no such file, incomplete or inconsistent; names the line. InvalidInputError: unknown `up`.
     """
     path, R_world_file = Path(path), _world_of_file(up)
     lines = read_text(path, "a TRC file, which begins with PathFileType").splitlines()
@@ -50,9 +52,8 @@ def read_trc(path: str | Path, *, up: str = "y") -> MarkerSequence:
     rows = [(n, line) for n, line in enumerate(lines[_HEADER:], _HEADER + 1) if line.strip()]
     if len(rows) != frames:
         raise FileFormatError(
-            path, f"NumFrames announces {frames} frames and {len(rows)} follow; is the file cut off?",
-            len(lines),
-        )  # fmt: skip
+            path, f"NumFrames announces {frames} frames and {len(rows)} follow; is the file cut off?", len(lines)
+        )
     table = np.array([_read_row(path, n, line, 2 + 3 * count) for n, line in rows])
     p_file = table[:, 1:].reshape(frames, count, 3) * metres
     try:
@@ -94,9 +95,7 @@ def _read_names(path: Path, cells: list[str], count: int) -> tuple[str, ...]:
     between = [cell for i, cell in enumerate(cells[2:]) if i % 3 and cell.strip()]
     if len(names) != count or not all(names) or between:
         found = f"found {len(names)}" + (f", and {between[0][:40]!r} between" if between else "")
-        raise FileFormatError(
-            path, f"expected Frame#, Time and {count} names, one in every third cell; {found}", 4
-        )
+        raise FileFormatError(path, f"expected Frame#, Time and {count} names, one in every third cell; {found}", 4)
     return tuple(names)
 
 
@@ -105,9 +104,11 @@ def _read_row(path: Path, line: int, text: str, wanted: int) -> list[float]:
     cells = text.split("\t")
     if len(cells) < wanted or any(cell.strip() for cell in cells[wanted:]):
         raise FileFormatError(
-            path, f"{len(cells)} cells where there are {wanted} columns; a marker that was not seen has "
-            "empty cells with their tabs", line,
-        )  # fmt: skip
+            path,
+            f"{len(cells)} cells where there are {wanted} columns; a marker that was not seen has "
+            "empty cells with their tabs",
+            line,
+        )
     try:
         values = [float(cell) if cell.strip() else np.nan for cell in cells[1:wanted]]
     except ValueError as error:
@@ -118,14 +119,13 @@ def _read_row(path: Path, line: int, text: str, wanted: int) -> list[float]:
 
 
 def write_trc(
-    path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "y", unit: str = "m",
-    overwrite: bool = False,
-) -> None:  # fmt: skip
+    path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "y", unit: str = "m", overwrite: bool = False
+) -> None:
     """Write markers, which `read_trc` reads back to 1e-9 units, and OpenSim too.
 
     Args:
-        path: the file. markers: the points. up: as for `read_trc`; y for OpenSim.
-        unit: of lengths in the file, m, cm or mm. overwrite: whether an existing file is replaced.
+        up: as for `read_trc`; y for OpenSim. unit: of lengths in the file, m, cm or mm.
+        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.

@@ -29,11 +29,7 @@ VIDEO_ARRAYS: Final = (*VIDEO_AXES, *VIDEO_CONSTANTS)
 
 
 def video_arrays(keypoints: KeypointSequence) -> dict[str, Array]:
-    """Return the arrays of the module's table that keypoints need.
-
-    Args:
-        keypoints: to be written.
-    """
+    """Return the arrays of the module's table that keypoints need."""
     out = {} if keypoints.own_times is None else {"video_times": keypoints.own_times}
     if (turning := keypoints.turning) is not None:
         values = (turning.R_still_camera, turning.K_still, turning.camera.K, turning.camera.distortion)
@@ -45,7 +41,7 @@ def with_video(keypoints: KeypointSequence, arrays: Mapping[str, Array]) -> Keyp
     """Return keypoints with what `video_arrays` wrote of them.
 
     Args:
-        keypoints: as read. arrays: of their file; others than those of the table are ignored.
+        arrays: of their file; others than those of the table are ignored.
 
     Raises:
         InvalidInputError: an array is missing or has a wrong shape.

@@ -50,9 +50,7 @@ def read_xdf(path: Path, **declared: Any) -> SensorLog:
     structure = read_structure(path)
 
     def understood(header: XdfHeader) -> StreamChannels:
-        channels = StreamChannels.of(
-            header.name, _labels(header), header.units, header.types, declared=declared
-        )
+        channels = StreamChannels.of(header.name, _labels(header), header.units, header.types, declared=declared)
         if all(one.quaternions is None and one.gyroscope is None for one in channels.sensors):
             raise InvalidInputError(f"stream {header.name}: no orientation, and no gyroscope to find it by")
         return channels
@@ -81,9 +79,7 @@ def read_xdf(path: Path, **declared: Any) -> SensorLog:
     return SensorLog(path, TITLE, named, found[0][1].declaration, (*notes, *remarks))
 
 
-def _named(
-    streams: Sequence[SensorStream], headers: Sequence[XdfHeader], notes: list[str]
-) -> tuple[SensorStream, ...]:
+def _named(streams: Sequence[SensorStream], headers: Sequence[XdfHeader], notes: list[str]) -> tuple[SensorStream, ...]:
     """Return the sensors with what tells streams of one name apart in their names."""
     twice = {name for name, number in Counter(one.name for one in streams).items() if number > 1}
     named = []
@@ -115,11 +111,7 @@ class XdfPoints:
     """Remarks, in sentences."""
 
     def sequence(self, camera: Camera) -> KeypointSequence:
-        """Return the points as keypoints.
-
-        Args:
-            camera: that saw them.
-        """
+        """Return the points as keypoints."""
         return KeypointSequence(camera, self.times, self.uv_px, self.confidence, self.names)
 
 
@@ -127,7 +119,7 @@ def read_xdf_points(path: str | Path, stream: str | None = None) -> XdfPoints:
     """Read the detected points of a file.
 
     Args:
-        path: the file. stream: name of the stream; not needed where only one has points.
+        stream: name of the stream; not needed where only one has points.
 
     Raises:
         FileFormatError: unreadable, damaged, or no stream of points or several.

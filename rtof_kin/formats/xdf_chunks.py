@@ -1,9 +1,8 @@
 """Structure of XDF files: the streams they declare, and where their intact chunks end.
 
-A file is ``XDF:`` and chunks of a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications).
-Every length is checked against the others before anything is decoded, so that a damaged file is an error and
-neither fills the memory nor gives wrong numbers. Recorders that crash leave the last chunk incomplete; what
-precedes it is intact.
+A file is ``XDF:`` and chunks of a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications). Every
+length is checked against the others before anything is decoded, so that a damaged file is an error and neither fills
+the memory nor gives wrong numbers. Recorders that crash leave the last chunk incomplete; what precedes it is intact.
 """
 
 from __future__ import annotations
@@ -71,9 +70,6 @@ class _CutError(Exception):
 def read_structure(path: Path) -> XdfStructure:
     """Return the streams of a file, all of whose intact chunks fit together.
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: no XDF file, or damaged; names the byte.
     """
@@ -129,9 +125,7 @@ class _Chunks:
 
     def _of_stream(self, start: int, tag: int, number: int, length: int) -> None:
         if (tag == _STREAM_HEADER) == (number in self._headers):
-            raise self._damaged(
-                start, f"stream {number} has {'two headers' if number in self._headers else 'none'}"
-            )
+            raise self._damaged(start, f"stream {number} has {'two headers' if number in self._headers else 'none'}")
         if tag == _STREAM_HEADER:
             self._headers[number] = self._header(start, number, self._xml(start, length))
             self._samples[number] = 0
@@ -162,27 +156,34 @@ class _Chunks:
         return count
 
     def _header(self, start: int, number: int, xml: ElementTree.Element) -> XdfHeader:
-        text = {key: (xml.findtext(key) or "").strip() for key in (
-            "name", "type", "source_id", "channel_count", "channel_format", "nominal_srate"
-        )}  # fmt: skip
+        text = {
+            key: (xml.findtext(key) or "").strip()
+            for key in ("name", "type", "source_id", "channel_count", "channel_format", "nominal_srate")
+        }
         kind = text["channel_format"]
         try:
             count, rate = int(text["channel_count"]), float(text["nominal_srate"])
         except ValueError as error:
             raise self._damaged(start, f"stream {number}: {error}") from error
         if not 0 < count <= _MOST_CHANNELS or not 0 <= rate < 1e6 or kind not in (*_ITEM_BYTES, "string"):
-            raise self._damaged(
-                start, f"stream {number}: {count} channels of {kind or 'no type'} at {rate:g} Hz"
-            )
+            raise self._damaged(start, f"stream {number}: {count} channels of {kind or 'no type'} at {rate:g} Hz")
         channels = xml.findall("desc/channels/channel")
         labels, units, types = (
             tuple((channel.findtext(field) or "").strip() for channel in channels)
             for field in ("label", "unit", "type")
         )
         return XdfHeader(
-            number, text["name"], text["type"], text["source_id"], count, _ITEM_BYTES.get(kind, 0), rate,
-            labels, units, types,
-        )  # fmt: skip
+            number,
+            text["name"],
+            text["type"],
+            text["source_id"],
+            count,
+            _ITEM_BYTES.get(kind, 0),
+            rate,
+            labels,
+            units,
+            types,
+        )
 
     def _xml(self, start: int, length: int) -> ElementTree.Element:
         if length > _LARGEST_XML:

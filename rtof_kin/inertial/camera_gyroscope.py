@@ -69,7 +69,7 @@ def motion_of_gyroscope(stream: SensorStream, R_camera_phone: Array) -> CameraMo
     else angular velocities are summed. A slow drift of the heading remains either way.
 
     Args:
-        stream: of the sensor, with a gyroscope or an orientation. R_camera_phone: (3, 3), see `HELD`.
+        R_camera_phone: (3, 3), see `HELD`.
 
     Raises:
         InvalidInputError: there is neither, or there are too few samples.
@@ -110,9 +110,6 @@ def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
     """Find how a phone was held and the time between its clock and the video's.
 
     Angular velocities of both are correlated over all lags with an overlap of two seconds.
-
-    Args:
-        stream: of the phone, with a gyroscope. image: turning of the camera by the image.
 
     Raises:
         InvalidInputError: no gyroscope, or less than two seconds of either.
@@ -168,11 +165,7 @@ def _even(times: Array, w: Array) -> tuple[Array, float]:
 
 
 def with_gravity(image: CameraMotion, stream: SensorStream, match: GyroscopeMatch) -> CameraMotion:
-    """Return the turning by the image with up from a phone's accelerometer.
-
-    Args:
-        image: turning by the image. stream: of the phone. match: of both.
-    """
+    """Return the turning by the image with up from a phone's accelerometer."""
     gyroscope = motion_of_gyroscope(stream, HELD[match.held]).shifted(match.offset)
     if gyroscope.up_first is None:
         return image

@@ -88,8 +88,7 @@ def detect_contacts(
 
     Args:
         poses: (T, J) with finite orientations; its root may be anywhere.
-        bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's.
-        skeleton: the subject's. settings: thresholds.
+        bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's. skeleton: the subject's.
         from_poses: whether feet without such a sensor are included, detected by their speed in the poses.
 
     Returns:
@@ -119,7 +118,7 @@ def footholds(contacts: Contacts, p_world: Array, height: float) -> Footholds:
     """Return the median horizontal position of each contact, at a height.
 
     Args:
-        contacts: of C joints. p_world: (T, C, 3) their positions, m. height: of the ankles, m.
+        p_world: (T, C, 3) their positions, m. height: of the ankles, m.
     """
     places = np.full_like(p_world, np.nan)
     for i, own in enumerate(contacts.standing.T):
@@ -137,9 +136,13 @@ def _source(foot: str, bone_imus: BoneImuSequence | None, skeleton: SkeletonMode
 
 
 def _still(
-    poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, foot: str, source: str,
+    poses: PoseSequence,
+    bone_imus: BoneImuSequence,
+    skeleton: SkeletonModel,
+    foot: str,
+    source: str,
     settings: ContactSettings,
-) -> Mask:  # fmt: skip
+) -> Mask:
     """Return (T,) frames in which the ankle hardly accelerates and the segment hardly rotates."""
     rate, (j,) = poses.rate_hz, skeleton.index(source)
     s = bone_imus.joints.index(source)

@@ -45,7 +45,7 @@ def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion],
     """Estimate a heading for each sensor.
 
     Args:
-        likelihood: of motions. motions: S, calibrated in the pose with headings 0.
+        motions: S, calibrated in the pose with headings 0.
         R_pose: (S, 3, 3) R_world_bone of their segments in the pose.
     """
     turned = _Turned(likelihood, motions, R_pose)
@@ -137,9 +137,7 @@ class _Turned:
         grid, S, pair = _grid(_GRID), len(self._motions), self._likelihood.pair
         motions = [[self._motion(s, float(h)) for h in grid] for s in range(S)]
         belief = np.array([[self._likelihood.single(motion) for motion in own] for own in motions])
-        tables = {
-            (a, b): np.array([[pair(x, y) for y in motions[b]] for x in motions[a]]) for a, b in self._pairs
-        }
+        tables = {(a, b): np.array([[pair(x, y) for y in motions[b]] for x in motions[a]]) for a, b in self._pairs}
         tables |= {(b, a): table.T for (a, b), table in tables.items()}
         graph = np.zeros((S, S))
         for edge in tables:

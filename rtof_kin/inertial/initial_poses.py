@@ -40,9 +40,8 @@ def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> P
     if not seen.any():
         raise InvalidInputError("bone_imus: no sensor has an orientation in any frame")
     sensed = {
-        j: _bridged(bone_imus.times, bone_imus.R_world_bone[:, s])
-        for s, j in enumerate(joints) if seen[:, j].any()
-    }  # fmt: skip
+        j: _bridged(bone_imus.times, bone_imus.R_world_bone[:, s]) for s, j in enumerate(joints) if seen[:, j].any()
+    }
     R = _Neutral(skeleton, sensed).orientations()
     ended = np.zeros_like(seen)
     ended[:, 1:] = seen[:, list(skeleton.parents[1:])]

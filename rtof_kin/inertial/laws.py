@@ -52,9 +52,6 @@ _TURNS_DEG = 20.0  # [deg/s] RMS angular speed that determines a lever arm
 def rates_of_orientation(stream: SensorStream) -> tuple[Array, Array]:
     """Differentiate the orientation at the middle of every step.
 
-    Args:
-        stream: the sensor.
-
     Returns:
         Times (T - 1,), s; w_sensor (T - 1, 3), rad/s, NaN across gaps and where orientation is missing.
 
@@ -76,9 +73,6 @@ def delay(stream: SensorStream) -> float:
     """Return the delay of the gyroscope after the orientation, samples; NaN if unobservable.
 
     It maximises the correlation of the two angular speeds, independent of axes and units.
-
-    Args:
-        stream: the sensor.
     """
     if stream.w_sensor is None or stream.R_inertial_sensor is None or len(stream) < 20:
         return float("nan")
@@ -102,7 +96,7 @@ def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
     """Check the RMS difference of gyroscope and derivative of the orientation.
 
     Args:
-        stream: the sensor. shift: delay of the gyroscope, samples; estimated if None.
+        shift: delay of the gyroscope, samples; estimated if None.
     """
     pair = _both_rates(stream, shift)
     if pair is None:
@@ -144,11 +138,7 @@ def _both_rates(stream: SensorStream, shift: float | None = None) -> tuple[Array
 
 
 def turning_checks(stream: SensorStream) -> tuple[Check, ...]:
-    """Check `gyroscope`, jumps of the orientation, delay of the gyroscope and norm of quaternions.
-
-    Args:
-        stream: the sensor.
-    """
+    """Check `gyroscope`, jumps of the orientation, delay of the gyroscope and norm of quaternions."""
     shift = delay(stream)
     first = gyroscope(stream, shift)
     return (first, _jumps(stream, shift, first.passed), _delay(stream, shift), _quaternion_norm(stream))
@@ -202,9 +192,6 @@ def _described(R_sensor_oriented: Array) -> str:
 def fixed_axes(stream: SensorStream) -> tuple[Array, str] | None:
     """Fit the constant orthogonal matrix from the orientation's rates to the gyroscope's (Wahba 1965).
 
-    Args:
-        stream: the sensor.
-
     Returns:
         R_sensor_oriented (3, 3), from the axes of the file's orientation to those of the gyroscope, and its
         description. None for too little data, turning about one axis only, or rates that still disagree.
@@ -227,11 +214,7 @@ def fixed_axes(stream: SensorStream) -> tuple[Array, str] | None:
 
 
 def likely_rate(stream: SensorStream) -> float | None:
-    """Return the sampling rate, Hz, under which orientation and gyroscope agree, if there is one.
-
-    Args:
-        stream: the sensor.
-    """
+    """Return the sampling rate, Hz, under which orientation and gyroscope agree, if there is one."""
     pair = _both_rates(stream)
     if pair is None:
         return None
@@ -257,9 +240,6 @@ def at_rest(stream: SensorStream) -> Mask:
     """Return the mask (T,) of rest, by orientation or else by specific force.
 
     Both are independent of units, and of inverted or reordered quaternions.
-
-    Args:
-        stream: the sensor.
     """
     if stream.R_inertial_sensor is not None:
         slow = np.linalg.norm(rates_of_orientation(stream)[1], axis=-1) < _STILL
@@ -280,7 +260,7 @@ def gravity_checks(stream: SensorStream, rest: Mask, per_metre: float) -> tuple[
     """Check specific force, direction of gravity, mean acceleration and lever arm.
 
     Args:
-        stream: the sensor. rest: (T,) from `at_rest`. per_metre: its `turning_acceleration`, 1/s^2.
+        rest: (T,) from `at_rest`. per_metre: its `turning_acceleration`, 1/s^2.
     """
     return (_specific_force(stream, rest), *_mean_force(stream, rest), _lever_arm(stream, per_metre))
 
@@ -323,9 +303,7 @@ def _mean_force(stream: SensorStream, rest: Mask) -> tuple[Check, ...]:
     """Check the mean specific force in inertial axes: its direction, and its size less gravity."""
     mean = _mean_in_inertial(stream, rest)
     if mean is None:
-        why = (
-            _missing(stream) or f"there is neither {_ENOUGH_REST:g} s at rest nor {_ENOUGH_MOTION:g} s in all"
-        )
+        why = _missing(stream) or f"there is neither {_ENOUGH_REST:g} s at rest nor {_ENOUGH_MOTION:g} s in all"
         unknown = ((DIRECTION, "deg"), (MEAN_ACCELERATION, "m/s2"))
         return tuple(Check.unknown(name, stream.name, unit, why) for name, unit in unknown)
     force, seconds = mean

@@ -70,7 +70,7 @@ class SegmentMotion:
         """Return the motion of the same sensor on another segment, or mounted otherwise.
 
         Args:
-            joint: segment. R_bone_new: (3, 3) factor of R_world_bone. p_bone_sensor: (3,) m.
+            R_bone_new: (3, 3) factor of R_world_bone. p_bone_sensor: (3,) m.
         """
         return SegmentMotion(joint, self.R_world_bone @ R_bone_new, self.w_world, self.a_world, p_bone_sensor)
 
@@ -87,9 +87,6 @@ class SegmentMotion:
 def even_times(bone_imus: BoneImuSequence) -> Array:
     """Return times (T,), s, at `RATE_HZ` over the sensors' duration.
 
-    Args:
-        bone_imus: the sensors.
-
     Raises:
         InvalidInputError: less than a second.
     """
@@ -100,19 +97,13 @@ def even_times(bone_imus: BoneImuSequence) -> Array:
 
 
 def segment_motions(bone_imus: BoneImuSequence) -> tuple[SegmentMotion, ...]:
-    """Return the motions of calibrated sensors at `even_times`.
-
-    Args:
-        bone_imus: the sensors.
-    """
+    """Return the motions of calibrated sensors at `even_times`."""
     times = even_times(bone_imus)
     even = bone_imus.resample(times)
     motions = []
     for s, joint in enumerate(even.joints):
         R = even.R_world_bone[:, s]
-        motions.append(
-            SegmentMotion(joint, R, angular_velocity(times, R), even.a_world[:, s], even.p_bone_sensor[s])
-        )
+        motions.append(SegmentMotion(joint, R, angular_velocity(times, R), even.a_world[:, s], even.p_bone_sensor[s]))
     return tuple(motions)
 
 
@@ -120,7 +111,7 @@ def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> di
     """Return directions (T, C, 3) in world from each joint to its C children, from a camera's poses.
 
     Args:
-        poses: of the skeleton. skeleton: the subject's. times: (T,) s.
+        skeleton: the subject's. times: (T,) s.
 
     Returns:
         By joint, without those never seen.
@@ -195,9 +186,6 @@ class MotionLikelihood:
     def tree(self, joints: Sequence[str]) -> list[tuple[str, str]]:
         """Return the pairs of segments to compare: a minimum spanning tree of distances in the skeleton.
 
-        Args:
-            joints: segments.
-
         Returns:
             Pairs, the segment nearer to the root first.
         """
@@ -209,11 +197,7 @@ class MotionLikelihood:
         return [(a, b) if order(a) < order(b) else (b, a) for a, b in pairs]
 
     def single(self, motion: SegmentMotion) -> float:
-        """Return the log-likelihood of one sensor: direction of up, and bones seen by a camera.
-
-        Args:
-            motion: of the sensor.
-        """
+        """Return the log-likelihood of one sensor: direction of up, and bones seen by a camera."""
         mean, precision = self._up(motion.joint)
         values = _student(motion.R_world_bone[:, 2, :] - mean, precision)
         if motion.joint in self._seen:
@@ -225,11 +209,7 @@ class MotionLikelihood:
         return _summed(values * _moving(motion.w_world), _POSTURE_MEMORY)
 
     def pair(self, a: SegmentMotion, b: SegmentMotion) -> float:
-        """Return the log-likelihood of two sensors: posture, turning, joint centre.
-
-        Args:
-            a: of the segment nearer to the root. b: of the other.
-        """
+        """Return the log-likelihood of two sensors: posture, turning, joint centre."""
         prior = self._pair(a.joint, b.joint)
         R_a_b = np.swapaxes(a.R_world_bone, -1, -2) @ b.R_world_bone
         known = np.isfinite(R_a_b).all(axis=(-2, -1))
@@ -354,9 +334,7 @@ def _summed(values: Array, memory: float) -> float:
 
 
 @cache
-def _sampled_poses(
-    names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000
-) -> tuple[Array, Array]:
+def _sampled_poses(names: tuple[str, ...], parents: tuple[int, ...], count: int = 4000) -> tuple[Array, Array]:
     """Return R_world_bone (N, J, 3, 3) of poses of the prior with heading 0, and a moment later.
 
     In that moment every joint moves by a hundredth of another draw from the prior.

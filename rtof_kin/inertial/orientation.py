@@ -45,9 +45,6 @@ _DEFAULT = OrientationSettings()
 def with_orientation(stream: SensorStream, settings: OrientationSettings = _DEFAULT) -> SensorStream:
     """Estimate the orientation of a stream by VQF.
 
-    Args:
-        stream: with gyroscope and accelerometer. settings: of the filter.
-
     Returns:
         The stream with R_inertial_sensor in a reference with z up, NaN in long gaps; without magnetometer
         its heading is arbitrary. Its notes describe the estimate.
@@ -85,7 +82,7 @@ def log_with_orientation(
     """Estimate the orientation of sensors of a log by VQF.
 
     Args:
-        log, settings: sensors and filter. names: of those to estimate; None: of those without orientation.
+        names: of those to estimate; None: of those without orientation.
 
     Raises:
         UnknownNameError: unknown sensor. InvalidInputError: as in `with_orientation`.
@@ -108,9 +105,13 @@ def _pieces(times: Array, known: Mask, longest: float) -> list[tuple[int, int]]:
 
 
 def _estimated(
-    stream: SensorStream, measured: tuple[Array, Array, Array | None], rows: slice, known: Mask, step: float,
+    stream: SensorStream,
+    measured: tuple[Array, Array, Array | None],
+    rows: slice,
+    known: Mask,
+    step: float,
     causal: bool,
-) -> Array:  # fmt: skip
+) -> Array:
     """Return the orientation (T, 3, 3) of one piece; the filter needs equal steps."""
     times = stream.times[rows]
     count = int((times[-1] - times[0]) / step) + 2

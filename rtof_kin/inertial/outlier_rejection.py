@@ -36,9 +36,6 @@ _WINDOW = 0.5  # [s] of the running median of that angle; faults closer than thi
 def reject_imu_outliers(imus: ImuSequence) -> tuple[ImuSequence, tuple[StreamFault, ...]]:
     """Set stuck samples and saturated accelerations to NaN.
 
-    Args:
-        imus: as recorded.
-
     Returns:
         The sensors, unchanged if there are none, and the faults by sensor.
     """
@@ -62,7 +59,7 @@ def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[St
     """Yield intervals without samples within a span; one for all sensors where all have it in common.
 
     Args:
-        imus: as recorded. start, stop: s.
+        start, stop: s.
     """
     known = np.asarray(np.isfinite(imus.f_sensor + imus.R_inertial_sensor[..., 0]).all(axis=-1))
     by_sensor = [_without(imus.times[own], start, stop) for own in known.T]
@@ -80,11 +77,7 @@ def _without(times: Array, start: float, stop: float) -> list[tuple[float, float
 
 
 def repeated_samples(imus: ImuSequence) -> Mask:
-    """Return the mask (T - 1, S) of samples, from the second on, that repeat the one before.
-
-    Args:
-        imus: S sensors.
-    """
+    """Return the mask (T - 1, S) of samples, from the second on, that repeat the one before."""
     T, S = imus.f_sensor.shape[:2]
     values = np.concatenate([imus.R_inertial_sensor.reshape(T, S, 9), imus.f_sensor], axis=2)
     with np.errstate(invalid="ignore"):
@@ -133,7 +126,7 @@ def find_disagreements(
     Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
 
     Args:
-        poses: solved with these sensors, at their times. bone_imus: calibrated. skeleton: the subject's.
+        skeleton: the subject's.
 
     Returns:
         Faults by segment.
@@ -176,11 +169,7 @@ def merge_faults(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
 
 
 def mask_faults(bone_imus: BoneImuSequence, faults: Iterable[StreamFault]) -> BoneImuSequence:
-    """Return the sensors with NaN during faults.
-
-    Args:
-        bone_imus: calibrated sensors. faults: by segment.
-    """
+    """Return the sensors with NaN during faults."""
     R, a = bone_imus.R_world_bone.copy(), bone_imus.a_world.copy()
     for fault in faults:
         during = (bone_imus.times >= fault.start) & (bone_imus.times <= fault.stop)

@@ -22,14 +22,14 @@ from rtof_kin.data.imu_declaration import CHOICES, Declaration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial import laws
 
-LAWS: Final = (
-    laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE,
-)  # fmt: skip
+LAWS: Final = (laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE)
 """Names of the checks that fail for a wrong declaration of a unit or of axes."""
 _WHAT = {
-    "f_sensor": "acceleration", "w_sensor": "gyroscope", "m_sensor": "magnetometer",
+    "f_sensor": "acceleration",
+    "w_sensor": "gyroscope",
+    "m_sensor": "magnetometer",
     "R_inertial_sensor": "orientation",
-}  # fmt: skip
+}
 _RATE = 1.0  # [%] deviation of the time stamps' rate from the declared one
 _JITTER = 25.0  # [%] 95th percentile of the steps' deviation from their median, without lost samples
 _LOST, _MISSING = 5.0, 5.0  # [%] of samples absent, and NaN
@@ -44,9 +44,6 @@ _OF_TURNING = ("angular_unit", "quaternion_order", "orientation_maps")
 
 def check_log(log: SensorLog) -> tuple[Check, ...]:
     """Check all sensors of a file, which share one declaration.
-
-    Args:
-        log: the sensors.
 
     Returns:
         For each sensor the laws, then clock and channels. `Check.likely` of a failed law is the change of
@@ -64,9 +61,7 @@ def _check(streams: Sequence[SensorStream], declared: Declaration) -> tuple[Chec
     for stream, checks in zip(streams, found, strict=True):
         if broken := _broken(checks):
             why, likely = _explanation(stream, declared, broken, changes)
-            checks = tuple(
-                replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks
-            )
+            checks = tuple(replace(c, advice=f"{c.advice}. {why}", likely=likely) if c in broken else c for c in checks)
         out += [*checks, *_sampling(stream, declared)]
     return tuple(out)
 
@@ -254,9 +249,15 @@ def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:
     return [
         _rate(names[0], stream, rate_hz, declared.rate_hz),
         Check(names[1], stream.name, float(np.percentile(off, 95)), _JITTER, "%", uneven),
-        Check(names[2], stream.name, 100 * lost / expected, _LOST, "%",
-              f"{lost:.0f} of {expected:.0f} are not there; {longest}"),
-    ]  # fmt: skip
+        Check(
+            names[2],
+            stream.name,
+            100 * lost / expected,
+            _LOST,
+            "%",
+            f"{lost:.0f} of {expected:.0f} are not there; {longest}",
+        ),
+    ]
 
 
 def _rate(name: str, stream: SensorStream, rate_hz: float, declared_hz: float | None) -> Check:

@@ -111,11 +111,10 @@ def calibrate_by_pose(
         imus: with orientation; sensors that `joints` does not name are ignored.
         joints: sensor -> segment that carries it, by its proximal joint.
         pose: 'T', 'N', 'seated', or R_world_bone (J, 3, 3) measured during the pose.
-        skeleton: of the segments.
-        facing: direction of the person in the sensors' shared reference: an angle, rad about z from x, or
-            a sensor and its axis that points forward, e.g. ('Pelvis', '-z'); None: from the movement.
-        world_facing: heading of the person in the resulting world, rad. By default the world is the shared
-            reference; with own headings or a measured pose it is the pose's (named ones face x).
+        facing: direction of the person in the sensors' shared reference: an angle, rad about z from x, or a sensor
+            and its axis that points forward, e.g. ('Pelvis', '-z'); None: from the movement.
+        world_facing: heading of the person in the resulting world, rad. By default the world is the shared reference;
+            with own headings or a measured pose it is the pose's (named ones face x).
         still: (start, stop) s of the pose; the first second without rotation if None.
         headings: 'shared': one reference for all sensors. 'own': one each, estimated from the movement.
         levers: sensor -> position (3,) in the segment's frame, m; by default the usual one.
@@ -189,20 +188,13 @@ def _from_movement(
 
 
 def usual_lever(joint: str, skeleton: SkeletonModel) -> Array:
-    """Return the usual position (3,) of a sensor on a segment, m: from the skeleton's table, or its middle.
-
-    Args:
-        joint: segment. skeleton: its skeleton.
-    """
+    """Return the usual position (3,) of a sensor on a segment, m: from the skeleton's table, or its middle."""
     usual = {carrier: lever for carrier, lever in skeleton.sensors.values()}
     return usual.get(joint, skeleton.table.joints[skeleton.index(joint)[0]].end / 2)
 
 
 def calibrated(imus: ImuSequence | SensorLog, calibration: ImuCalibration) -> BoneImuSequence:
     """Apply a calibration to sensors on any times.
-
-    Args:
-        imus: the sensors. calibration: of some of them.
 
     Returns:
         The sensors at `RATE_HZ` over their common time; a_world is NaN without accelerometer.
@@ -249,9 +241,12 @@ class _Held:
 
 
 def _hold(
-    imus: ImuSequence | SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel,
-    still: tuple[float, float] | None, levers: Mapping[str, ArrayLike] | None,
-) -> _Held:  # fmt: skip
+    imus: ImuSequence | SensorLog,
+    joints: Mapping[str, str],
+    skeleton: SkeletonModel,
+    still: tuple[float, float] | None,
+    levers: Mapping[str, ArrayLike] | None,
+) -> _Held:
     """Average the orientations of sensors during the pose."""
     if not joints:
         raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")

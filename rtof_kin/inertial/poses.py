@@ -27,7 +27,6 @@ def pose_rotations(pose: str | ArrayLike, skeleton: SkeletonModel) -> Array:
 
     Args:
         pose: one of `POSES`, or measured orientations (J, 3, 3), e.g. ``poses.R_world_bone[frame]``.
-        skeleton: of the segments.
 
     Raises:
         UnknownNameError: unknown pose. InvalidInputError: not (J, 3, 3), or not rotations.

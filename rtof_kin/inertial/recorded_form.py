@@ -73,7 +73,7 @@ def check_form(imus: ImuSequence, R_world_inertial: Array) -> tuple[Check, ...]:
     """Check that sensors are alive and that their samples have the form of a recording.
 
     Args:
-        imus: S sensors, as recorded. R_world_inertial: (S, 3, 3) of their calibration.
+        R_world_inertial: (S, 3, 3) of their calibration.
 
     Returns:
         One check of repeated samples and one of gravity; a failed one names the sensors and the cause.
@@ -86,10 +86,12 @@ def _check_frozen(imus: ImuSequence, repeats: Mask) -> Check:
     """Check for repeated samples; a sensor with constant, noiseless gravity is simulated at rest."""
     times, still = imus.times, repeats[1:].all(axis=0)
     simulated = still & (np.abs(np.linalg.norm(imus.f_sensor[0], axis=-1) - STANDARD_GRAVITY) < 1e-6)
-    longest = np.array([
-        max((times[stop - 1] - times[start - 1] for start, stop in signals.runs(own)), default=0.0)
-        for own in np.where(simulated, False, repeats).T
-    ])  # fmt: skip
+    longest = np.array(
+        [
+            max((times[stop - 1] - times[start - 1] for start, stop in signals.runs(own)), default=0.0)
+            for own in np.where(simulated, False, repeats).T
+        ]
+    )
     frozen, value = longest > _LONGEST_REPEAT, float(longest.max())
     if not frozen.any():
         return Check(FROZEN, "sensors", value, _LONGEST_REPEAT, "s")

@@ -77,9 +77,8 @@ def root_path(
     """Estimate the root's path from contacts and accelerations.
 
     Args:
-        poses: (T, J) rigid, evenly spaced; its root may be anywhere.
-        bone_imus: sensors at the poses' times. contacts: of the same frames. skeleton: the subject's.
-        ankle_height: z in world of a standing ankle, m. settings: standard deviations.
+        poses: (T, J) rigid, evenly spaced; its root may be anywhere. skeleton: the subject's.
+        ankle_height: z in world of a standing ankle, m.
 
     Returns:
         A path that begins over the origin. Without foot sensors it stays there, with the lowest joint of
@@ -107,7 +106,7 @@ def path_through_gaps(
 
     Args:
         poses: (T, J) rigid, evenly spaced. seen: (T,) frames with keypoints, where its root is valid.
-        bone_imus: sensors at the poses' times. skeleton: the subject's. settings: standard deviations.
+        skeleton: the subject's.
 
     Returns:
         The given root with a standard deviation of 0 where seen, else the estimate. None without foot
@@ -170,9 +169,14 @@ class _System:
 
 
 def _walked(
-    system: _System, poses: PoseSequence, bone_imus: BoneImuSequence, contacts: Contacts,
-    skeleton: SkeletonModel, ankle_height: float, settings: RootPathSettings,
-) -> Array:  # fmt: skip
+    system: _System,
+    poses: PoseSequence,
+    bone_imus: BoneImuSequence,
+    contacts: Contacts,
+    skeleton: SkeletonModel,
+    ankle_height: float,
+    settings: RootPathSettings,
+) -> Array:
     """Add feet and accelerations to a system and return its path (T, 3)."""
     rate, every = poses.rate_hz, np.arange(system.frames)
     relative = poses.p_world_joint - poses.p_world_joint[:, :1]

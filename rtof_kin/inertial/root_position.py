@@ -28,8 +28,7 @@ def refit_root(
 
     Args:
         poses: (T, J) rigid poses. keypoints: of the same frames; landmarks that are joints are used.
-        views: those of further cameras. sigma_px: standard deviation of a landmark, px.
-        sigma_depth: of the given root, m. iterations: Gauss-Newton steps.
+        sigma_px: standard deviation of a landmark, px. sigma_depth: of the given root, m.
 
     Returns:
         The poses translated; frames without keypoints are unchanged.

@@ -15,33 +15,84 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import UnknownNameError
 
 _SIDES: Final = {
-    "left": "Left", "l": "Left", "lt": "Left", "lft": "Left",
-    "right": "Right", "r": "Right", "rt": "Right", "rgt": "Right",
-}  # fmt: skip
+    "left": "Left",
+    "l": "Left",
+    "lt": "Left",
+    "lft": "Left",
+    "right": "Right",
+    "r": "Right",
+    "rt": "Right",
+    "rgt": "Right",
+}
 _MIDDLE: Final = {
-    "pelvis": "Hips", "hip": "Hips", "hips": "Hips", "sacrum": "Hips", "waist": "Hips",
-    "l5": "Spine", "s1": "Hips", "lumbar": "Spine", "low back": "Spine", "low spine": "Spine",
-    "l3": "Spine1", "t12": "Spine2",
-    "chest": "Spine3", "sternum": "Spine3", "torso": "Spine3", "thorax": "Spine3", "trunk": "Spine3",
-    "up back": "Spine3", "up spine": "Spine3", "up trunk": "Spine3", "t8": "Spine3", "c7": "Spine3",
-    "neck": "Neck", "head": "Head",
-}  # fmt: skip
+    "pelvis": "Hips",
+    "hip": "Hips",
+    "hips": "Hips",
+    "sacrum": "Hips",
+    "waist": "Hips",
+    "l5": "Spine",
+    "s1": "Hips",
+    "lumbar": "Spine",
+    "low back": "Spine",
+    "low spine": "Spine",
+    "l3": "Spine1",
+    "t12": "Spine2",
+    "chest": "Spine3",
+    "sternum": "Spine3",
+    "torso": "Spine3",
+    "thorax": "Spine3",
+    "trunk": "Spine3",
+    "up back": "Spine3",
+    "up spine": "Spine3",
+    "up trunk": "Spine3",
+    "t8": "Spine3",
+    "c7": "Spine3",
+    "neck": "Neck",
+    "head": "Head",
+}
 """Words -> joint of the skeleton total_capture."""
 _LIMBS: Final = {
-    "thigh": "UpLeg", "femur": "UpLeg", "up leg": "UpLeg",
-    "shank": "Leg", "tibia": "Leg", "low leg": "Leg", "calf": "Leg", "shin": "Leg",
-    "foot": "Foot", "calcn": "Foot", "calcaneus": "Foot", "instep": "Foot",
-    "clavicle": "Shoulder", "collar": "Shoulder", "scapula": "Shoulder", "shoulder": "Shoulder",
-    "up arm": "Arm", "humerus": "Arm", "biceps": "Arm",
-    "forearm": "ForeArm", "fore arm": "ForeArm", "low arm": "ForeArm", "ulna": "ForeArm",
-    "radius": "ForeArm", "wrist": "ForeArm",
-    "hand": "Hand", "metacarpal": "Hand",
-}  # fmt: skip
+    "thigh": "UpLeg",
+    "femur": "UpLeg",
+    "up leg": "UpLeg",
+    "shank": "Leg",
+    "tibia": "Leg",
+    "low leg": "Leg",
+    "calf": "Leg",
+    "shin": "Leg",
+    "foot": "Foot",
+    "calcn": "Foot",
+    "calcaneus": "Foot",
+    "instep": "Foot",
+    "clavicle": "Shoulder",
+    "collar": "Shoulder",
+    "scapula": "Shoulder",
+    "shoulder": "Shoulder",
+    "up arm": "Arm",
+    "humerus": "Arm",
+    "biceps": "Arm",
+    "forearm": "ForeArm",
+    "fore arm": "ForeArm",
+    "low arm": "ForeArm",
+    "ulna": "ForeArm",
+    "radius": "ForeArm",
+    "wrist": "ForeArm",
+    "hand": "Hand",
+    "metacarpal": "Hand",
+}
 """Words -> joint of the skeleton total_capture without its side."""
 _HUMAN36M: Final = {
-    "Hips": "Hip", "Spine3": "Thorax", "Neck": "Neck", "Head": "Head", "UpLeg": "Hip", "Leg": "Knee",
-    "Foot": "Foot", "Arm": "Shoulder", "ForeArm": "Elbow", "Hand": "Wrist",
-}  # fmt: skip
+    "Hips": "Hip",
+    "Spine3": "Thorax",
+    "Neck": "Neck",
+    "Head": "Head",
+    "UpLeg": "Hip",
+    "Leg": "Knee",
+    "Foot": "Foot",
+    "Arm": "Shoulder",
+    "ForeArm": "Elbow",
+    "Hand": "Wrist",
+}
 """Joint of total_capture -> of human36m; the others of the spine are not the same segments there."""
 _SAME: Final = {"upper": "up", "lower": "low"}
 _IDLE: Final = frozenset({"imu", "sensor", "segment"})
@@ -74,7 +125,7 @@ def segments_of(names: Iterable[str], skeleton: SkeletonModel) -> dict[str, str]
     Two names of the same segment are both left out, as one of them must be somewhere else.
 
     Args:
-        names: of sensors. skeleton: as in `segment_of`.
+        skeleton: as in `segment_of`.
     """
     found = {name: joint for name in names if (joint := segment_of(name, skeleton)) is not None}
     taken = list(found.values())
@@ -85,7 +136,7 @@ def known_segment(name: str, skeleton: SkeletonModel, path: str | Path | None = 
     """Return the segment that a name means.
 
     Args:
-        name, skeleton: as in `segment_of`. path: file where the name stands, for the message.
+        name, skeleton: as in `segment_of`.
 
     Raises:
         UnknownNameError: it means none.

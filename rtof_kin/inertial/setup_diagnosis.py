@@ -25,13 +25,7 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.likelihood import (
-    MotionLikelihood,
-    SegmentMotion,
-    even_times,
-    seen_bones,
-    segment_motions,
-)
+from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, even_times, seen_bones, segment_motions
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations, turned_to
 
@@ -95,9 +89,6 @@ class Fault:
     def corrected(self, calibration: ImuCalibration) -> ImuCalibration:
         """Return the calibration without the fault.
 
-        Args:
-            calibration: the one that was diagnosed.
-
         Raises:
             CalibrationError: it has no sensor on one of the segments concerned.
         """
@@ -106,10 +97,7 @@ class Fault:
             problem = f"has no sensor on {', '.join(missing)}; give the one that was diagnosed"
             raise CalibrationError(f"the calibration {problem}")
         joints, levers = list(calibration.joints), np.array(calibration.p_bone_sensor)
-        R_sensor_bone, R_world_inertial = (
-            calibration.R_sensor_bone.copy(),
-            calibration.R_world_inertial.copy(),
-        )
+        R_sensor_bone, R_world_inertial = (calibration.R_sensor_bone.copy(), calibration.R_world_inertial.copy())
         if self.R_world_new is not None:
             R_world_inertial = self.R_world_new @ R_world_inertial
         for change in self.changes:
@@ -119,9 +107,12 @@ class Fault:
             if change.R_world_new is not None:
                 R_world_inertial[s] = change.R_world_new @ R_world_inertial[s]
         return replace(
-            calibration, joints=tuple(joints), R_world_inertial=R_world_inertial,
-            R_sensor_bone=R_sensor_bone, p_bone_sensor=levers,
-        )  # fmt: skip
+            calibration,
+            joints=tuple(joints),
+            R_world_inertial=R_world_inertial,
+            R_sensor_bone=R_sensor_bone,
+            p_bone_sensor=levers,
+        )
 
     def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
         """Return the motions under the corrected calibration."""
@@ -149,12 +140,10 @@ def diagnose_setup(
     """Return the likely faults of calibrated sensors, the likeliest first.
 
     Args:
-        bone_imus: calibrated sensors over some seconds of movement. skeleton: the subject's.
-        pose: calibration pose as in `calibrate_by_pose`; 'T' where the calibration used no pose.
-        visual: poses of the same movement from a camera; their bone directions are compared.
-        calibration: the calibration of the sensors, required to find swapped streams.
-        kinds: kinds of faults to test.
-        most: largest number of faults; each is searched after correction of those before it.
+        bone_imus: calibrated sensors over some seconds of movement. skeleton: the subject's. pose: calibration pose as
+        in `calibrate_by_pose`; 'T' where the calibration used no pose. visual: poses of the same movement from a
+        camera; their bone directions are compared. calibration: the calibration of the sensors, required to find
+        swapped streams. most: largest number of faults; each is searched after correction of those before it.
     """
     R_pose = turned_to(pose_rotations(pose, skeleton), 0.0)
     motions = segment_motions(bone_imus)
@@ -183,9 +172,7 @@ def setup_log_likelihood(
     return _scores(bone_imus, skeleton, visual)[0].total(segment_motions(bone_imus))
 
 
-def _scores(
-    bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None
-) -> tuple[_Scores, bool]:
+def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None) -> tuple[_Scores, bool]:
     """Return scores of motions, and whether a camera saw them."""
     times = even_times(bone_imus)
     seen = None if visual is None else seen_bones(visual, skeleton, times)

@@ -36,9 +36,12 @@ ENOUGH: Final = {"delay": 0.01, "heading": np.radians(5.0), "mounting": np.radia
 UNITS: Final = {"delay": (1e3, "ms"), "heading": (180 / np.pi, "deg"), "mounting": (180 / np.pi, "deg")}
 """Factor and unit for display."""
 _PRIORS: Final = CalibrationPriors(
-    sigma_delay=PLANTED["delay"], sigma_heading=PLANTED["heading"], sigma_swing=PLANTED["mounting"],
-    sigma_twist=PLANTED["mounting"], most_seconds=SECONDS[-1],
-)  # fmt: skip
+    sigma_delay=PLANTED["delay"],
+    sigma_heading=PLANTED["heading"],
+    sigma_swing=PLANTED["mounting"],
+    sigma_twist=PLANTED["mounting"],
+    most_seconds=SECONDS[-1],
+)
 
 
 @dataclass(frozen=True)
@@ -91,15 +94,19 @@ class _Run:
 
 
 def calibration_time(
-    setup: Setup, draws: int = 2, seed: int = 0, *, lifter: LifterLike | None = None,
-    workers: int | None = None, progress: Progress | None = None,
-) -> CalibrationTime:  # fmt: skip
+    setup: Setup,
+    draws: int = 2,
+    seed: int = 0,
+    *,
+    lifter: LifterLike | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> CalibrationTime:
     """Return how well lengths of a movement calibrate the sensors.
 
     Args:
-        setup: with the movement; lengths beyond it are left out.
-        draws: simulated recordings of each length. seed: of the first. lifter: as for `reconstruct`.
-        workers: processes, one per core if None. progress: called after every recording.
+        setup: with the movement; lengths beyond it are left out. draws: simulated recordings of each length.
+        seed: of the first. lifter: as for `reconstruct`. workers: processes, one per core if None.
 
     Raises:
         InvalidInputError: there are no sensors, or the movement is too short. RtofError: no simulated
@@ -140,31 +147,28 @@ def _measure(run: _Run) -> JobResult:
         found = calibrate_recording(wrong, priors=_PRIORS, lifter=run.lifter, settings=SETTINGS)
     corrected = found.apply(wrong)
     arrays: dict[str, Any] = {
-        kind: np.mean([np.mean(q.sigma[:1] ** 2 if kind != "mounting" else q.sigma**2)
-                       for q in found.quantities if q.kind == kind])
+        kind: np.mean(
+            [
+                np.mean(q.sigma[:1] ** 2 if kind != "mounting" else q.sigma**2)
+                for q in found.quantities
+                if q.kind == kind
+            ]
+        )
         for kind in PLANTED
-    }  # fmt: skip
+    }
     return JobResult({}, arrays | {f"{kind} error": v for kind, v in _left(corrected, true).items()})
 
 
 def planted(recording: Recording, seed: int) -> Recording:
-    """Return a recording whose clock and sensors are off as those of a first attempt are.
-
-    Args:
-        recording: simulated. seed: of the errors.
-    """
+    """Return a recording whose clock and sensors are off as those of a first attempt are."""
     assert recording.calibration is not None
     assert recording.imus is not None
     rng, own = np.random.default_rng([seed, 27]), recording.calibration
     S = len(own.sensors)
-    late = float(
-        np.clip(PLANTED["delay"] * rng.standard_normal(), -2 * PLANTED["delay"], 2 * PLANTED["delay"])
-    )
+    late = float(np.clip(PLANTED["delay"] * rng.standard_normal(), -2 * PLANTED["delay"], 2 * PLANTED["delay"]))
     heading = so3.exp(PLANTED["heading"] * rng.standard_normal((S, 1)) * [0.0, 0.0, 1.0])
     mounting = so3.exp(PLANTED["mounting"] * rng.standard_normal((S, 3)))
-    wrong = replace(
-        own, R_world_inertial=heading @ own.R_world_inertial, R_sensor_bone=own.R_sensor_bone @ mounting
-    )
+    wrong = replace(own, R_world_inertial=heading @ own.R_world_inertial, R_sensor_bone=own.R_sensor_bone @ mounting)
     keypoints = recording.video.on_clock(recording.video.times + late)
     return replace(recording, keypoints=keypoints, calibration=wrong, truth=None)
 
@@ -177,9 +181,7 @@ def _left(found: Recording, true: Recording) -> dict[str, Array]:
     turned = so3.log(a.R_world_inertial @ np.swapaxes(b.R_world_inertial, -1, -2))
     mounted = so3.log(np.swapaxes(b.R_sensor_bone, -1, -2) @ a.R_sensor_bone)
     late = found.video.times[0] - true.video.times[0]
-    return {
-        "delay": np.square(late), "heading": np.mean(turned[:, 2] ** 2), "mounting": np.mean(mounted**2)
-    }  # fmt: skip
+    return {"delay": np.square(late), "heading": np.mean(turned[:, 2] ** 2), "mounting": np.mean(mounted**2)}
 
 
 def _value(kind: str, value: float) -> str:

@@ -34,8 +34,8 @@ def draw_setup(
     """Draw a set-up to scale: plan of the floor, front and back of the body with sensors, the picture.
 
     Args:
-        poses: of the movement, on the floor z = 0. skeleton: body. camera: upright.
-        sensors: names in the skeleton's table. path: .png or .svg file, which is replaced.
+        poses: of the movement, on the floor z = 0. sensors: names in the skeleton's table.
+        path: .png or .svg file, which is replaced.
 
     Returns:
         The numbers that are written in the drawing.
@@ -82,24 +82,28 @@ def _floor(ax: Any, poses: PoseSequence, camera: Camera, place: Framing) -> None
         ax.plot(*path.T, color=BODY, lw=1.2)
     facing = poses.R_world_bone[0, 0, :2, 0] * 0.55
     ax.add_patch(Circle(start.tolist(), 0.22, facecolor="#dddddd", edgecolor=BODY))
-    ax.annotate(
-        "", start + facing, start, arrowprops={"arrowstyle": "-|>", "color": BODY, "lw": 1.6}, zorder=4
-    )
+    ax.annotate("", start + facing, start, arrowprops={"arrowstyle": "-|>", "color": BODY, "lw": 1.6}, zorder=4)
     ax.plot(*at, "s", color=CAMERA, ms=9)
     ax.plot(*np.stack([at, place.middle]).T, "--", color=CAMERA, lw=1)
     ax.plot(*place.middle, "+", color=CAMERA, ms=9)
     ax.annotate(
-        f"lens {place.height:.2f} m high,\n{_tilt(place.tilt_deg)}", at, (0, -8),
-        textcoords="offset points", ha="center", va="top", color=CAMERA, fontsize=7.5,
-    )  # fmt: skip
+        f"lens {place.height:.2f} m high,\n{_tilt(place.tilt_deg)}",
+        at,
+        (0, -8),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        color=CAMERA,
+        fontsize=7.5,
+    )
     ax.annotate(
-        f"{place.distance:.2f} m", (at + place.middle) / 2, (4, 4), textcoords="offset points", color=CAMERA,
-        fontsize=8,
-    )  # fmt: skip
+        f"{place.distance:.2f} m", (at + place.middle) / 2, (4, 4), textcoords="offset points", color=CAMERA, fontsize=8
+    )
     ax.set_title(
         f"Camera {place.distance:.2f} m from the cross,\n{place.side},\n"
-        f"field of view {place.field_deg[0]:.0f}°; arrow: facing at the start", fontsize=8.5,
-    )  # fmt: skip
+        f"field of view {place.field_deg[0]:.0f}°; arrow: facing at the start",
+        fontsize=8.5,
+    )
     points = np.stack([*path, at])
     low, high = points.min(axis=0) - 1.2, points.max(axis=0) + 1.2
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="m", anchor="N")
@@ -137,10 +141,15 @@ def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float,
         for name, height in zip(own, heights, strict=True):
             place = textwrap.wrap(places[name], _LABEL_WIDTH)
             ax.annotate(
-                "\n".join([name, *place]), spots[name], (side * 0.36, height), va="center",
-                ha="left" if side > 0 else "right", fontsize=7.5,
-                arrowprops={"arrowstyle": "-", "color": SENSOR, "lw": 0.8}, in_layout=False,
-            )  # fmt: skip
+                "\n".join([name, *place]),
+                spots[name],
+                (side * 0.36, height),
+                va="center",
+                ha="left" if side > 0 else "right",
+                fontsize=7.5,
+                arrowprops={"arrowstyle": "-", "color": SENSOR, "lw": 0.8},
+                in_layout=False,
+            )
         if own:
             ax.plot(*np.stack([spots[n] for n in own]).T, "s", color=SENSOR, ms=6, mec="k", mew=0.5)
     ax.text(-0.26, -0.08, "L" if sign > 0 else "R", color=LEFT if sign > 0 else RIGHT, fontsize=9)
@@ -187,6 +196,4 @@ def _sticks(ax: Any, points: Array, skeleton: SkeletonModel, width: float) -> No
         if parent >= 0:
             name = skeleton.names[j]
             colour = LEFT if name.startswith("Left") else RIGHT if name.startswith("Right") else BODY
-            ax.plot(
-                *points[[parent, j]].T, color=colour, lw=width, solid_capstyle="round", alpha=0.75, zorder=1
-            )
+            ax.plot(*points[[parent, j]].T, color=colour, lw=width, solid_capstyle="round", alpha=0.75, zorder=1)

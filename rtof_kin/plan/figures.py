@@ -24,25 +24,15 @@ _MOST: Final = 10
 
 
 def write_plan_figures(plan: Plan, folder: str | Path) -> list[Path]:
-    """Write the figures as PNG, and return their paths.
-
-    Args:
-        plan: to plot. folder: to write.
-    """
+    """Write the figures as PNG, and return their paths."""
     return save_figures({"plan": plan_figure(plan)}, folder)
 
 
 def plan_figure(plan: Plan) -> Figure:
-    """Plot a plan.
-
-    Args:
-        plan: to plot.
-    """
+    """Plot a plan."""
     compared = bool(plan.cameras or plan.sensors)
     height = 1.8 + 0.27 * len(plan.shown)
-    figure = Figure(
-        figsize=(12.0 if compared else 7.0, max(height, 6.0 if compared else 3.0)), layout="constrained"
-    )
+    figure = Figure(figsize=(12.0 if compared else 7.0, max(height, 6.0 if compared else 3.0)), layout="constrained")
     if not compared:
         _draw_angles(figure.subplots(), plan)
         return figure

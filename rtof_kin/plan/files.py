@@ -27,17 +27,20 @@ TABLE: Final = "plan.csv"
 MARKER: Final = "plan.json"
 INSTRUCTIONS: Final = "instructions.html"
 COLUMNS: Final = (
-    "angle", "shown", "sd_deg", "half_band_deg", "simulated_error_deg", "inside_95", "observed_share",
-    "identifiable", "confused_with",
-)  # fmt: skip
+    "angle",
+    "shown",
+    "sd_deg",
+    "half_band_deg",
+    "simulated_error_deg",
+    "inside_95",
+    "observed_share",
+    "identifiable",
+    "confused_with",
+)
 
 
 def write_plan(plan: Plan, folder: str | Path) -> None:
-    """Write the files of a plan.
-
-    Args:
-        plan: to write. folder: that exists.
-    """
+    """Write the files of a plan."""
     folder = Path(folder)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -74,17 +77,19 @@ def _recorded(movement: str) -> MovementInfo:
     """A movement that is not of the library."""
     name = Path(movement).name
     return MovementInfo(
-        name, f"The movement of {name}.", "do the same movement as in the recording planned from",
-        (), (), "the whole movement", 1, "",
-    )  # fmt: skip
+        name,
+        f"The movement of {name}.",
+        "do the same movement as in the recording planned from",
+        (),
+        (),
+        "the whole movement",
+        1,
+        "",
+    )
 
 
 def plan_data(plan: Plan) -> dict[str, Any]:
-    """Return a plan as plain data.
-
-    Args:
-        plan: to write.
-    """
+    """Return a plan as plain data."""
     protocol = asdict(plan.protocol)
     found = plan.calibration
     return {
@@ -97,13 +102,15 @@ def plan_data(plan: Plan) -> dict[str, Any]:
         "angles": _angles(plan),
         "cameras": [_option(option) for option in plan.cameras],
         "sensors": [_option(option) for option in plan.sensors if option.name],
-        "calibration": None if found is None else {
+        "calibration": None
+        if found is None
+        else {
             "seconds": found.seconds.tolist(),
             "sigma": {kind: _rounded(values) for kind, values in found.sigma.items()},
             "error": {kind: _rounded(values) for kind, values in found.error.items()},
             "units": "delay in s, heading and mounting in rad",
         },
-    }  # fmt: skip
+    }
 
 
 def _angles(plan: Plan) -> list[dict[str, Any]]:
@@ -112,20 +119,28 @@ def _angles(plan: Plan) -> list[dict[str, Any]]:
     own, rows = plan.prediction, []
     for a, name in enumerate(own.names):
         values = (
-            name, name in plan.shown, _degrees(own.sigma[a]), _degrees(BAND_95 * own.sigma[a]),
-            _degrees(own.error[a]), _number(own.inside[a], 3), round(float(own.observed[a]), 3),
+            name,
+            name in plan.shown,
+            _degrees(own.sigma[a]),
+            _degrees(BAND_95 * own.sigma[a]),
+            _degrees(own.error[a]),
+            _number(own.inside[a], 3),
+            round(float(own.observed[a]), 3),
             (name not in weak) if name in plan.shown else None,
             weak[name].confused_with or None if name in weak else None,
-        )  # fmt: skip
+        )
         rows.append(dict(zip(COLUMNS, values, strict=True)))
     return rows
 
 
 def _option(option: Option) -> dict[str, Any]:
     return {
-        "name": option.name, "mean_sd_deg": _degrees(option.loss), "gain_deg": _degrees(option.gain),
-        "gains_most": option.most or None, "problem": option.problem or None,
-    }  # fmt: skip
+        "name": option.name,
+        "mean_sd_deg": _degrees(option.loss),
+        "gain_deg": _degrees(option.gain),
+        "gains_most": option.most or None,
+        "problem": option.problem or None,
+    }
 
 
 def _degrees(value: float) -> float | None:

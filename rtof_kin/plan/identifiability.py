@@ -86,7 +86,7 @@ class Information:
         """Return those of some angles that are not identifiable, the least first.
 
         Args:
-            shown: the angles. others: what they may be confused with, beside `ROOT`.
+            others: what they may be confused with, beside `ROOT`.
         """
         found = []
         for name in shown:
@@ -106,7 +106,7 @@ def information(setup: Setup, seed: int, lifter: LifterLike | None = None) -> In
     """Return the information of the measurements alone, in a simulated recording.
 
     Args:
-        setup: the planned recording. seed: of its errors. lifter: as for `reconstruct`.
+        lifter: as for `reconstruct`.
     """
     names = tuple(row.name for row in angle_table(setup.skeleton.table).rows)
     variances, correlations = [], []
@@ -119,17 +119,14 @@ def information(setup: Setup, seed: int, lifter: LifterLike | None = None) -> In
     return Information(names, np.sqrt(np.mean(variances, axis=0)), np.mean(correlations, axis=0))
 
 
-def _covariances(
-    setup: Setup, seed: int, lifter: LifterLike | None
-) -> Iterator[tuple[StateSpace, Array, Array]]:
+def _covariances(setup: Setup, seed: int, lifter: LifterLike | None) -> Iterator[tuple[StateSpace, Array, Array]]:
     """State (1, 3 + 4A) in the middle of some fragments, and its covariance (D, D) by the measurements."""
     job = Job.of(setup.recorded(seed), None, lifter, SETTINGS, None).with_solver(None)
     prepared, s, N = job.prepare(setup.mode), job.settings.fragment, SETTINGS.frames
     assert isinstance(s, JointSpaceSettings)
     data = Observations(
-        prepared.skeleton, N, s, prepared.guess, prepared.keypoints, prepared.bone_imus,
-        places=SETTINGS.sensor_joints,
-    )  # fmt: skip
+        prepared.skeleton, N, s, prepared.guess, prepared.keypoints, prepared.bone_imus, places=SETTINGS.sensor_joints
+    )
     solver, last = LevenbergMarquardt(data.problem, data.limits), max(len(prepared.start) - N, 0)
     for first in sorted({round(last * i / (_FRAGMENTS - 1)) for i in range(_FRAGMENTS)}):
         index, _, values = data.fragment(first)

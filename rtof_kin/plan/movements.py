@@ -87,9 +87,7 @@ class Stored:
     """Frames [start, stop) of the repetition; the pose at stop is that at start, at rest."""
 
 
-def movement(
-    name: str, skeleton: SkeletonModel, repetitions: int | None = None, rate_hz: float = 60.0
-) -> PoseSequence:
+def movement(name: str, skeleton: SkeletonModel, repetitions: int | None = None, rate_hz: float = 60.0) -> PoseSequence:
     """Return a movement of a body: the person starts at the origin, faces x and stands on the floor z = 0.
 
     Args:
@@ -109,9 +107,7 @@ def movement(
         raise InvalidInputError(f"movement {name}: {rate_hz:g} Hz is not a rate between 10 and 1000 Hz")
     stored = _stored(name)
     start, stop = stored.cycle
-    frames = np.concatenate(
-        [np.arange(start), *[np.arange(start, stop)] * count, np.arange(stop, len(stored.hips))]
-    )
+    frames = np.concatenate([np.arange(start), *[np.arange(start, stop)] * count, np.arange(stop, len(stored.hips))])
     known = np.arange(len(frames)) / STORED_RATE_HZ
     times = np.arange(int(known[-1] * rate_hz + 1e-9) + 1) / rate_hz
     quaternions = so3.to_quat_wxyz(stored.R_parent_bone[frames])
@@ -131,7 +127,7 @@ def planted(
     Where its legs do not reach both feet, the body is lowered throughout by what is missing.
 
     Args:
-        stored: at these times. skeleton: body, with the 21 joints. times: (T,) s.
+        skeleton: body, with the 21 joints. times: (T,) s.
         sway: rotation vectors (T, J, 3) added to the segments', rad, and (T, 3) to the hips, in leg lengths.
 
     Raises:
@@ -150,8 +146,7 @@ def planted(
     offsets = skeleton.joint_offsets
     lengths = np.linalg.norm(offsets, axis=1)
     leg = float(lengths[shanks + feet].sum()) / 2
-    heel, ball = (np.mean([skeleton.landmarks[f"{s}{n}"][1] for s in SIDES], axis=0)[2]
-                  for n in ("Heel", "ToeBase"))  # fmt: skip
+    heel, ball = (np.mean([skeleton.landmarks[f"{s}{n}"][1] for s in SIDES], axis=0)[2] for n in ("Heel", "ToeBase"))
     centre = leg * hips - [0, 0, heel]
     p_root = centre - R[:, 0] @ offsets[thighs].mean(axis=0)
     p_hip = p_root[:, None] + np.einsum("tij,sj->tsi", R[:, 0], offsets[thighs])

@@ -60,8 +60,8 @@ def operator_page(
     """Return the sheet as HTML in one file, without network access.
 
     Args:
-        title: of the recording. movement: that the person does. steps: what the operator does, in order, e.g.
-            of `operator_steps`. drawing_svg: text of the SVG of `draw_setup`.
+        steps: what the operator does, in order, e.g. of `operator_steps`.
+        drawing_svg: text of the SVG of `draw_setup`.
         doubts: what is wrong or unsure about this set-up, with its remedy; shown first.
 
     Raises:
@@ -77,11 +77,16 @@ def operator_page(
     drawing = base64.b64encode(drawing_svg.encode()).decode()
     warnings = f'<div class="doubts"><h2>Before you begin</h2>{bullets(doubts)}</div>' if doubts else ""
     parts = {
-        "title": escape(title), "style": _STYLE, "style_hash": source_hash(_STYLE), "doubts": warnings,
-        "drawing": f"data:image/svg+xml;base64,{drawing}", "person": escape(person),
-        "steps": "\n".join(f"<li>{escape(step)}</li>" for step in steps), "never": bullets(_NEVER),
+        "title": escape(title),
+        "style": _STYLE,
+        "style_hash": source_hash(_STYLE),
+        "doubts": warnings,
+        "drawing": f"data:image/svg+xml;base64,{drawing}",
+        "person": escape(person),
+        "steps": "\n".join(f"<li>{escape(step)}</li>" for step in steps),
+        "never": bullets(_NEVER),
         "foot": escape(f"The drawn movement: {movement.description} {movement.acknowledgement}"),
-    }  # fmt: skip
+    }
     return fill(_PAGE, parts)
 
 
@@ -91,8 +96,7 @@ def operator_steps(
     """Return what the operator does, in order.
 
     Args:
-        movement: that the person does. place: of the camera. sensors: of `sensor_places`, maybe none.
-        repetitions: number. seconds: length of the movement, s.
+        sensors: of `sensor_places`, maybe none. seconds: length of the movement, s.
     """
     tilt = f"tilted {abs(place.tilt_deg):.0f}° {'downwards' if place.tilt_deg > 0 else 'upwards'}"
     tilt = "pointing level" if abs(place.tilt_deg) < 1 else tilt

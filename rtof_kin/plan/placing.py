@@ -77,7 +77,7 @@ def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Fra
     """Return where a camera stands relative to a movement, and whether it sees all of it.
 
     Args:
-        poses: of the movement, finite, on the floor z = 0. skeleton: body. camera: upright.
+        poses: of the movement, finite, on the floor z = 0.
     """
     distance, height, angle_deg = stand_of(camera, poses)
     axis = camera.R_camera_world[2]
@@ -102,7 +102,7 @@ def stand_of(camera: Camera, poses: PoseSequence) -> tuple[float, float, float]:
     direction from there, deg from the person's facing at the start, positive to the left.
 
     Args:
-        camera: anywhere. poses: of the movement, pelvis first.
+        poses: of the movement, pelvis first.
     """
     way = camera.center_world[:2] - centre_of(poses)[:2]
     angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
@@ -131,9 +131,6 @@ def facing_of(poses: PoseSequence) -> float:
 
 def sensor_places(skeleton: SkeletonModel, sensors: Sequence[str]) -> dict[str, str]:
     """Return where to strap each sensor, in words: name -> "outside of the left thigh, upper third".
-
-    Args:
-        skeleton: body. sensors: names in its table.
 
     Raises:
         UnknownNameError: a sensor that it does not have.

@@ -80,17 +80,24 @@ class Plan:
 
 
 def plan(
-    protocol: Protocol, setup: Setup, *, draws: int = 3, seed: int = 0, lifter: LifterLike | None = None,
-    search: bool = True, workers: int | None = None, progress: Progress | None = None,
-) -> Plan:  # fmt: skip
+    protocol: Protocol,
+    setup: Setup,
+    *,
+    draws: int = 3,
+    seed: int = 0,
+    lifter: LifterLike | None = None,
+    search: bool = True,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Plan:
     """Predict the errors of a recording, and compare other cameras and further sensors.
 
     Args:
         protocol, setup: what is to be recorded, see `planned`.
-        draws: simulated recordings of the plan itself, each of another person with other errors.
-        seed: of the first. lifter: as for `reconstruct`.
+        draws: simulated recordings of the plan itself, each of another person with other errors. seed: of the first.
+        lifter: as for `reconstruct`.
         search: compare cameras and sensors, and lengths for the calibration; else only the prediction.
-        workers: processes, one per core if None. progress: called after every simulated recording.
+        workers: processes, one per core if None.
 
     Raises:
         InvalidInputError: the movement cannot be recorded so, for example because the person is not in view.
@@ -115,8 +122,7 @@ def plan(
         setup, part = (replace(own, camera=place.camera(setup.poses)) for own in (setup, part))
         with_sensor, found = _sensors(protocol, part), information(setup, seed, lifter)
         cameras = tuple(
-            replace(o, gain=best.loss - o.loss, most="" if o is best else o.most or best.most)
-            for o in cameras
+            replace(o, gain=best.loss - o.loss, most="" if o is best else o.most or best.most) for o in cameras
         )
     predicted = predict(
         {"plan": setup}, draws, seed, lifter=lifter, workers=workers, progress=_staged(report, "predict")
@@ -132,17 +138,11 @@ def plan(
                 setup, 2, seed, lifter=lifter, workers=workers, progress=_staged(report, "calibration")
             )
     seen = seen_share(setup)
-    return Plan(
-        protocol, setup, predicted, shown, found.weaknesses(shown, usual), cameras, sensors, calibration, seen
-    )
+    return Plan(protocol, setup, predicted, shown, found.weaknesses(shown, usual), cameras, sensors, calibration, seen)
 
 
 def usual_angles(skeleton: SkeletonModel, found: Information) -> tuple[str, ...]:
-    """Return the angles of one convention that the model does not fix.
-
-    Args:
-        skeleton: of the person. found: of all angles.
-    """
+    """Return the angles of one convention that the model does not fix."""
     free = {name for name, sigma in zip(found.names, found.sigma, strict=True) if np.isfinite(sigma)}
     rows = angle_table(skeleton.table).rows
     return tuple(row.name for row in rows if XZY in angle_name(row).shown.split() and row.name in free)
@@ -160,9 +160,7 @@ def _cameras(protocol: Protocol, whole: Setup, part: Setup) -> dict[str, Setup |
         camera = place.camera(whole.poses)
         share = seen_share(replace(whole, camera=camera))
         possible = replace(part, camera=camera)
-        out[place.words] = (
-            possible if share >= SEEN else f"only {100 * share:.0f} % of the body is in the image"
-        )
+        out[place.words] = possible if share >= SEEN else f"only {100 * share:.0f} % of the body is in the image"
     return out
 
 
@@ -173,9 +171,15 @@ def _sensors(protocol: Protocol, part: Setup) -> dict[str, Setup | str]:
 
 
 def _compared(
-    part: Setup, options: Mapping[str, Setup | str], *, shown: Sequence[str], seed: int,
-    lifter: LifterLike | None, workers: int | None, progress: Callable[[int, int, str], None],
-) -> tuple[Option, ...]:  # fmt: skip
+    part: Setup,
+    options: Mapping[str, Setup | str],
+    *,
+    shown: Sequence[str],
+    seed: int,
+    lifter: LifterLike | None,
+    workers: int | None,
+    progress: Callable[[int, int, str], None],
+) -> tuple[Option, ...]:
     """Options by their loss; the plan itself is the one whose setup is `part`."""
     keys = {f"option{i}": name for i, name in enumerate(options)}
     setups = {key: setup for key, name in keys.items() if isinstance(setup := options[name], Setup)}

@@ -1,10 +1,9 @@
 """Expected errors of the clinical angles of a planned recording.
 
-The planned recording is simulated with the errors of a real detector and of real sensors, and solved by the
-same energy as a real one. The standard deviations stated are those of its information matrix, the
-Gauss-Newton Hessian at the optimum, widened for autocorrelated errors exactly as those of a real recording
-(`CovarianceInflation`). The differences from the planned movement check them: a Monte-Carlo estimate of
-the same errors.
+The planned recording is simulated with the errors of a real detector and of real sensors, and solved by the same
+energy as a real one. The standard deviations stated are those of its information matrix, the Gauss-Newton Hessian at
+the optimum, widened for autocorrelated errors exactly as those of a real recording (`CovarianceInflation`). The
+differences from the planned movement check them: a Monte-Carlo estimate of the same errors.
 """
 
 from __future__ import annotations
@@ -64,9 +63,7 @@ class Prediction:
         with np.errstate(invalid="ignore", divide="ignore"):
             enough = np.where(observed >= LEAST_SEEN, 1.0, np.nan)
             mean = {key: enough * total[key] / total["known"] for key in ("variance", "square", "inside")}
-        return cls(
-            names, np.sqrt(mean["variance"]), np.sqrt(mean["square"]), mean["inside"], observed, len(results)
-        )
+        return cls(names, np.sqrt(mean["variance"]), np.sqrt(mean["square"]), mean["inside"], observed, len(results))
 
     def select(self, names: Sequence[str]) -> Self:
         """Return the prediction of some angles, in the order given."""
@@ -93,16 +90,10 @@ class Run:
 
 
 def measure(run: Run) -> JobResult:
-    """Simulate and reconstruct a planned recording, and sum up the errors of its angles.
-
-    Args:
-        run: which one.
-    """
+    """Simulate and reconstruct a planned recording, and sum up the errors of its angles."""
     recording = run.setup.recorded(run.seed)
     with without_warnings():
-        result = reconstruct(
-            recording, mode=run.setup.mode, lifter=run.lifter, settings=SETTINGS, calibrate=False
-        )
+        result = reconstruct(recording, mode=run.setup.mode, lifter=run.lifter, settings=SETTINGS, calibrate=False)
     found, off = angles_and_errors(result)
     assert found.sigma is not None
     known = found.known & np.isfinite(off + found.sigma)
@@ -117,11 +108,7 @@ def measure(run: Run) -> JobResult:
 
 
 def angles_and_errors(result: Reconstruction) -> tuple[ClinicalAngles, Array]:
-    """Return the angles of a simulated recording and their errors (T, A), rad; NaN where unknown.
-
-    Args:
-        result: of a recording with its truth.
-    """
+    """Return the angles of a simulated recording and their errors (T, A), rad; NaN where unknown."""
     found, truth = clinical_angles(result.motion), result.recording.truth
     assert truth is not None
     seen = all_observed(at_times(truth, result.motion.times))
@@ -130,15 +117,19 @@ def angles_and_errors(result: Reconstruction) -> tuple[ClinicalAngles, Array]:
 
 
 def predict(
-    setups: Mapping[str, Setup], draws: int = 2, seed: int = 0, *, lifter: LifterLike | None = None,
-    workers: int | None = None, progress: Progress | None = None,
-) -> dict[str, Prediction | str]:  # fmt: skip
+    setups: Mapping[str, Setup],
+    draws: int = 2,
+    seed: int = 0,
+    *,
+    lifter: LifterLike | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Prediction | str]:
     """Predict the errors of several setups with the same draws of detector and sensors.
 
     Args:
-        setups: by a name of letters and digits. draws: simulated recordings of each. seed: of the first.
-        lifter: as for `reconstruct`. workers: processes, one per core if None.
-        progress: called after every recording.
+        draws: simulated recordings of each. seed: of the first. lifter: as for `reconstruct`.
+        workers: processes, one per core if None.
 
     Returns:
         The prediction of each setup, or why there is none, such as a person out of view.
@@ -146,9 +137,7 @@ def predict(
     if draws < 1:
         raise InvalidInputError(f"plan: {draws} draws; at least one simulated recording is needed")
     jobs = {
-        f"{name}-{draw}": Run(setup, seed + draw, lifter)
-        for name, setup in setups.items()
-        for draw in range(draws)
+        f"{name}-{draw}": Run(setup, seed + draw, lifter) for name, setup in setups.items() for draw in range(draws)
     }
     with TemporaryDirectory() as folder:
         outcome = run_jobs(measure, jobs, Path(folder), workers, progress)

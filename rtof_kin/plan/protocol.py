@@ -24,9 +24,13 @@ from rtof_kin.plan.placing import centre_of, facing_of, stand_of
 DETECTORS: Final = ("mediapipe33", "coco17")
 """Layouts of detectors that can be simulated: the measured one, and its points that COCO has too."""
 _PLAUSIBLE: Final = {
-    "distance_m": (0.8, 30.0), "height_m": (0.1, 6.0), "angle_deg": (-360.0, 360.0),
-    "width_px": (160, 16000), "height_px": (120, 16000), "rate_hz": (10, 400),
-}  # fmt: skip
+    "distance_m": (0.8, 30.0),
+    "height_m": (0.1, 6.0),
+    "angle_deg": (-360.0, 360.0),
+    "width_px": (160, 16000),
+    "height_px": (120, 16000),
+    "rate_hz": (10, 400),
+}
 _FIELD_OF_VIEW_DEG: Final = (10.0, 150.0)
 
 
@@ -139,9 +143,7 @@ class Protocol:
         movement = top.text("movement")
         if (path.parent / movement).is_dir():
             movement = str(path.parent / movement)
-        seen, worn, detector, wanted = (
-            top.table(name) for name in ("camera", "sensors", "detector", "wanted")
-        )
+        seen, worn, detector, wanted = (top.table(name) for name in ("camera", "sensors", "detector", "wanted"))
         camera, possible = _camera(seen)
         own = cls(
             movement,
@@ -203,8 +205,10 @@ def _camera(section: Section) -> tuple[CameraPlace, tuple[CameraPlace, ...] | No
     if len(possible):
         found = tuple(
             replace(camera, angle_deg=float(a), distance_m=float(d), height_m=float(h))
-            for h in ranges["height_m"] for d in ranges["distance_m"] for a in ranges["angle_deg"]
-        )  # fmt: skip
+            for h in ranges["height_m"]
+            for d in ranges["distance_m"]
+            for a in ranges["angle_deg"]
+        )
     possible.close()
     section.close()
     return camera, found
@@ -214,7 +218,7 @@ def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace
     """Return where a camera stands relative to a movement.
 
     Args:
-        camera: of a recording. poses: the movement. rate_hz: frames per second.
+        rate_hz: frames per second.
     """
     distance, height, angle_deg = stand_of(camera, poses)
     return CameraPlace(
@@ -222,8 +226,10 @@ def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace
         distance_m=round(distance, 2),
         height_m=round(height, 2),
         focal_px=float(np.trace(camera.K[:2, :2]) / 2),
-        width_px=camera.width_px, height_px=camera.height_px, rate_hz=rate_hz,
-    )  # fmt: skip
+        width_px=camera.width_px,
+        height_px=camera.height_px,
+        rate_hz=rate_hz,
+    )
 
 
 def direction(angle_deg: float) -> str:
@@ -235,8 +241,11 @@ def direction(angle_deg: float) -> str:
     angle = (angle_deg + 180) % 360 - 180
     side = "left" if angle > 0 else "right"
     places = {
-        0: "in front of", 45: f"in front to the {side} of", 90: f"to the {side} of",
-        135: f"behind to the {side} of", 180: "behind",
-    }  # fmt: skip
+        0: "in front of",
+        45: f"in front to the {side} of",
+        90: f"to the {side} of",
+        135: f"behind to the {side} of",
+        180: "behind",
+    }
     nearest = min(places, key=lambda place: abs(place - abs(angle)))
     return f"{places[nearest]} the person ({180 if angle == -180 else angle:g} deg)"

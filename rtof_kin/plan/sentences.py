@@ -20,11 +20,7 @@ _APART: Final = 1.5
 
 
 def headline(plan: Plan) -> str:
-    """Return the first line: the expected accuracy, and how many angles are not to be had.
-
-    Args:
-        plan: to describe.
-    """
+    """Return the first line: the expected accuracy, and how many angles are not to be had."""
     own = plan.prediction.select(plan.shown)
     known = np.isfinite(own.sigma)
     if not known.any():
@@ -43,11 +39,7 @@ def headline(plan: Plan) -> str:
 
 
 def cautions(plan: Plan) -> tuple[str, ...]:
-    """Return what makes one doubt the plan, in sentences.
-
-    Args:
-        plan: to describe.
-    """
+    """Return what makes one doubt the plan, in sentences."""
     found = []
     if plan.seen < SEEN:
         found.append(
@@ -68,11 +60,7 @@ def cautions(plan: Plan) -> tuple[str, ...]:
 
 
 def advice(plan: Plan) -> tuple[str, ...]:
-    """Return what is not identifiable, the best camera place, the next sensor and how long to move.
-
-    Args:
-        plan: to describe.
-    """
+    """Return what is not identifiable, the best camera place, the next sensor and how long to move."""
     found = list(_not_identifiable(plan.weaknesses))
     cameras = [option for option in plan.cameras if not option.problem]
     if cameras and cameras[0].name == plan.protocol.camera.words:
@@ -91,14 +79,12 @@ def advice(plan: Plan) -> tuple[str, ...]:
     elif cameras:
         best = cameras[0]
         found.append(
-            f"No other camera place is clearly better; the best is {best.name}, by "
-            f"{np.degrees(best.gain):.1f} deg."
+            f"No other camera place is clearly better; the best is {best.name}, by {np.degrees(best.gain):.1f} deg."
         )
     blind = [option for option in plan.cameras if option.problem]
     if blind:
         found.append(
-            f"{len(blind)} of {len(plan.cameras)} camera places are not possible; {blind[0].name}: "
-            f"{blind[0].problem}."
+            f"{len(blind)} of {len(plan.cameras)} camera places are not possible; {blind[0].name}: {blind[0].problem}."
         )
     sensors = [option for option in plan.sensors if not option.problem and option.name]
     if sensors:
@@ -147,7 +133,7 @@ def where(setup: Setup, sensor: str) -> str:
     """Return the segment of a sensor in words.
 
     Args:
-        setup: with its body. sensor: name in the skeleton's table.
+        sensor: name in the skeleton's table.
     """
     joint, _ = setup.skeleton.sensors[sensor]
     terms = {own: term for term, own in angle_table(setup.skeleton.table).segments.items()}

@@ -65,9 +65,14 @@ class Setup:
         errors = errors if late else replace(errors, delay_frames=(0,))
         poses = another_person(np.random.default_rng([seed, 1]), self.poses, self.skeleton)
         recording = simulate(
-            poses, self.skeleton.joint_offsets, camera=self.camera, skeleton=self.skeleton, seed=seed,
-            settings=SimulationSettings(keypoints=errors, sensors=self.sensors), name="plan",
-        )  # fmt: skip
+            poses,
+            self.skeleton.joint_offsets,
+            camera=self.camera,
+            skeleton=self.skeleton,
+            seed=seed,
+            settings=SimulationSettings(keypoints=errors, sensors=self.sensors),
+            name="plan",
+        )
         recording = replace(recording, floor_height=self.floor_height)
         if self.detector == _MEASURED:
             return recording
@@ -76,19 +81,13 @@ class Setup:
 
 def _as_found_by(detector: str, keypoints: KeypointSequence) -> KeypointSequence:
     """The keypoints of a detector that finds some of the measured one's points."""
-    own = keypoints.select(
-        [detector_point(_MEASURED, point) for point in detector_table().layout(detector).points]
-    )
+    own = keypoints.select([detector_point(_MEASURED, point) for point in detector_table().layout(detector).points])
     found = Detections(own.uv_px[:, None], own.confidence[:, None])
     return keypoints_from_detections(found, keypoints.times, keypoints.camera, detector).keypoints
 
 
 def seen_share(setup: Setup) -> float:
-    """Return the share of the joints' positions inside the camera's image, over the movement.
-
-    Args:
-        setup: the planned recording.
-    """
+    """Return the share of the joints' positions inside the camera's image, over the movement."""
     uv = setup.camera.project(setup.poses.p_world_joint)
     size = np.array([setup.camera.width_px, setup.camera.height_px])
     return float(np.mean(((uv >= 0) & (uv <= size)).all(axis=-1)))

@@ -72,9 +72,7 @@ def planned(
         raise InvalidInputError(f"plan: no camera filmed {folder}; name it as movement in a protocol's file")
     place = place_of(moved.camera, moved.poses, moved.poses.rate_hz)
     protocol = Protocol(str(folder), camera=place, sensors=moved.sensors)
-    return protocol, Setup(
-        moved.poses, moved.skeleton, moved.camera, moved.sensors, floor_height=moved.floor_height
-    )  # fmt: skip
+    return protocol, Setup(moved.poses, moved.skeleton, moved.camera, moved.sensors, floor_height=moved.floor_height)
 
 
 def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Progress | None = None) -> Setup:
@@ -94,9 +92,8 @@ def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Pro
     else:
         raise UnknownNameError("movement", [protocol.movement], tuple(MOVEMENTS))
     return Setup(
-        poses, skeleton, protocol.camera.camera(poses), protocol.sensors, protocol.detector,
-        protocol.error_factor,
-    )  # fmt: skip
+        poses, skeleton, protocol.camera.camera(poses), protocol.sensors, protocol.detector, protocol.error_factor
+    )
 
 
 def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -> Moved:
@@ -134,7 +131,7 @@ def liveliest(poses: PoseSequence, seconds: float) -> PoseSequence:
     """Return the part of a movement with the fastest turns, from time 0.
 
     Args:
-        poses: complete. seconds: its length, s; all of a shorter movement.
+        seconds: its length, s; all of a shorter movement.
     """
     count = min(round(seconds * poses.rate_hz), len(poses))
     speed = np.linalg.norm(np.diff(poses.R_world_bone, axis=0), axis=(2, 3)).sum(axis=1)

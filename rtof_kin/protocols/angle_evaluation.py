@@ -28,21 +28,12 @@ class AngleEvaluation:
     """The sentence that a reader sees first."""
 
     def write(self, folder: Path) -> list[Path]:
-        """Write the tables, CSV, JSON and page; return the files.
-
-        Args:
-            folder: for them.
-        """
+        """Write the tables, CSV, JSON and page; return the files."""
         return write_angle_tables(folder, self.rows, self.tables, self.first, {})
 
 
-def against_recording(
-    motion: MotionSequence, recording: Recording, movement: Movement = "other"
-) -> AngleEvaluation:
+def against_recording(motion: MotionSequence, recording: Recording, movement: Movement = "other") -> AngleEvaluation:
     """Compare with the truth of a recording, on one clock and with one definition of the angles.
-
-    Args:
-        motion: estimated. recording: with the truth. movement: class, for the table.
 
     Raises:
         InvalidInputError: the recording has no truth, or no angle is in both.
@@ -52,9 +43,7 @@ def against_recording(
     reference = clinical_angles(all_observed(recording.truth), recording.skeleton)
     found, left_out = angle_differences(clinical_angles(motion), reference, movement, recording.name)
     if not found:
-        raise InvalidInputError(
-            f"recording {recording.name}: no angle of its truth is observed in the motion"
-        )
+        raise InvalidInputError(f"recording {recording.name}: no angle of its truth is observed in the motion")
     names = [name for name, reason in left_out.items() if "estimate" in reason]
     notes = [f"Not observed in the motion: {', '.join(names)}."] if names else []
     rows = error_rows(found, [movement])
@@ -68,8 +57,7 @@ def against_opensim(
     """Compare with OpenSim's coordinates, whose zeros are those of their model; the clocks are aligned.
 
     Args:
-        motion: estimated. path: a ``.mot`` or ``.sto``. movement: class, for the table.
-        reach: s, largest difference of the clocks that is searched.
+        path: a ``.mot`` or ``.sto``. reach: s, largest difference of the clocks that is searched.
 
     Raises:
         FileFormatError: no such table. InvalidInputError: no angle is in both.

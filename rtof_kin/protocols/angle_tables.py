@@ -20,9 +20,17 @@ from rtof_kin.protocols.tables import Table, write_tables
 
 CSV, PAGE = "angle_errors.csv", "angle_errors.html"
 _COLUMNS: Final = (
-    "joint angle", "movement", "takes", "samples", "RMSE", "mean abs.", "median abs.", "RMSE, no offset",
-    "offset", "in 95 % band",
-)  # fmt: skip
+    "joint angle",
+    "movement",
+    "takes",
+    "samples",
+    "RMSE",
+    "mean abs.",
+    "median abs.",
+    "RMSE, no offset",
+    "offset",
+    "in 95 % band",
+)
 _DIGITS: Final = (0, 0, 0, 0, 1, 1, 1, 1, 1, 0)
 _NOTES: Final = (
     "Degrees; estimate minus reference. Both sides of a joint are pooled. Offset: mean difference. No "
@@ -43,7 +51,7 @@ def error_table(rows: Sequence[AngleErrors], title: str, notes: Sequence[str] = 
     """Return the table of errors by joint angle and class of movement.
 
     Args:
-        rows: see `error_rows`. title: of the table. notes: sentences before the usual ones.
+        rows: see `error_rows`.
     """
     return Table("angles", title, _COLUMNS, _DIGITS, tuple(map(_cells, rows)), (*notes, *_NOTES))
 
@@ -75,8 +83,9 @@ def published_table(rows: Sequence[AngleErrors]) -> Table:
         "Degrees. The same metric, but other people, movements, references and sets of angles: no ranking.",
         WITHOUT_METRIC,
     )
-    return Table("published", "Beside published values of the same metric", columns, (0, 0, 1, 1, 0, 0),
-                 tuple(cells), notes)  # fmt: skip
+    return Table(
+        "published", "Beside published values of the same metric", columns, (0, 0, 1, 1, 0, 0), tuple(cells), notes
+    )
 
 
 def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
@@ -94,8 +103,9 @@ def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
         within = row.within if np.isfinite(row.within) else None
         out.append(
             {"angle": row.angle, "movement": row.movement, "takes": row.takes, "samples": row.samples}
-            | angles | {"within_95_share": within}
-        )  # fmt: skip
+            | angles
+            | {"within_95_share": within}
+        )
     return out
 
 
@@ -105,8 +115,7 @@ def write_angle_tables(
     """Write ``tables.md``, ``tables.json``, `CSV` and the page with the figure into a folder.
 
     Args:
-        folder: its own files of these names are replaced. rows: of the errors. tables: of all of them.
-        first: the sentence that a reader sees first. facts: further content of the JSON, plain values.
+        folder: its own files of these names are replaced. first: the sentence that a reader sees first.
 
     Returns:
         The paths written.
@@ -163,9 +172,7 @@ def _figure(rows: Sequence[AngleErrors]) -> str:
     for height, row in enumerate(own):
         for metric, colour in colours.items():
             value = np.degrees(getattr(row, metric))
-            axes.plot(
-                value, height, "o", color=colour, label=f"ours, {METRICS[metric]}" if not height else None
-            )
+            axes.plot(value, height, "o", color=colour, label=f"ours, {METRICS[metric]}" if not height else None)
             for published in PUBLISHED:
                 if (published.angle, published.metric) == (row.angle, metric):
                     axes.plot(published.degrees, height, "D", mfc="none", color=colour)

@@ -62,11 +62,14 @@ class Human36MProtocol:
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
-            "dataset": str(self.root.resolve()), "keypoints": self.keypoints,
+            "dataset": str(self.root.resolve()),
+            "keypoints": self.keypoints,
             "cameras_file": str(self.cameras_file.resolve()) if self.cameras_file else "found",
             "subjects": list(self.subjects),
-            "actions": list(self.actions), "cameras": list(self.cameras), "modes": list(self.modes),
-        }  # fmt: skip
+            "actions": list(self.actions),
+            "cameras": list(self.cameras),
+            "modes": list(self.modes),
+        }
 
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key.
@@ -117,11 +120,7 @@ def run(
 
 
 def measure(job: Job) -> JobResult:
-    """Score the modes of one action seen by one camera, and the row of no motion.
-
-    Args:
-        job: the action and camera.
-    """
+    """Score the modes of one action seen by one camera, and the row of no motion."""
     protocol: Human36MProtocol = job.protocol
     dataset = _dataset(protocol.root, protocol.cameras_file, protocol.keypoints)
     recording = dataset.recording(job.subject, job.take, job.camera or 0)
@@ -137,18 +136,20 @@ def measure(job: Job) -> JobResult:
         for name, metrics in scores.items()
     }
     return JobResult(
-        {"subject": job.subject, "take": job.take, "camera": job.camera, "methods": methods,
-         "failed_checks": [], "notes": [recording.notes] if recording.notes else []},
+        {
+            "subject": job.subject,
+            "take": job.take,
+            "camera": job.camera,
+            "methods": methods,
+            "failed_checks": [],
+            "notes": [recording.notes] if recording.notes else [],
+        },
         curves(recording, results, "RKnee"),
-    )  # fmt: skip
+    )
 
 
 def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
-    """Return the paper's table with ours, and one of missing and suspicious data.
-
-    Args:
-        protocol: what was asked for. outcome: what was measured.
-    """
+    """Return the paper's table with ours, and one of missing and suspicious data."""
     rows = list(rows_of(outcome))
     printed: list[tuple[Cell, ...]] = [
         (name, mpjpe, mpjae, mpjje, None, None) for name, (mpjpe, mpjae, mpjje) in published.HUMAN36M.items()
@@ -173,11 +174,20 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         lacking += [f"any of {subject}" for subject in absent]
         notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
     table = Table(
-        "human36m", "Human3.6M, vision alone",
-        ("method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]",
-         "Procrustes [mm]", "absolute [mm]"),
-        (0, 1, 2, 2, 1, 1), tuple(printed), tuple(notes),
-    )  # fmt: skip
+        "human36m",
+        "Human3.6M, vision alone",
+        (
+            "method",
+            "MPJPE, root-relative [mm]",
+            "MPJAE [mm/frame2]",
+            "MPJJE [mm/frame3]",
+            "Procrustes [mm]",
+            "absolute [mm]",
+        ),
+        (0, 1, 2, 2, 1, 1),
+        tuple(printed),
+        tuple(notes),
+    )
     state: list[tuple[Cell, ...]] = [
         (subject, "not measured", "the archive of positions has no such subject") for subject in absent
     ]
@@ -185,7 +195,6 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
     for key, facts in outcome.done.items():
         state += [(key, "note", note) for note in facts["notes"]]
     about = Table(
-        "state_of_data", "Human3.6M: missing, suspicious",
-        ("recording", "what", "message"), (0, 0, 0), tuple(state),
-    )  # fmt: skip
+        "state_of_data", "Human3.6M: missing, suspicious", ("recording", "what", "message"), (0, 0, 0), tuple(state)
+    )
     return [table, about] if state else [table]

@@ -17,11 +17,7 @@ class Job:
     camera: int | None
 
     def motion_file(self, mode: str) -> Path | None:
-        """Return the path of a saved motion, or None if motions are not saved.
-
-        Args:
-            mode: of the motion.
-        """
+        """Return the path of a saved motion, or None if motions are not saved."""
         save: Path | None = self.protocol.save
         if save is None or self.camera is None:
             return None

@@ -36,8 +36,7 @@ def reconstructions(
     lifter with sensors of the other modes.
 
     Args:
-        recording: to reconstruct. modes: names. lifter: checkpoint, by default the shipped one.
-        settings: of the stages after the lifter. calibrate: whether to self-calibrate modes with sensors.
+        lifter: checkpoint, by default the shipped one.
     """
     from lifting.predict import Lifter
 
@@ -56,7 +55,7 @@ def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: st
     """Return the data of `rtof_kin.protocols.pictures`: errors over time, and poses at a few instants.
 
     Args:
-        recording: with the truth. results: by mode, see `reconstructions`. knee: joint of the flexion.
+        results: by mode, see `reconstructions`.
     """
     truth = recording.truth
     assert truth is not None
@@ -78,7 +77,7 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     """Write the motion of one stage to a file.
 
     Args:
-        result: with the stage. mode: of the stage. path: of the file; None writes nothing.
+        path: of the file; None writes nothing.
     """
     if path is None:
         return
@@ -99,11 +98,7 @@ def provenance(lifter: str | Path | None) -> dict[str, Any]:
 
 
 def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """Yield one flat row for every take, camera and method that was measured.
-
-    Args:
-        outcome: of a protocol.
-    """
+    """Yield one flat row for every take, camera and method that was measured."""
     for facts in outcome.done.values():
         about = {name: facts[name] for name in ("subject", "take", "camera")}
         for method, figures in facts["methods"].items():

@@ -19,7 +19,7 @@ def write_pictures(outcome: Outcome, folder: Path, table: SkeletonTable, rate_hz
     """Draw the figures and return their paths; none if no job has curves.
 
     Args:
-        outcome: of a protocol. folder: for the files. table: skeleton. rate_hz: frame rate, Hz.
+        rate_hz: frame rate, Hz.
     """
     keys = _characters(outcome)
     if not keys:
@@ -50,7 +50,7 @@ def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Figur
     """Plot joint error (left) and the error of the right knee's flexion (right) over time.
 
     Args:
-        outcome: of a protocol. keys: of jobs, one row each. rate_hz: frame rate, Hz.
+        keys: of jobs, one row each. rate_hz: frame rate, Hz.
     """
     figure = Figure(figsize=(13, 3.4 * len(keys)), layout="constrained")
     axes = figure.subplots(len(keys), 2, squeeze=False)

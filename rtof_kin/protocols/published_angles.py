@@ -12,9 +12,7 @@ from typing import Final, Literal
 from rtof_kin.clinical.angle_errors import ALL
 
 Metric = Literal["rmse", "mae", "median"]
-METRICS: Final[dict[Metric, str]] = {
-    "rmse": "RMSE", "mae": "mean absolute error", "median": "median absolute error",
-}  # fmt: skip
+METRICS: Final[dict[Metric, str]] = {"rmse": "RMSE", "mae": "mean absolute error", "median": "median absolute error"}
 _ONE_CAMERA: Final = "one camera, a monocular work of 2024 to 2026"
 _NOT_VERIFIED: Final = "published value, source not verified"
 
@@ -38,18 +36,27 @@ PUBLISHED: Final = (
     PublishedError(_ONE_CAMERA, "elbow_flexion", "median", 3.9, _NOT_VERIFIED),
     PublishedError(_ONE_CAMERA, "hip_flexion", "median", 4.8, _NOT_VERIFIED),
     PublishedError(
-        "OpenCap Monocular, one phone; walking, squats, sit-to-stand", ALL, "mae", 4.8,
+        "OpenCap Monocular, one phone; walking, squats, sit-to-stand",
+        ALL,
+        "mae",
+        4.8,
         "Gilon et al. 2026, arXiv:2603.24733, abstract",
     ),
     PublishedError(
-        "video alone (MotionAGFormer) on VIDIMU, against its sensors", ALL, "rmse", 9.3,
+        "video alone (MotionAGFormer) on VIDIMU, against its sensors",
+        ALL,
+        "rmse",
+        9.3,
         "Medrano-Paredes et al. 2025, arXiv:2510.02264, abstract",
     ),
     PublishedError(
-        "video alone (MotionAGFormer) on VIDIMU, against its sensors", ALL, "mae", 7.9,
+        "video alone (MotionAGFormer) on VIDIMU, against its sensors",
+        ALL,
+        "mae",
+        7.9,
         "Medrano-Paredes et al. 2025, arXiv:2510.02264, abstract",
     ),
-)  # fmt: skip
+)
 WITHOUT_METRIC: Final = (
     "A camera with uncalibrated sensors (Peiffer et al. 2024, arXiv:2405.17368): knee 2.9 degrees; "
     "published value, number and metric not verified, so that it stands beside none of ours."

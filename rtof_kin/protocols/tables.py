@@ -38,10 +38,7 @@ class Table:
 
     def text(self) -> list[list[str]]:
         """Return the cells as text; '-' for None."""
-        return [
-            [self._cell(cell, digits) for cell, digits in zip(row, self.digits, strict=True)]
-            for row in self.rows
-        ]
+        return [[self._cell(cell, digits) for cell, digits in zip(row, self.digits, strict=True)] for row in self.rows]
 
     @staticmethod
     def _cell(cell: Cell, digits: int) -> str:
@@ -60,24 +57,17 @@ class Table:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; figures unrounded."""
-        rows = [
-            [None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows
-        ]
+        rows = [[None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows]
         return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
 
 
 def write_tables(
-    folder: Path,
-    tables: Sequence[Table],
-    facts: dict[str, Any],
-    json_file: Path | None = None,
-    overwrite: bool = False,
+    folder: Path, tables: Sequence[Table], facts: dict[str, Any], json_file: Path | None = None, overwrite: bool = False
 ) -> list[Path]:
     """Write ``tables.md`` and ``tables.json`` into a folder, and the JSON also elsewhere if asked.
 
     Args:
-        folder: its own files are replaced. tables: to write. facts: further content of the JSON.
-        json_file: of the copy. overwrite: whether it may be replaced, see `check_json_file`.
+        folder: its own files are replaced. overwrite: whether it may be replaced, see `check_json_file`.
 
     Returns:
         The paths written.
@@ -100,7 +90,7 @@ def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
     """Check that a file may be written: it is new, a copy of the folder's own JSON, or may be replaced.
 
     Args:
-        folder: with ``tables.json``. json_file: to write. overwrite: whether it may be replaced.
+        folder: with ``tables.json``. overwrite: whether it may be replaced.
 
     Raises:
         OutputExistsError: another file exists.
@@ -114,7 +104,7 @@ def pooled(rows: Sequence[dict[str, Any]], figure: str, weight: str = "frames") 
     """Return the mean of a figure over all frames of rows that have it; None without any.
 
     Args:
-        rows: see `rtof_kin.protocols.measures.rows_of`. figure: its name. weight: name of the frame count.
+        rows: see `rtof_kin.protocols.measures.rows_of`.
     """
     known = [
         (row[figure], row[weight])

@@ -50,9 +50,23 @@ SENSOR_SETS = {
 }
 """Sets of sensors: the paper's eight on the limbs, with the trunk, all."""
 SIXTEEN = (
-    "Hips", "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot", "Spine", "Neck",
-    "Head", "LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand",
-)  # fmt: skip
+    "Hips",
+    "RightUpLeg",
+    "RightLeg",
+    "RightFoot",
+    "LeftUpLeg",
+    "LeftLeg",
+    "LeftFoot",
+    "Spine",
+    "Neck",
+    "Head",
+    "LeftArm",
+    "LeftForeArm",
+    "LeftHand",
+    "RightArm",
+    "RightForeArm",
+    "RightHand",
+)
 """Joints of the multi-view papers (GeoFuse and those after it)."""
 SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 """Cameras of the multi-view papers, and their step between scored frames."""
@@ -118,21 +132,26 @@ class TotalCaptureProtocol:
         if self.layout is not None:
             indices_of("layout", [self.layout], (RECOGNISE, *detector_table().layouts))
             if self.keypoints is None:
-                raise InvalidInputError(
-                    "layout is that of a detector's points; name their folder as keypoints"
-                )
+                raise InvalidInputError("layout is that of a detector's points; name their folder as keypoints")
 
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
             "dataset": str(self.root.resolve()),
-            "subjects": list(self.subjects), "takes": list(self.takes), "cameras": list(self.cameras),
+            "subjects": list(self.subjects),
+            "takes": list(self.takes),
+            "cameras": list(self.cameras),
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
-            "layout": self.layout, "noise_px": self.noise_px, "sensors": list(self.sensors),
-            "space": self.space, "modes": list(self.modes), "calibrate": self.calibrate,
+            "layout": self.layout,
+            "noise_px": self.noise_px,
+            "sensors": list(self.sensors),
+            "space": self.space,
+            "modes": list(self.modes),
+            "calibrate": self.calibrate,
             "posture": self.posture,
-            "studies": self.studies, "seed": self.seed,
-        }  # fmt: skip
+            "studies": self.studies,
+            "seed": self.seed,
+        }
 
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key, take by take."""
@@ -158,9 +177,8 @@ def run(
     """Run the jobs that have no result yet.
 
     Args:
-        protocol: what to measure. folder: for the results; a run of the same settings is resumed.
-        overwrite: whether results of other settings may be replaced.
-        workers, progress: see `run_jobs`.
+        folder: for the results; a run of the same settings is resumed.
+        overwrite: whether results of other settings may be replaced. workers, progress: see `run_jobs`.
 
     Raises:
         FileFormatError: there is no such dataset. OutputExistsError: see `open_runs`.
@@ -199,9 +217,15 @@ def _reference(take: Take) -> JobResult:
     }
     failed = [check.message for check in check_take(take) if not check.passed]
     return JobResult(
-        {"subject": take.subject, "take": take.name, "camera": None, "methods": rows,
-         "failed_checks": failed, "notes": [*take.notes, *take.missing]}
-    )  # fmt: skip
+        {
+            "subject": take.subject,
+            "take": take.name,
+            "camera": None,
+            "methods": rows,
+            "failed_checks": failed,
+            "notes": [*take.notes, *take.missing],
+        }
+    )
 
 
 def _without_glitches(truth: PoseSequence) -> Array:
@@ -242,10 +266,16 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
         checks += check_keypoints(take, number, recording.video)
     failed = [check.message for check in checks if not check.passed]
     return JobResult(
-        {"subject": take.subject, "take": take.name, "camera": number, "methods": methods,
-         "failed_checks": failed, "notes": notes},
+        {
+            "subject": take.subject,
+            "take": take.name,
+            "camera": number,
+            "methods": methods,
+            "failed_checks": failed,
+            "notes": notes,
+        },
         curves(recording, results, _KNEE),
-    )  # fmt: skip
+    )
 
 
 def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
@@ -274,20 +304,12 @@ def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str,
 
 
 def length_name(N: int) -> str:
-    """Return the name of the method with the energy of the paper and fragments of N frames.
-
-    Args:
-        N: frames in a fragment.
-    """
+    """Return the name of the method with the energy of the paper and fragments of N frames."""
     return f"as printed, N = {N}"
 
 
 def weight_name(k_V: float) -> str:
-    """Return the name of the method with the energy of the paper and another visual weight.
-
-    Args:
-        k_V: weight of the visual term.
-    """
+    """Return the name of the method with the energy of the paper and another visual weight."""
     return length_name(50) if k_V == CartesianSettings.paper().k_V else f"as printed, k_V = {k_V:g}"
 
 

@@ -32,11 +32,7 @@ _AS_PRINTED = (
 
 
 def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
-    """Return every table for which something was measured, and one of missing and suspicious data.
-
-    Args:
-        protocol: what was asked for. outcome: what was measured.
-    """
+    """Return every table for which something was measured, and one of missing and suspicious data."""
     rows = list(rows_of(outcome))
     tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
     if protocol.studies and "rtof" in protocol.modes:
@@ -74,18 +70,25 @@ def _inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     ours = [(f"{m}, ours", *_means(rows, m, figures)) for m in ("sf2", "rtof") if m in protocol.modes]
     columns = {"method": 0, "MPJPE [mm]": 1, "root-relative [mm]": 1, "MPJJE [m/s3]": 1}
     lines = [*printed, *ours, *_calibration_rows(rows, figures)]
-    return _table(
-        "inertial_only", "Total Capture: methods of IMUs alone", columns, lines, _notes(protocol, rows)
-    )
+    return _table("inertial_only", "Total Capture: methods of IMUs alone", columns, lines, _notes(protocol, rows))
 
 
 def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
     """Make the ablation: every mode, and the calibration rows below."""
     columns = {
-        "mode": 0, "paper: MPJPE [mm]": 1, "paper: MPJAE": 2, "paper: MPJJE": 1, "root-relative [mm]": 1,
-        "absolute [mm]": 1, "Procrustes [mm]": 1, "MPJAE [m/s2]": 2, "MPJJE [m/s3]": 1,
-        "joint angle [deg]": 1, "flexion [deg]": 1, "valid": 0,
-    }  # fmt: skip
+        "mode": 0,
+        "paper: MPJPE [mm]": 1,
+        "paper: MPJAE": 2,
+        "paper: MPJJE": 1,
+        "root-relative [mm]": 1,
+        "absolute [mm]": 1,
+        "Procrustes [mm]": 1,
+        "MPJAE [m/s2]": 2,
+        "MPJJE [m/s3]": 1,
+        "joint angle [deg]": 1,
+        "flexion [deg]": 1,
+        "valid": 0,
+    }
     figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg")
     ours: list[tuple[Cell, ...]] = []
     for mode in CAMERA_MODES:
@@ -93,9 +96,7 @@ def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
             share = pooled(_of(rows, mode), "coverage")
             valid = None if share is None else f"{100 * share:.0f} %"
             ours.append((mode, *published.ABLATION[mode], *_means(rows, mode, figures), valid))
-    calibration = [
-        (name, None, None, None, *cells, None) for name, *cells in _calibration_rows(rows, figures)
-    ]  # fmt: skip
+    calibration = [(name, None, None, None, *cells, None) for name, *cells in _calibration_rows(rows, figures)]
     notes = _notes(protocol, rows)
     if protocol.keypoints is not None or protocol.noise_px:
         notes = (*notes, "The paper's ablation has exact ground-truth 2D; this run has not.")
@@ -110,9 +111,7 @@ def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
         (f"{mode}, ours, each camera alone", pooled(_of(chosen, mode), "sixteen_mm", "sixteen_frames"))
         for mode in protocol.modes
     ]
-    printed: list[tuple[Cell, ...]] = [
-        (name, row[-1]) for name, row in published.TABLE_1.items() if "VP3D" not in name
-    ]
+    printed: list[tuple[Cell, ...]] = [(name, row[-1]) for name, row in published.TABLE_1.items() if "VP3D" not in name]
     cameras = sorted({row["camera"] for row in chosen})
     note = (
         f"16 joints, every {SIXTEEN_STEP}th frame, cameras {', '.join(map(str, cameras)) or 'none'} "
@@ -127,9 +126,15 @@ def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
 def _fragment_length(rows: list[Row]) -> Table:
     """Make the study of the fragment length N: speed and error."""
     columns = {
-        "N": 0, "paper: frames/s": 0, "paper: MPJPE [mm]": 2, "paper: MPJJE": 2, "frames/s": 0,
-        "root-relative [mm]": 2, "absolute [mm]": 2, "MPJJE [m/s3]": 2,
-    }  # fmt: skip
+        "N": 0,
+        "paper: frames/s": 0,
+        "paper: MPJPE [mm]": 2,
+        "paper: MPJJE": 2,
+        "frames/s": 0,
+        "root-relative [mm]": 2,
+        "absolute [mm]": 2,
+        "MPJJE [m/s3]": 2,
+    }
     lines: list[tuple[Cell, ...]] = []
     for N, printed in published.FRAGMENT_LENGTH.items():
         own = _of(rows, length_name(N))
@@ -147,9 +152,13 @@ def _fragment_length(rows: list[Row]) -> Table:
 def _visual_weight(rows: list[Row]) -> Table:
     """Make the study of the visual weight k_V."""
     columns = {
-        "k_V": 0, "paper: MPJPE [mm]": 2, "paper: MPJJE": 2, "root-relative [mm]": 2, "absolute [mm]": 2,
+        "k_V": 0,
+        "paper: MPJPE [mm]": 2,
+        "paper: MPJJE": 2,
+        "root-relative [mm]": 2,
+        "absolute [mm]": 2,
         "MPJJE [m/s3]": 2,
-    }  # fmt: skip
+    }
     lines = [
         (f"{k_V:g}", *printed, *_means(rows, weight_name(k_V), _STUDIED))
         for k_V, printed in published.VISUAL_WEIGHT.items()
@@ -175,9 +184,12 @@ def _state_of_data(protocol: TotalCaptureProtocol, outcome: Outcome) -> Table:
         lines += [(where, "check failed", text) for text in facts.get("failed_checks", ())]
         lines += [(where, "note", text) for text in facts.get("notes", ())]
     return Table(
-        "state_of_data", "Total Capture: missing, suspicious, mended",
-        ("take", "what", "message"), (0, 0, 0), tuple(lines),
-    )  # fmt: skip
+        "state_of_data",
+        "Total Capture: missing, suspicious, mended",
+        ("take", "what", "message"),
+        (0, 0, 0),
+        tuple(lines),
+    )
 
 
 # --- parts ---------------------------------------------------------------------------------------

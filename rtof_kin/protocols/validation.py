@@ -93,13 +93,18 @@ class ValidationProtocol:
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
         return provenance(self.lifter) | {
-            "dataset": self.dataset, "root": str(self.root.resolve()), "mode": self.own_mode,
+            "dataset": self.dataset,
+            "root": str(self.root.resolve()),
+            "mode": self.own_mode,
             "camera": self.camera,
             "keypoints": str(self.keypoints.resolve()) if self.keypoints else "detected",
             "models": str(self.models.resolve()) if self.models else "at hand",
-            "heights": dict(self.heights or {}), "calibrate": self.calibrate, "align": self.align,
-            "seconds": self.seconds, "size_px": list(self.size_px) if self.size_px else None,
-        }  # fmt: skip
+            "heights": dict(self.heights or {}),
+            "calibrate": self.calibrate,
+            "align": self.align,
+            "seconds": self.seconds,
+            "size_px": list(self.size_px) if self.size_px else None,
+        }
 
     def chosen(self) -> tuple[Take, ...]:
         """Return the takes that are wanted.
@@ -149,13 +154,17 @@ class Validation:
 
 
 def run(
-    protocol: ValidationProtocol, folder: Path, *, overwrite: bool = False, workers: int | None = None,
+    protocol: ValidationProtocol,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    workers: int | None = None,
     progress: Progress | None = None,
-) -> Validation:  # fmt: skip
+) -> Validation:
     """Measure the takes that have no result yet.
 
     Args:
-        protocol: what to measure. folder: for the results; a run of the same settings is resumed.
+        folder: for the results; a run of the same settings is resumed.
         overwrite: whether results of other settings may be replaced. workers, progress: see `run_jobs`.
 
     Raises:
@@ -169,9 +178,13 @@ def run(
 
 
 def _jobs(
-    protocol: ValidationProtocol, takes: tuple[Take, ...], folder: Path, overwrite: bool, workers: int | None,
+    protocol: ValidationProtocol,
+    takes: tuple[Take, ...],
+    folder: Path,
+    overwrite: bool,
+    workers: int | None,
     progress: Progress | None,
-) -> dict[str, ValidationJob]:  # fmt: skip
+) -> dict[str, ValidationJob]:
     """Detect the people in all videos that need it, and return the job of each take."""
     videos = {take.key: found for take in takes if (found := _video_of(protocol, take)) is not None}
     names = {video: f"{number:04d}_{video.stem}" for number, video in enumerate(sorted(set(videos.values())))}
@@ -222,11 +235,7 @@ def detect(job: tuple[Path, Path | None]) -> JobResult:
 
 
 def measure(job: ValidationJob) -> JobResult:
-    """Reconstruct one take and compare its angles with the reference.
-
-    Args:
-        job: the take.
-    """
+    """Reconstruct one take and compare its angles with the reference."""
     from lifting.predict import Lifter
 
     protocol, take = job.protocol, job.take
@@ -251,9 +260,12 @@ def measure(job: ValidationJob) -> JobResult:
     save_motion(result, mode, job.folder / "motion.npz")
     facts, arrays = compared_with(clinical_angles(result.motion), truth, take, protocol.align)
     about = {
-        "subject": take.subject, "take": take.movement, "kind": take.kind, "camera": take.camera or None,
+        "subject": take.subject,
+        "take": take.movement,
+        "kind": take.kind,
+        "camera": take.camera or None,
         "notes": [*notes, *sorted(set(result.warnings))],
-    }  # fmt: skip
+    }
     return JobResult(about | facts, arrays)
 
 
@@ -261,10 +273,6 @@ def compared_with(
     estimate: ClinicalAngles, truth: Truth, take: Take, aligned: bool = True
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     """Compare the angles of a take with its reference.
-
-    Args:
-        estimate: of this package. truth: the reference. take: of both.
-        aligned: whether the difference of the clocks is estimated.
 
     Returns:
         Plain facts, and the arrays of `Validation.differences`.
@@ -274,9 +282,10 @@ def compared_with(
     """
     reference, _ = opensim_angles(truth.table)
     names = [
-        row.name for row in reference.rows
+        row.name
+        for row in reference.rows
         if row.opensim.removeprefix("-") in set(truth.coordinates) & set(truth.table.names)
-    ]  # fmt: skip
+    ]
     if not names:
         raise InvalidInputError(
             f"the reference has none of the measured coordinates, {', '.join(truth.coordinates[:3])} "
@@ -288,15 +297,16 @@ def compared_with(
     found, left_out = angle_differences(estimate, reference, take.kind, take.key, names, clock["shift_s"])
     if not found:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise InvalidInputError(
-            f"{take.key}: no angle is in the motion and the reference at the same time ({why})"
-        )
+        raise InvalidInputError(f"{take.key}: no angle is in the motion and the reference at the same time ({why})")
     arrays = {_DIFFERENCE + one.angle: one.difference for one in found}
     arrays |= {_SIGMA + one.angle: one.sigma for one in found if one.sigma is not None}
     facts = {
-        "reference": truth.source, "of_sensors": truth.of_sensors, "clock": clock, "left_out": left_out,
+        "reference": truth.source,
+        "of_sensors": truth.of_sensors,
+        "clock": clock,
+        "left_out": left_out,
         "methods": {"angles": {one.angle: len(one.difference) for one in found}},
-    }  # fmt: skip
+    }
     return facts, arrays
 
 
@@ -306,20 +316,23 @@ def clock_shift(
     """Return the shift of the reference's clock, ``shift_s``, ``how`` it was found, and what it rests on.
 
     Args:
-        estimate, reference: angles. names: of the reference. reach: s, largest shift that is searched.
+        reach: s, largest shift that is searched.
     """
     common = [
-        name for name in names
+        name
+        for name in names
         if name in estimate.names and np.isfinite(estimate[name]).any() and np.isfinite(reference[name]).any()
-    ]  # fmt: skip
+    ]
     try:
         found = align(estimate, reference, common, reach)
     except InvalidInputError as error:
         return {"shift_s": 0.0, "how": f"as recorded: no shift was found ({error})"}
     facts = {
-        "found_s": found.shift, "sigma_s": found.sigma, "agreement": found.agreement,
+        "found_s": found.shift,
+        "sigma_s": found.sigma,
+        "agreement": found.agreement,
         "agreement_as_recorded": found.unshifted,
-    }  # fmt: skip
+    }
     if found.poor:
         return facts | {"shift_s": 0.0, "how": f"as recorded: {HARDLY}"}
     how = f"estimated within {reach:g} s"

@@ -48,9 +48,6 @@ class SetUp:
 def recording_of(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recording, list[str]]:
     """Return the recording of a take, and what was found, assumed or in doubt.
 
-    Args:
-        take: to be set up. inputs: of it. setup: what it is made with.
-
     Raises:
         InvalidInputError: the take lacks what the mode needs. Errors of `make_recording`,
             `calibrate_by_pose`.
@@ -71,9 +68,7 @@ def _of_sensors(take: Take, inputs: TakeInputs) -> tuple[Recording, list[str]]:
     log = inputs.sensors.select(list(inputs.places))
     joints = {sensor: known_segment(place, skeleton) for sensor, place in inputs.places.items()}
     found = calibrate_by_pose(log, joints, inputs.pose, skeleton, still=inputs.still)
-    recording = Recording(
-        take.key, imus=imus_of_log(log), calibration=found.calibration, height=inputs.height
-    )
+    recording = Recording(take.key, imus=imus_of_log(log), calibration=found.calibration, height=inputs.height)
     return recording, list(found.warnings)
 
 
@@ -82,9 +77,10 @@ def _of_images(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recording,
     make_folders(folder)
     settings = _settings(inputs, setup)
     sources = Sources(
-        keypoints=_keypoints(take, inputs, setup, settings), camera=_calibration(inputs, folder),
+        keypoints=_keypoints(take, inputs, setup, settings),
+        camera=_calibration(inputs, folder),
         sensors=(_sensors(inputs, folder),) if setup.mode in _WITH_SENSORS else (),
-    )  # fmt: skip
+    )
     find_people(sources, settings, folder / "recording", _no_detector)
     said = make_recording(sources, settings, folder / "recording", name=take.key)
     notes = [*said.assumed, *said.doubtful]
@@ -116,7 +112,7 @@ def keypoints_of(folder: Path | None, take: Take, inputs: TakeInputs) -> Path | 
     """Return the user's detections of a take; None where there are none.
 
     Args:
-        folder: of detections. take, inputs: the take; a file has its name, or that of its video.
+        take, inputs: the take; a file has its name, or that of its video.
     """
     if folder is None:
         return None

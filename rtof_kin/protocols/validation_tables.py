@@ -20,11 +20,7 @@ _NEEDS_SENSORS: Final = ("sf2", "rtof", "imu")
 
 
 def first_line(protocol: ValidationProtocol, found: Validation) -> str:
-    """Return the sentence that a reader sees first: how many takes were measured, and which failed.
-
-    Args:
-        protocol, found: of the validation.
-    """
+    """Return the sentence that a reader sees first: how many takes were measured, and which failed."""
     done, failed = found.outcome.done, found.outcome.failed
     mode = protocol.own_mode
     text = f"{SETS[protocol.dataset].title}, mode {mode}: {len(done)} of {len(found.takes)} takes measured"
@@ -47,14 +43,8 @@ def first_line(protocol: ValidationProtocol, found: Validation) -> str:
     return text + "."
 
 
-def all_tables(
-    protocol: ValidationProtocol, found: Validation
-) -> tuple[tuple[AngleErrors, ...], tuple[Table, ...]]:
-    """Return the rows of errors, and all tables.
-
-    Args:
-        protocol, found: of the validation.
-    """
+def all_tables(protocol: ValidationProtocol, found: Validation) -> tuple[tuple[AngleErrors, ...], tuple[Table, ...]]:
+    """Return the rows of errors, and all tables."""
     rows = error_rows(found.differences(), MOVEMENTS)
     adapter = SETS[protocol.dataset]
     references = sorted({facts["reference"] for facts in found.outcome.done.values()})
@@ -66,11 +56,7 @@ def all_tables(
 
 
 def takes_table(found: Validation) -> Table:
-    """Return one row for each take: what its clock was shifted by, or why it failed.
-
-    Args:
-        found: the validation.
-    """
+    """Return one row for each take: what its clock was shifted by, or why it failed."""
     cells: list[tuple[str | float | None, ...]] = []
     for take in found.takes:
         facts = found.outcome.done.get(take.key)
@@ -83,8 +69,7 @@ def takes_table(found: Validation) -> Table:
         cells.append((take.key, take.kind, clock["shift_s"], clock.get("agreement"), said))
     columns = ("take", "movement", "shift [s]", "agreement", "clock, and what was left out or is in doubt")
     notes = (
-        "Shift: added to the times of the reference; takes and references start together by the set's own "
-        "account.",
+        "Shift: added to the times of the reference; takes and references start together by the set's own account.",
     )
     return Table("takes", "Takes", columns, (0, 0, 3, 2, 0), tuple(cells), notes)
 
@@ -93,18 +78,18 @@ def _left_out(facts: dict[str, Any]) -> list[str]:
     reasons: dict[str, list[str]] = {}
     for name, reason in facts["left_out"].items():
         reasons.setdefault(reason, []).append(name)
-    return [f"left out, as it {reason}: {', '.join(names)}" if reason.startswith(("does", "depends"))
-            else f"left out, {reason}: {', '.join(names)}" for reason, names in reasons.items()]  # fmt: skip
+    return [
+        f"left out, as it {reason}: {', '.join(names)}"
+        if reason.startswith(("does", "depends"))
+        else f"left out, {reason}: {', '.join(names)}"
+        for reason, names in reasons.items()
+    ]
 
 
 def write_validation(
     folder: Path, protocol: ValidationProtocol, found: Validation
 ) -> tuple[str, Sequence[Table], list[Path]]:
-    """Write all tables; return the first sentence, the tables and the files.
-
-    Args:
-        folder: of the validation. protocol, found: of it.
-    """
+    """Write all tables; return the first sentence, the tables and the files."""
     rows, tables = all_tables(protocol, found)
     first = first_line(protocol, found)
     _write_takes(folder / TAKES, found.differences())
@@ -114,10 +99,7 @@ def write_validation(
 
 def _write_takes(path: Path, differences: Sequence[AngleDifferences]) -> None:
     """Write the errors of every angle of every take, so that others can average as they publish."""
-    rows = [
-        {"take": one.take} | plain_rows([angle_errors([one], one.angle, one.movement)])[0]
-        for one in differences
-    ]
+    rows = [{"take": one.take} | plain_rows([angle_errors([one], one.angle, one.movement)])[0] for one in differences]
     text = io.StringIO(newline="")
     lines = csv.DictWriter(text, list(rows[0]) if rows else ["take"], lineterminator="\n")
     lines.writeheader()

@@ -21,13 +21,7 @@ from rtof_kin.reconstruction.image_checks import Picture, look_at_picture, sense
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.reconstruction.room import Room, look_at_room, unseen_room
-from rtof_kin.reconstruction.scale_checks import (
-    ANKLE_HEIGHT,
-    Standing,
-    check_bones,
-    check_perspective,
-    standing,
-)
+from rtof_kin.reconstruction.scale_checks import ANKLE_HEIGHT, Standing, check_bones, check_perspective, standing
 from rtof_kin.recording.body_checks import check_camera
 from rtof_kin.recording.recording import Recording
 
@@ -57,15 +51,16 @@ ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre"
 
 
 def check_camera_evidence(
-    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
+    recording: Recording,
+    prepared: Prepared,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
     lifter: LifterLike | None = None,
-) -> tuple[tuple[Check, ...], Room]:  # fmt: skip
+) -> tuple[tuple[Check, ...], Room]:
     """Check the declared camera, image and body.
 
     Args:
-        recording: as declared, before calibration and outlier rejection.
-        prepared: the prepared streams and the poses of each stage before the solver.
-        poses: the final poses. skeleton: the subject's.
+        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
         lifter: the shipped one where not given.
 
     Returns:
@@ -89,7 +84,7 @@ def check_camera_alone(
     """Check the same before a reconstruction.
 
     Args:
-        recording: as declared. skeleton: the subject's. lifter: default: the shipped one.
+        skeleton: the subject's. lifter: default: the shipped one.
     """
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
     stands = None
@@ -105,7 +100,7 @@ def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike 
     """Prepend the cause found by the checks to a `ViewError` raised inside.
 
     Args:
-        recording: as declared. skeleton: the subject's. lifter: default: the shipped one.
+        skeleton: the subject's. lifter: default: the shipped one.
     """
     try:
         yield
@@ -118,9 +113,12 @@ def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike 
 
 
 def _ordered(
-    recording: Recording, picture: Picture, skeleton: SkeletonModel, stands: Standing | None,
+    recording: Recording,
+    picture: Picture,
+    skeleton: SkeletonModel,
+    stands: Standing | None,
     of_motion: tuple[Check, ...] = (),
-) -> tuple[Check, ...]:  # fmt: skip
+) -> tuple[Check, ...]:
     """Order the checks by cause: of several that one mistake fails, the one that names it leads."""
     keypoints, camera = recording.video, recording.video.camera
     first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
@@ -133,9 +131,7 @@ def _ordered(
     perspective = check_perspective(picture, skeleton)
     known = (bones, lens, perspective, *of_motion)
     cause = next((check.cause for check in known if check.failed), picture.small)
-    return (
-        *first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared,
-    )  # fmt: skip
+    return (*first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared)
 
 
 def _own_sensors(recording: Recording) -> BoneImuSequence | None:
@@ -149,36 +145,51 @@ def _check_unit(camera: Camera) -> Check:
     far = float(np.linalg.norm(camera.t_camera_world))
     unit = "millimetres" if far > 10 * FURTHEST else "centimetres"
     return Check(
-        "distance from the world's origin", "camera", far, FURTHEST, "m",
+        "distance from the world's origin",
+        "camera",
+        far,
+        FURTHEST,
+        "m",
         "Give t_camera_world in m, of a world whose origin is near",
         cause=f"the camera's translation is probably in {unit}, not metres",
-    )  # fmt: skip
+    )
 
 
 def _check_view(camera: Camera) -> Check:
     view = float(np.degrees(2 * np.arctan(camera.width_px / 2 / camera.K[0, 0])))
     limit = WIDEST_DEG if not np.any(camera.distortion) else 130.0
     return Check(
-        "view of the lens", "camera", view, limit, "deg",
+        "view of the lens",
+        "camera",
+        view,
+        limit,
+        "deg",
         "So wide a lens distorts; give the focal length in px, of images of this size",
         cause="the focal length is probably too short",
-    )  # fmt: skip
+    )
 
 
 def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
     """Check the camera's parameters by themselves and against the points."""
     camera = keypoints.camera
-    causes = ("the focal length is of another unit or picture", "pixels are not square",
-              "the principal point is of another picture")  # fmt: skip
+    causes = (
+        "the focal length is of another unit or picture",
+        "pixels are not square",
+        "the principal point is of another picture",
+    )
     for check, cause in zip(check_camera("of the recording", camera), causes, strict=True):
         yield replace(check, cause=cause)
     yield _check_outside(keypoints)
     assumed = camera.assumed if camera.uncertainty is None else ()  # its unknowns are estimated
     yield Check(
-        "assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities",
+        "assumed, not measured",
+        "camera",
+        float(len(assumed)),
+        0.0,
+        "quantities",
         f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
         cause=UNVERIFIED,
-    )  # fmt: skip
+    )
 
 
 def _check_outside(keypoints: KeypointSequence) -> Check:
@@ -188,10 +199,14 @@ def _check_outside(keypoints: KeypointSequence) -> Check:
     uv = keypoints.uv_px[keypoints.seen]
     outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
     return Check(
-        name, "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan,
-        MOST_OUTSIDE, "%", "Give the camera of the picture that was detected in",
+        name,
+        "keypoints",
+        100 * float(outside.mean()) if len(uv) else np.nan,
+        MOST_OUTSIDE,
+        "%",
+        "Give the camera of the picture that was detected in",
         cause="the keypoints are of a larger picture than the camera's",
-    )  # fmt: skip
+    )
 
 
 # --- the body and the floor ----------------------------------------------------------------------
@@ -200,17 +215,25 @@ def _check_outside(keypoints: KeypointSequence) -> Check:
 def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check]:
     tall = skeleton.height
     yield Check(
-        "height of the bones", "body", max(tall / BODY, BODY / tall), BODY_FACTOR, "times",
+        "height of the bones",
+        "body",
+        max(tall / BODY, BODY / tall),
+        BODY_FACTOR,
+        "times",
         f"They make a body {tall:.2f} m tall, usual is {BODY} m",
         cause=f"the bones are probably too {'long' if tall > BODY else 'short'}",
-    )  # fmt: skip
+    )
     declared = recording.height
     if declared is not None:
         yield Check(
-            "height against that of the bones", "body", 100 * abs(tall / declared - 1), HEIGHT_DIFFERENCE,
-            "%", f"{declared:.2f} m are declared, the bones make {tall:.2f} m; give only one of the two",
+            "height against that of the bones",
+            "body",
+            100 * abs(tall / declared - 1),
+            HEIGHT_DIFFERENCE,
+            "%",
+            f"{declared:.2f} m are declared, the bones make {tall:.2f} m; give only one of the two",
             cause="height and bones are of different people",
-        )  # fmt: skip
+        )
 
 
 def _check_distance(stands: Standing | None) -> Check:
@@ -218,18 +241,18 @@ def _check_distance(stands: Standing | None) -> Check:
         return Check.unknown(_DISTANCE, "the person", "m", "no person could be lifted")
     distance = stands.distance
     return Check(
-        _DISTANCE, "the person", max(distance / DISTANCE, DISTANCE / distance), DISTANCE_FACTOR, "times",
+        _DISTANCE,
+        "the person",
+        max(distance / DISTANCE, DISTANCE / distance),
+        DISTANCE_FACTOR,
+        "times",
         f"It is {distance:.3g} m, usual are {DISTANCE} m",
         cause="the focal length or the size of the bones is in another unit",
-    )  # fmt: skip
+    )
 
 
 def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Check:
-    """Check that the person stands on the floor, at z = 0 where none is declared.
-
-    Args:
-        cause: of a wrong scale, by other checks.
-    """
+    """Check that the person stands on the floor, at z = 0 where none is declared."""
     if stands is None:
         return Check.unknown(_FEET, "the person", "m", "no person could be lifted")
     floor = recording.floor_height
@@ -243,10 +266,14 @@ def _check_feet(recording: Recording, stands: Standing | None, cause: str) -> Ch
     if floor is None:
         advice += "; no floor is declared: give its z, floor_height_m, where it is not 0"
     return Check(
-        f"{_FEET} over {'z = 0' if floor is None else 'the floor'}", "the person",
-        abs(off), limit, "m off", advice,
+        f"{_FEET} over {'z = 0' if floor is None else 'the floor'}",
+        "the person",
+        abs(off),
+        limit,
+        "m off",
+        advice,
         cause=cause or _cause_of_height(off, stands.distance, recording),
-    )  # fmt: skip
+    )
 
 
 def _cause_of_height(off: float, distance: float, recording: Recording) -> str:
@@ -272,7 +299,11 @@ def _check_frozen(keypoints: KeypointSequence) -> Check:
     times = keypoints.times
     start, stop = max(signals.runs(same), key=lambda run: run[1] - run[0], default=(0, 0))
     return Check(
-        "time for which points repeat exactly", "keypoints", float(times[stop] - times[start]),
-        LONGEST_FROZEN, "s", f"At {times[start]:.2f} s; look at the detector, or take those frames out",
+        "time for which points repeat exactly",
+        "keypoints",
+        float(times[stop] - times[start]),
+        LONGEST_FROZEN,
+        "s",
+        f"At {times[start]:.2f} s; look at the detector, or take those frames out",
         cause="the keypoints are frozen: the detector repeats one frame",
-    )  # fmt: skip
+    )

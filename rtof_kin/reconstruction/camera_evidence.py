@@ -95,7 +95,7 @@ def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: Sk
     """Return the feet that hardly move in the image and move little in the poses.
 
     Args:
-        keypoints: evenly spaced. poses: at their times, with about the right camera. skeleton: the subject's.
+        skeleton: the subject's.
     """
     found = detect_contacts(poses, None, skeleton, from_poses=True)
     xy = keypoints.camera.normalise(keypoints.select(found.joints).uv_px)
@@ -111,14 +111,11 @@ def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: Sk
     return replace(found, standing=standing)
 
 
-def evidence(
-    scene: Scene, keypoints: KeypointSequence, by_image: PoseSequence, poses: PoseSequence
-) -> Evidence:
+def evidence(scene: Scene, keypoints: KeypointSequence, by_image: PoseSequence, poses: PoseSequence) -> Evidence:
     """Return the evidence of a recording reconstructed with a camera.
 
     Args:
-        scene: of the recording. keypoints: with that camera. by_image: lifted without sensors.
-        poses: solved.
+        by_image: lifted without sensors.
     """
     camera = keypoints.camera
     parts = (
@@ -163,7 +160,7 @@ def floor_plane(camera: Camera, p: Array, floor_height: float) -> FloorPlane | N
     """Return the plane through standing ankles (n, 3), m; None where there are too few.
 
     Args:
-        camera: that saw them. p: in world. floor_height: z of the floor, m.
+        p: in world. floor_height: z of the floor, m.
     """
     if len(p) < 10:
         return None
@@ -195,22 +192,15 @@ def _tilt(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
 
 
 def lasting(seconds: float) -> float:
-    """Return the factor on `LEAN` and `TURN` in a recording of another length.
-
-    Args:
-        seconds: its length.
-    """
+    """Return the factor on `LEAN` and `TURN` in a recording of another length."""
     return float(np.sqrt(LASTING + (1 - LASTING) * max(1.0, SECONDS / max(seconds, 0.1))))
 
 
-def turn_of_image(
-    imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera, poses: PoseSequence
-) -> Array:
+def turn_of_image(imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera, poses: PoseSequence) -> Array:
     """Return the rotation vector (3,), camera axes, from the sensors' bones to the image's, or NaN.
 
     Args:
-        imus: at the poses' times. skeleton: the subject's. camera: of the image.
-        poses: lifted without sensors.
+        skeleton: the subject's. poses: lifted without sensors.
     """
     p, products = poses.p_world_joint, np.zeros((3, 3))
     for s, joint in enumerate(skeleton.index(*imus.joints)):
@@ -227,11 +217,7 @@ def turn_of_image(
 
 
 def walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
-    """Return the logarithm of the path of the body over standing feet, along the view, per that of its legs.
-
-    Args:
-        scene: of the recording. camera, poses: solved with it.
-    """
+    """Return the logarithm of the path of the body over standing feet, along the view, per that of its legs."""
     body, legs = walked(scene, camera, poses)
     total = float(legs @ legs)
     if total < LEAST_WALK or not body @ legs > 0.2 * total:
@@ -242,11 +228,7 @@ def walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
 
 
 def check_walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Check:
-    """Check the focal length by walking to or from the camera.
-
-    Args:
-        scene: of the recording. camera, poses: solved with it.
-    """
+    """Check the focal length by walking to or from the camera."""
     if camera.uncertainty is not None:
         return Check.unknown(WALK_IN_DEPTH, "the feet", "times", "the focal length is estimated by it")
     found = walk(scene, camera, poses)
@@ -255,17 +237,21 @@ def check_walk(scene: Scene, camera: Camera, poses: PoseSequence) -> Check:
         why = "needs some five steps to or from the camera, with sensors on thighs and shanks"
         return Check.unknown(WALK_IN_DEPTH, "the feet", "times", why)
     return Check(
-        WALK_IN_DEPTH, "the feet", float(np.exp(abs(value))), float(np.exp(_OF_WALK * sigma)), "times",
+        WALK_IN_DEPTH,
+        "the feet",
+        float(np.exp(abs(value))),
+        float(np.exp(_OF_WALK * sigma)),
+        "times",
         f"Along the view the body moves {np.exp(value):.2f} times as far over standing feet as its legs do",
         cause=f"the focal length is probably too {'long' if value > 0 else 'short'}",
-    )  # fmt: skip
+    )
 
 
 def walked(scene: Scene, camera: Camera, poses: PoseSequence) -> tuple[Array, Array]:
     """Return the paths (n,) of the body along the view in each contact, by the image and by its legs, m.
 
     Args:
-        scene: of the recording; without sensors on the legs there is none. camera, poses: solved with it.
+        scene: of the recording; without sensors on the legs there is none.
     """
     if scene.bone_imus is None or not {*LEGS} <= {*scene.bone_imus.joints}:
         return np.zeros(0), np.zeros(0)

@@ -1,11 +1,10 @@
 """Slow drift of the heading of a camera that turns, against the sensors of the person whom it films.
 
-A phone knows the tilt of its camera from gravity, but its heading drifts (that of the background's keyframes
-hardly does). Segments seen in the image and by their sensors differ by this drift, by errors of the lifter
-that depend on the pose, and by the drift of the sensors' headings, which is the same to a reconstruction.
-The drift is a line and a random walk, estimated by Gaussian process regression (Rasmussen and Williams 2006,
-ch. 2) from means over two seconds. Removing it mends positions in world; those relative to the root hardly
-change.
+A phone knows the tilt of its camera from gravity, but its heading drifts (that of the background's keyframes hardly
+does). Segments seen in the image and by their sensors differ by this drift, by errors of the lifter that depend on the
+pose, and by the drift of the sensors' headings, which is the same to a reconstruction. The drift is a line and a
+random walk, estimated by Gaussian process regression (Rasmussen and Williams 2006, ch. 2) from means over two seconds.
+Removing it mends positions in world; those relative to the root hardly change.
 """
 
 from __future__ import annotations
@@ -45,33 +44,26 @@ class HeadingDrift:
     """(T,) its standard deviation, rad."""
 
     def removed(self, keypoints: KeypointSequence) -> KeypointSequence:
-        """Return the keypoints without the drift.
-
-        Args:
-            keypoints: stabilised, at the times of the drift.
-        """
+        """Return the keypoints without the drift."""
         R = keypoints.camera.R_camera_world
         return turned(keypoints, R @ so3.about_axis("z", self.angle) @ R.T, keypoints.camera.undistorted())
 
 
 def without_heading_drift(
-    keypoints: KeypointSequence,
-    bone_imus: BoneImuSequence,
-    skeleton: SkeletonModel,
-    lifter: LifterLike | None,
+    keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> KeypointSequence:
     """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for.
 
     Args:
-        keypoints: evenly spaced. bone_imus: at their times. skeleton: the subject's.
-        lifter: default: the shipped one.
+        skeleton: the subject's. lifter: default: the shipped one.
     """
     found = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, keypoints.camera.heading_drift)
     first, last = np.degrees(found.angle[[0, -1]])
     _log.info(
         "the heading of the camera drifted by %.1f +- %.1f deg against the sensors; it is removed",
-        last - first, np.degrees(np.hypot(*found.sigma[[0, -1]])),
-    )  # fmt: skip
+        last - first,
+        np.degrees(np.hypot(*found.sigma[[0, -1]])),
+    )
     return found.removed(keypoints)
 
 
@@ -80,7 +72,7 @@ def heading_drift(poses: PoseSequence, bone_imus: BoneImuSequence, sigma_rate: f
 
     Args:
         poses: lifted from the image alone, in the world of the camera that stands still.
-        bone_imus: calibrated sensors at their times. sigma_rate: standard deviation of a steady drift, rad/s.
+        sigma_rate: standard deviation of a steady drift, rad/s.
 
     Raises:
         InvalidInputError: other times, or no segment is seen by both.

@@ -188,9 +188,13 @@ def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
 def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
     only = CalibrationPriors(
-        sigma_delay=float(delay.sigma[0]), sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None,
-        most_seconds=_EXCERPT, rounds=1,
-    )  # fmt: skip
+        sigma_delay=float(delay.sigma[0]),
+        sigma_swing=None,
+        sigma_image_bias=None,
+        sigma_ankle_height=None,
+        most_seconds=_EXCERPT,
+        rounds=1,
+    )
     first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
     silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
     try:
@@ -200,9 +204,7 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])
 
 
-def _check_belonging(
-    job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate
-) -> Check:
+def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate) -> Check:
     """Check that the sensors move as the image shows where and when they are declared."""
     S = len(columns)
     least, explained = _EXPLAINED[S >= _FEW], found.explained
@@ -224,10 +226,15 @@ def _check_belonging(
                 advice = f"They would turn as the limbs in the video if they {other}"
                 break
     return Check(
-        NAME, "sensors", (1 - explained) / max(explained, 1e-3), (1 - least) / least, "times",
+        NAME,
+        "sensors",
+        (1 - explained) / max(explained, 1e-3),
+        (1 - least) / least,
+        "times",
         f"{advice}; they are left out. Give the sensors' file of this take, or check the rates of video and "
-        "sensors, start_s and which sensor is where", cause=cause,
-    )  # fmt: skip
+        "sensors, start_s and which sensor is where",
+        cause=cause,
+    )
 
 
 def _sentences(
@@ -238,9 +245,7 @@ def _sentences(
     if len(delay.value) > 1 and abs(delay.value[1]) * seconds / 2 > _NAMED:
         rate, sigma = -100 * delay.value[1], 100 * delay.sigma[1]
         word = "fast" if rate > 0 else "slow"
-        said.append(
-            f"the sensors' clock runs {abs(rate):.2g} ± {sigma:.1g} % {word} against the video's; corrected"
-        )
+        said.append(f"the sensors' clock runs {abs(rate):.2g} ± {sigma:.1g} % {word} against the video's; corrected")
     late = 0.0 if applied is None else 1000 * applied.sensors_late
     if abs(late) > 1000 * _NAMED:
         word = "late" if late > 0 else "early"

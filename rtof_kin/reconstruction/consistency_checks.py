@@ -34,11 +34,7 @@ def check_height(recording: Recording) -> None:
 
 
 def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:
-    """Describe estimates that contradict their priors or the declared height.
-
-    Args:
-        recording: before calibration. calibration: estimated from it.
-    """
+    """Describe estimates that contradict their priors or the declared height."""
     found = []
     for q, row in zip(calibration.quantities, calibration.table(), strict=True):
         if q.doubt:

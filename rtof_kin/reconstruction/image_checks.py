@@ -92,7 +92,7 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
     """Compare the keypoints with each usual mistake undone.
 
     Args:
-        recording: as declared, with keypoints. skeleton: the subject's.
+        skeleton: the subject's.
         lifter: None for one that predicts no uncertainties: image orientation remains unchecked.
     """
     keypoints = excerpt(recording.video)
@@ -114,11 +114,7 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """Return at most `PIECES` pieces of `PIECE` frames, `STEP` apart.
-
-    Args:
-        keypoints: of the whole recording.
-    """
+    """Return at most `PIECES` pieces of `PIECE` frames, `STEP` apart."""
     every = 1
     if len(keypoints) > 1:
         every = max(1, round(STEP / float(np.median(np.diff(keypoints.times)))))
@@ -159,7 +155,7 @@ def exchanged_sides(keypoints: KeypointSequence, only: str = "") -> KeypointSequ
     """Return the keypoints with left and right names exchanged.
 
     Args:
-        keypoints: an excerpt. only: a group of `side_pairs`; by default all.
+        only: a group of `side_pairs`; by default all.
     """
     order = np.arange(len(keypoints.names))
     for group, pairs in side_pairs(keypoints.names).items():
@@ -208,11 +204,7 @@ def _stood_up(keypoints: KeypointSequence) -> tuple[str, Undo] | None:
 
 
 def halved(keypoints: KeypointSequence) -> KeypointSequence:
-    """Return the points scaled from an image half as wide.
-
-    Args:
-        keypoints: an excerpt.
-    """
+    """Return the points scaled from an image half as wide."""
     return replace(keypoints, uv_px=2 * keypoints.uv_px)
 
 
@@ -223,7 +215,7 @@ def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: Lift
     """Lift keypoints without sensors and floor; None where no person is visible.
 
     Args:
-        keypoints: an excerpt. skeleton: the subject's. lifter: with uncertainties.
+        skeleton: the subject's.
     """
     try:
         result = lifter.predict(keypoints, skeleton.joint_offsets)
@@ -272,10 +264,15 @@ class _Look:
         """Whether the person looks more like one twice as large, and not rather like one mirrored."""
         gain = self._gain(halved) if self.reach < _REACH else 0.0
         return Check(
-            _SIZE, "keypoints", gain if gain > max(self._sides_gain, 0.0) else 0.0, LEAST_GAIN_OF_SIZE,
-            "gain in certainty", f"Points reach {100 * self.reach:.0f} % of the picture; give the camera "
-            "of the picture that was detected in, or scale the keypoints", cause=_SMALL,
-        )  # fmt: skip
+            _SIZE,
+            "keypoints",
+            gain if gain > max(self._sides_gain, 0.0) else 0.0,
+            LEAST_GAIN_OF_SIZE,
+            "gain in certainty",
+            f"Points reach {100 * self.reach:.0f} % of the picture; give the camera "
+            "of the picture that was detected in, or scale the keypoints",
+            cause=_SMALL,
+        )
 
     @cached_property
     def reach(self) -> float:
@@ -295,13 +292,15 @@ class _Look:
             headings = {other[0]}
         certain = {cause: self._gain(undo) for cause, undo in hypotheses.items()}
         gains = {
-            cause: self._with_sensors(certain[cause], hypotheses[cause], cause in headings)
-            for cause in hypotheses
+            cause: self._with_sensors(certain[cause], hypotheses[cause], cause in headings) for cause in hypotheses
         }
         return self._check(
-            _TURN, gains, certain, "Look at a frame with its points; give R_camera_world of a world with "
-            "z up, for the picture as it was detected in"
-        )  # fmt: skip
+            _TURN,
+            gains,
+            certain,
+            "Look at a frame with its points; give R_camera_world of a world with "
+            "z up, for the picture as it was detected in",
+        )
 
     def sides(self) -> Check:
         """Whether left and right would better be the other way round."""
@@ -331,17 +330,13 @@ class _Look:
     def _limit(self) -> float:
         return LEAST_GAIN if self.bone_imus is None else LEAST_GAIN_SENSED
 
-    def _check(
-        self, name: str, gains: Mapping[str, float], certain: Mapping[str, float], advice: str
-    ) -> Check:
+    def _check(self, name: str, gains: Mapping[str, float], certain: Mapping[str, float], advice: str) -> Check:
         """The hypotheses that gain most, of those that the lifter does not speak against."""
         possible = {c: g for c, g in gains.items() if certain[c] > _CONTRADICTED}
         most = max(possible.values(), default=0.0)
         named = sorted((c for c, g in possible.items() if g > most - _CLOSE), key=lambda c: -gains[c])
         value = max(most, 0.0)
-        return Check(
-            name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named)
-        )
+        return Check(name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named))
 
     def _gain(self, undo: Undo) -> float:
         """Gain in certainty; minus infinity where no person is left."""

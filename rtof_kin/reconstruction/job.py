@@ -38,9 +38,13 @@ class Job:
 
     @classmethod
     def of(
-        cls, recording: Recording, skeleton: SkeletonModel | None, lifter: LifterLike | None,
-        settings: ReconstructionSettings | None, progress: Progress | None,
-    ) -> Job:  # fmt: skip
+        cls,
+        recording: Recording,
+        skeleton: SkeletonModel | None,
+        lifter: LifterLike | None,
+        settings: ReconstructionSettings | None,
+        progress: Progress | None,
+    ) -> Job:
         """Return the job for arguments of `reconstruct`; None stands for their defaults.
 
         Args:
@@ -67,9 +71,16 @@ class Job:
             mode, rejected, calibration: as for `reconstruction.prepare.prepare`.
         """
         return prepare(
-            self.recording, self.subject, mode, self.lifter, self.settings, self.progress,
-            rejected=rejected, calibration=calibration, times=self.times,
-        )  # fmt: skip
+            self.recording,
+            self.subject,
+            mode,
+            self.lifter,
+            self.settings,
+            self.progress,
+            rejected=rejected,
+            calibration=calibration,
+            times=self.times,
+        )
 
     def calibrated(self, calibration: SelfCalibration | None) -> Job:
         """Return the job on the calibrated recording, with the settings of its fragment solver.
@@ -102,7 +113,6 @@ class Job:
         """Optimise the prepared poses.
 
         Args:
-            prepared: of the recording. confidence: whether to compute covariances.
             stage: name that progress is reported under; empty for none.
         """
         places = None  # Cartesian space: all segments that may carry a sensor
@@ -111,18 +121,20 @@ class Job:
         solver = FragmentSolver(prepared.skeleton, self.settings.frames, self.settings.fragment, places)
         report = (lambda i, n: self.progress(stage, i, n)) if stage else None
         return solver.solve(
-            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence,
-            views=prepared.views,
-        )  # fmt: skip
+            prepared.guess, prepared.keypoints, prepared.bone_imus, report, confidence=confidence, views=prepared.views
+        )
 
     def solved_again(
-        self, recording: Recording, mode: Mode, rejected: tuple[StreamFault, ...] = (),
+        self,
+        recording: Recording,
+        mode: Mode,
+        rejected: tuple[StreamFault, ...] = (),
         calibration: SelfCalibration | None = None,
-    ) -> tuple[Prepared, PoseSequence]:  # fmt: skip
+    ) -> tuple[Prepared, PoseSequence]:
         """Prepare and solve another version of the recording, without covariances.
 
         Args:
-            recording: that version. mode, rejected, calibration: as for `prepare`.
+            mode, rejected, calibration: as for `prepare`.
         """
         own = replace(self, recording=recording)
         prepared = own.prepare(mode, rejected, calibration)

@@ -38,8 +38,7 @@ class LifterLike(Protocol):
         """Estimate poses in world for every frame, with orientations where the lifter has them.
 
         Args:
-            keypoints: T frames. joint_offsets: (J, 3) m of the skeleton. bone_imus: sensors at the
-                keypoints' times. floor_height: z of the floor in world, m.
+            joint_offsets: (J, 3) m of the skeleton. floor_height: z of the floor in world, m.
         """
 
 
@@ -74,8 +73,7 @@ def lift(
     """Lift a video.
 
     Args:
-        keypoints: T evenly spaced frames. skeleton: the subject's. lifter: default: the shipped one.
-        bone_imus: sensors at the keypoints' times. floor_height: z of the floor in world, m.
+        skeleton: the subject's. lifter: default: the shipped one. floor_height: z of the floor in world, m.
 
     Raises:
         ViewError: a lifted pose is behind the camera.

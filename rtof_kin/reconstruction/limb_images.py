@@ -17,11 +17,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 
 
 def sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tuple[int, int, int]]:
-    """Return (sensor, joint, child) of every bone whose segment carries a sensor.
-
-    Args:
-        bone_imus: S sensors. skeleton: gives joints and children.
-    """
+    """Return (sensor, joint, child) of every bone whose segment carries a sensor."""
     index = skeleton.names.index
     return [
         (s, index(joint), child)
@@ -46,7 +42,7 @@ class Limbs:
         """Collect the bones.
 
         Args:
-            keypoints: T frames. bone_imus: at the same times. skeleton: the subject's.
+            skeleton: the subject's.
         """
         sensor, joint, child = np.array(sensed_bones(bone_imus, skeleton)).T
         xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
@@ -74,7 +70,7 @@ class Limbs:
         common heading of all sensors.
 
         Args:
-            headings: (H,) rad. camera: of the image.
+            headings: (H,) rad.
         """
         R = camera.R_camera_world
         turns = R @ so3.about_axis("z", headings) @ R.T

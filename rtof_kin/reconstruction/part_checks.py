@@ -31,9 +31,6 @@ class PartFindings:
 def joined_checks(parts: Sequence[PartFindings]) -> tuple[Check, ...]:
     """Return one check in place of those of the parts: it fails where at least half of the parts in which
     it was possible fail, and two at least. It is the one of median value among those that agree with that.
-
-    Args:
-        parts: in the order of time.
     """
     return parts[0].checks if len(parts) == 1 else tuple(_joined(own) for own in _alike(parts))
 
@@ -41,9 +38,6 @@ def joined_checks(parts: Sequence[PartFindings]) -> tuple[Check, ...]:
 def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
     """Return the warnings of all parts once each, with those about checks that fail in some parts only:
     in two neighbouring ones, or in more than one false alarm in twenty explains.
-
-    Args:
-        parts: in the order of time.
     """
     if len(parts) == 1:
         return parts[0].warnings

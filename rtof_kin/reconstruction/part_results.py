@@ -26,8 +26,8 @@ def cut(result: Reconstruction, kept: slice, first: int = 0) -> Reconstruction:
     """Return some frames of a reconstruction, with their errors, faults, fragments and warnings.
 
     Args:
-        result: of a part. kept: its frames to keep. first: number of its first frame in the whole recording,
-            in which the fragments are counted afterwards.
+        kept: its frames to keep.
+        first: number of its first frame in the whole recording, in which the fragments are counted afterwards.
     """
     times = result.motion.times[kept]
     start, stop = float(times[0]), float(times[-1])
@@ -91,8 +91,8 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
     """Return a part that could not be reconstructed: poses are NaN, nothing is observed.
 
     Args:
-        like: of another part. recording: of this one, corrected as that of the other; the other's where
-            nothing was recorded. times: (T,) s of its frames. why: sentence about the cause.
+        recording: of this one, corrected as that of the other; the other's where nothing was recorded.
+        times: (T,) s of its frames.
     """
     skeleton, T = like.motion.skeleton, len(times)
     q = np.full((T, skeleton.nq), np.nan)
@@ -111,11 +111,20 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
         report = FragmentReport(0, SolverStatus.UNOBSERVED, {}, 0, 0.0, np.nan, 0.0, 0.0)
         solution = FragmentSolution(poses, (report,))
     return replace(
-        like, recording=recording, motion=motion, stages={like.mode: poses}, keypoints=keypoints,
-        bone_imus=imus, solution=solution, metrics=None, stage_metrics={},
-        root_sigma=None if like.root_sigma is None else np.full(T, np.nan), faults=(), checks=(),
+        like,
+        recording=recording,
+        motion=motion,
+        stages={like.mode: poses},
+        keypoints=keypoints,
+        bone_imus=imus,
+        solution=solution,
+        metrics=None,
+        stage_metrics={},
+        root_sigma=None if like.root_sigma is None else np.full(T, np.nan),
+        faults=(),
+        checks=(),
         warnings=(f"{times[0]:.1f} to {times[-1]:.1f} s: not reconstructed: {why}",),
-    )  # fmt: skip
+    )
 
 
 def _unknown(like: Confidence | None, times: Array) -> Confidence | None:
@@ -143,7 +152,7 @@ class Seam:
         """Return the kept frames of the next part, continued.
 
         Args:
-            part: with margins. kept, first: as for `cut`.
+            kept, first: as for `cut`.
         """
         if part.root_sigma is not None:
             part = self._on_path(part, part.root_sigma, kept)

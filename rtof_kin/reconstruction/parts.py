@@ -1,9 +1,8 @@
 """Long recordings: reconstructed part by part, in bounded memory.
 
-Parts overlap by a margin that the lifter, the filters and the fragments forget, and begin where a fragment of
-the whole begins, so the frames that are kept are those of a reconstruction in one piece but for what is
-estimated from a part as a whole (outliers, inflation of covariances). Calibration and an unknown camera are
-estimated once, before.
+Parts overlap by a margin that the lifter, the filters and the fragments forget, and begin where a fragment of the
+whole begins, so the frames that are kept are those of a reconstruction in one piece but for what is estimated from a
+part as a whole (outliers, inflation of covariances). Calibration and an unknown camera are estimated once, before.
 """
 
 from __future__ import annotations
@@ -73,7 +72,6 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
     """Return the parts of a recording, whose borders are multiples of a number of frames.
 
     Args:
-        frames: of the recording. rate_hz: its frame rate. step: frames between the beginnings of fragments.
         seconds: length of a part; the last one has half of it at least.
     """
     length = max(round(seconds * rate_hz / step), 1) * step
@@ -85,9 +83,6 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
 def is_long(source: RecordingSlices) -> bool:
     """Return whether a recording is reconstructed in parts: if longer than `LONG_SECONDS`, unless of a camera
     in the hand whose heading drifts, which is known only relative to the mean over what is solved.
-
-    Args:
-        source: the recording.
     """
     if source.stop_s - source.start_s <= LONG_SECONDS:
         return False
@@ -112,9 +107,8 @@ def reconstruct_in_parts(
     reconstructed, e.g. because nobody is seen, has poses of NaN and a warning that says why.
 
     Args:
-        source: the recording. mode, lifter, settings, calibrate, known: as for `reconstruct`.
+        mode, lifter, settings, calibrate, known: as for `reconstruct`.
         progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
-        seconds: length of a part.
 
     Raises:
         RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration.
@@ -201,9 +195,8 @@ class _Once:
 
 
 def _lost(
-    like: Reconstruction, source: RecordingSlices, job: Job, once: _Once,
-    missing: Iterable[tuple[Array, RtofError]],
-) -> Iterator[Reconstruction]:  # fmt: skip
+    like: Reconstruction, source: RecordingSlices, job: Job, once: _Once, missing: Iterable[tuple[Array, RtofError]]
+) -> Iterator[Reconstruction]:
     """Parts that could not be reconstructed."""
     for times, error in missing:
         recording, on_clock = like.recording, once.corrected(replace(job, times=times)).times
@@ -220,7 +213,7 @@ def _estimated_once(
     """Estimate the clocks, a camera that is not calibrated, and the calibration, on excerpts.
 
     Args:
-        job: of a part. mode, calibrate, known: as for `reconstruct`.
+        mode, calibrate, known: as for `reconstruct`.
     """
     if mode == "imu":
         return _Once(None, None, Choices(), ())

@@ -29,11 +29,7 @@ from rtof_kin.reconstruction.quality import check_legs, quality_warnings, with_c
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.reconstruction.room import Room, unseen_room
 from rtof_kin.reconstruction.self_calibration import estimated
-from rtof_kin.reconstruction.sensor_checks import (
-    check_sensor_evidence,
-    check_sensor_form,
-    naming_wrong_samples,
-)
+from rtof_kin.reconstruction.sensor_checks import check_sensor_evidence, check_sensor_form, naming_wrong_samples
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reconstruction.setup_causes import HEADING, RATE, VIEW
@@ -108,10 +104,15 @@ def reconstruct(
 
 
 def run(
-    job: Job, mode: Mode, calibrate: bool = False, priors: CalibrationPriors | None = None,
-    calibration: SelfCalibration | None = None, known: SelfCalibration | None = None,
-    camera: CameraEstimate | None = None, clocks: ClockOffset | None = None,
-) -> Reconstruction:  # fmt: skip
+    job: Job,
+    mode: Mode,
+    calibrate: bool = False,
+    priors: CalibrationPriors | None = None,
+    calibration: SelfCalibration | None = None,
+    known: SelfCalibration | None = None,
+    camera: CameraEstimate | None = None,
+    clocks: ClockOffset | None = None,
+) -> Reconstruction:
     """Run a job; see `reconstruct` for the arguments and errors.
 
     Args:
@@ -125,10 +126,15 @@ def run(
 
 
 def _from_video(
-    job: Job, mode: Mode, calibrate: bool, priors: CalibrationPriors | None,
-    calibration: SelfCalibration | None, known: SelfCalibration | None, camera: CameraEstimate | None,
+    job: Job,
+    mode: Mode,
+    calibrate: bool,
+    priors: CalibrationPriors | None,
+    calibration: SelfCalibration | None,
+    known: SelfCalibration | None,
+    camera: CameraEstimate | None,
     clocks: ClockOffset | None,
-) -> Reconstruction:  # fmt: skip
+) -> Reconstruction:
     """Every mode but imu; arguments as for `run`."""
     if job.recording.keypoints is None:
         raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
@@ -166,9 +172,7 @@ def _from_video(
             for other in cameras:
                 one = with_camera(own.recording, other)
                 others.append(silent.solved_again(one, mode, prepared.rejected, calibration)[1])
-    result = _result(
-        job, own, mode, prepared, poses, solution, calibration, warnings, choices, others, clocks
-    )
+    result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others, clocks)
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
     return replace(result, camera=camera, calibration=calibration, delay=clocks.delay)
@@ -206,15 +210,22 @@ def _optimised(
 
 
 def _result(
-    declared: Job, job: Job, mode: Mode, prepared: Prepared, poses: PoseSequence,
-    solution: FragmentSolution | None, calibration: SelfCalibration | None, warnings: tuple[str, ...],
-    choices: Choices, others: Iterable[PoseSequence], clocks: ClockOffset,
-) -> Reconstruction:  # fmt: skip
+    declared: Job,
+    job: Job,
+    mode: Mode,
+    prepared: Prepared,
+    poses: PoseSequence,
+    solution: FragmentSolution | None,
+    calibration: SelfCalibration | None,
+    warnings: tuple[str, ...],
+    choices: Choices,
+    others: Iterable[PoseSequence],
+    clocks: ClockOffset,
+) -> Reconstruction:
     """Check the motion against the recording and collect the result.
 
     Args:
-        declared: the job before calibration. warnings: of the calibration.
-        others: poses with clocks and cameras one standard deviation off. clocks: as `declared` has them.
+        clocks: as `declared` has them.
     """
     skeleton, settings, recording = prepared.skeleton, job.settings, job.recording
     warnings += quality_warnings(prepared, solution, settings)
@@ -233,10 +244,22 @@ def _result(
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")
     return Reconstruction(
-        recording, mode, motion, stages, prepared.keypoints, prepared.bone_imus, solution, scores.get(mode),
-        scores, faults=prepared.faults, warnings=warnings, calibration=calibration, checks=checks,
-        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings), room=room,
-    )  # fmt: skip
+        recording,
+        mode,
+        motion,
+        stages,
+        prepared.keypoints,
+        prepared.bone_imus,
+        solution,
+        scores.get(mode),
+        scores,
+        faults=prepared.faults,
+        warnings=warnings,
+        calibration=calibration,
+        checks=checks,
+        choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
+        room=room,
+    )
 
 
 def _checked(
@@ -246,9 +269,8 @@ def _checked(
     camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
     view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
     sensors = check_sensor_evidence(
-        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect,
-        view_suspect,
-    )  # fmt: skip
+        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
+    )
     if clocks.foreign and not any(check.failed and check.name == RATE for check in sensors):
         return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
     if clocks.foreign:  # at the right rate of the video they may belong to it
@@ -282,7 +304,7 @@ def calibrate_camera(
     """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.uncalibrated`.
 
     Args:
-        recording: with keypoints of a camera that has an uncertainty. lifter, progress: as for `reconstruct`.
+        lifter, progress: as for `reconstruct`.
 
     Raises:
         ViewError: the person is behind the camera. Errors of the stages.
@@ -296,24 +318,39 @@ def _from_sensors(job: Job) -> Reconstruction:
     """Mode imu."""
     settings, skeleton = job.settings, job.subject
     if settings.space == "cartesian" or isinstance(settings.fragment, CartesianSettings):
-        raise InvalidInputError(
-            "mode imu is solved in joint space; leave out the other space and its settings"
-        )
+        raise InvalidInputError("mode imu is solved in joint space; leave out the other space and its settings")
     solver = settings.fragment or replace(settings, space="joint").solver(skeleton)
     assert isinstance(solver, JointSpaceSettings)
     settings = settings.with_fragment(solver)
     recording, faults = cleaned(job.recording, settings, camera=False)
     found = reconstruct_from_sensors(
-        recording, skeleton, settings.sensors_alone, solver, settings.frames, settings.sensor_joints,
-        lambda done, total: job.progress("imu", done, total), job.times,
-    )  # fmt: skip
+        recording,
+        skeleton,
+        settings.sensors_alone,
+        solver,
+        settings.frames,
+        settings.sensor_joints,
+        lambda done, total: job.progress("imu", done, total),
+        job.times,
+    )
     checks = check_sensor_form(job.recording) if settings.checks else ()
     _warn(recording, (*_failed(checks), *faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = stage_metrics(stages, recording.truth, skeleton, "imu")
     return Reconstruction(
-        job.recording, "imu", motion, stages, None, found.bone_imus, found.solution, scores.get("imu"),
-        scores, found.path.sigma, faults, found.warnings, checks=checks,
+        job.recording,
+        "imu",
+        motion,
+        stages,
+        None,
+        found.bone_imus,
+        found.solution,
+        scores.get("imu"),
+        scores,
+        found.path.sigma,
+        faults,
+        found.warnings,
+        checks=checks,
         choices=Choices(settings=settings),
-    )  # fmt: skip
+    )

@@ -18,12 +18,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.data.stream_faults import StreamFault
-from rtof_kin.inertial.outlier_rejection import (
-    mask_faults,
-    merge_faults,
-    missing_samples,
-    reject_imu_outliers,
-)
+from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, missing_samples, reject_imu_outliers
 from rtof_kin.reconstruction.camera_heading import without_heading_drift
 from rtof_kin.reconstruction.fused_lifts import fused
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
@@ -104,17 +99,22 @@ class Prepared:
 
 
 def prepare(
-    recording: Recording, skeleton: SkeletonModel, mode: Mode, lifter: LifterLike | None,
-    settings: ReconstructionSettings, progress: Progress, *, rejected: tuple[StreamFault, ...] = (),
-    calibration: SelfCalibration | None = None, times: Array | None = None,
-) -> Prepared:  # fmt: skip
+    recording: Recording,
+    skeleton: SkeletonModel,
+    mode: Mode,
+    lifter: LifterLike | None,
+    settings: ReconstructionSettings,
+    progress: Progress,
+    *,
+    rejected: tuple[StreamFault, ...] = (),
+    calibration: SelfCalibration | None = None,
+    times: Array | None = None,
+) -> Prepared:
     """Clean the streams, lift the video and, with sensors, correct the lift by SF2.
 
     Args:
-        recording: with keypoints. skeleton: the subject's.
-        mode: a mode with a camera. lifter: default: the shipped one.
+        skeleton: the subject's. lifter: default: the shipped one.
         rejected: intervals of sensors that are not used, by segment.
-        calibration: applied to the recording before.
         times: (T,) s of the frames; by default those of the keypoints, see `evenly_spaced`.
 
     Raises:
@@ -144,15 +144,16 @@ def prepare(
     progress("lift", len(cameras), len(cameras))
     lifted = fused(lifts, cameras, skeleton)
     stages, start = _refined(lifted, skeleton, mode, bone_imus, settings)
-    return Prepared(
-        recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected
-    )
+    return Prepared(recording, skeleton, lifted, bone_imus, stages, start, faults, settings, calibration, rejected)
 
 
 def _refined(
-    lifted: Lifted, skeleton: SkeletonModel, mode: Mode, bone_imus: BoneImuSequence | None,
+    lifted: Lifted,
+    skeleton: SkeletonModel,
+    mode: Mode,
+    bone_imus: BoneImuSequence | None,
     settings: ReconstructionSettings,
-) -> tuple[dict[str, PoseSequence], PoseSequence]:  # fmt: skip
+) -> tuple[dict[str, PoseSequence], PoseSequence]:
     """Poses by stage, and those that the solver starts from."""
     stages = {"lift": lifted.poses}
     if bone_imus is not None:
@@ -182,11 +183,7 @@ def _check_units(keypoints: KeypointSequence) -> None:
 def cleaned(
     recording: Recording, settings: ReconstructionSettings, camera: bool = True
 ) -> tuple[Recording, tuple[StreamFault, ...]]:
-    """Return the recording without outliers, and what was found.
-
-    Args:
-        camera: clean the keypoints too.
-    """
+    """Return the recording without outliers, and what was found."""
     keypoints, imus, faults = recording.keypoints, recording.imus, tuple[StreamFault, ...]()
     if camera and keypoints is not None:
         keypoints, faults = reject_keypoint_outliers(
@@ -209,11 +206,7 @@ def cleaned(
 
 
 def missing_data(recording: Recording) -> Iterator[StreamFault]:
-    """Yield intervals of the video in which nobody is seen, and those without samples of sensors.
-
-    Args:
-        recording: with keypoints, sensors or both.
-    """
+    """Yield intervals of the video in which nobody is seen, and those without samples of sensors."""
     if recording.keypoints is None:
         return
     yield from gaps(recording.keypoints)
@@ -237,8 +230,10 @@ def evenly_spaced(keypoints: KeypointSequence, times: Array | None = None) -> Ke
     if times is None:
         _log.warning(
             "keypoint times are uneven: %d samples resampled to %d even frames of %.1f ms",
-            len(keypoints), len(even), 1000 * step,
-        )  # fmt: skip
+            len(keypoints),
+            len(even),
+            1000 * step,
+        )
     at = _snapped(even, keypoints.times, 0.01 * step)
     return keypoints.interpolated(even, at, 1.5 * step)
 

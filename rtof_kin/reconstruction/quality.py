@@ -39,7 +39,7 @@ def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
     """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
 
     Args:
-        misfit: of the solution, at times (T,), s. sensed: it used sensors.
+        misfit: of the solution, at times (T,), s.
     """
     worst = int(misfit.thighs.argmax())
     name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
@@ -50,11 +50,14 @@ def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
     px, t = value * misfit.px_per_m / 1000, times[worst]
     bones = ", the bones and the sensors" if sensed else " and the bones"
     return Check(
-        name, "keypoints", value, _LEGS_MM, "mm",
+        name,
+        "keypoints",
+        value,
+        _LEGS_MM,
+        "mm",
         "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out",
-        cause=f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: "
-        f"they do not fit the hips{bones}",
-    )  # fmt: skip
+        cause=f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: they do not fit the hips{bones}",
+    )
 
 
 def quality_warnings(
@@ -63,7 +66,7 @@ def quality_warnings(
     """Return quality warnings: sensors without samples, joints far from their keypoints.
 
     Args:
-        prepared: what was solved. solution: None in modes that do not optimise. settings: used.
+        solution: None in modes that do not optimise.
     """
     found: tuple[str, ...] = ()
     if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
@@ -82,7 +85,7 @@ def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, po
     """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
 
     Args:
-        keypoints: T frames. skeleton: the subject's. poses: at the same times.
+        skeleton: the subject's.
     """
     keypoints, known = keypoints.landmarks, skeleton.landmarks
     at = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
@@ -92,13 +95,11 @@ def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, po
     return np.asarray(error)
 
 
-def misfit_warnings(
-    solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings
-) -> tuple[str, ...]:
+def misfit_warnings(solution: FragmentSolution, off_px: Array, settings: ReconstructionSettings) -> tuple[str, ...]:
     """Return warnings about intervals in which joints lie far from their keypoints.
 
     Args:
-        solution: of the fragment solver. off_px: (T, L) of `reprojection_errors`. settings: used.
+        off_px: (T, L) of `reprojection_errors`.
     """
     s = settings.fragment
     if not isinstance(s, JointSpaceSettings) or s.sigma_reprojection is not None:
@@ -110,16 +111,19 @@ def misfit_warnings(
 
 
 def with_covariances(
-    motion: MotionSequence, prepared: Prepared, solution: FragmentSolution | None,
-    others: Iterable[PoseSequence], room: Room, misfit: LegMisfit | None = None,
-) -> tuple[MotionSequence, Room]:  # fmt: skip
+    motion: MotionSequence,
+    prepared: Prepared,
+    solution: FragmentSolution | None,
+    others: Iterable[PoseSequence],
+    room: Room,
+    misfit: LegMisfit | None = None,
+) -> tuple[MotionSequence, Room]:
     """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:
-        motion: of the solution. prepared: what was solved. solution: None in modes that do not optimise.
+        solution: None in modes that do not optimise.
         others: poses with the clocks, or a camera that is not calibrated, one standard deviation off.
         room: what is open of positions in world; it comes back with that in words.
-        misfit: of the legs.
     """
     if solution is None or solution.confidence is None:
         return motion, room
@@ -144,9 +148,6 @@ def mounting_variances(prepared: Prepared) -> dict[str, float]:
 
     It is the larger of what the recording states and what a self-calibration leaves of the detector's place
     errors: the video that refines a mounting has the errors of the one that it was found by.
-
-    Args:
-        prepared: what was solved.
     """
     given, found, sensors = prepared.recording.calibration, prepared.calibration, prepared.bone_imus
     variances = {} if found is None else found.place_variances(prepared.skeleton)
@@ -173,11 +174,7 @@ def _with_mountings(confidence: Confidence, variances: Mapping[str, float]) -> C
 
 
 def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
-    """Return that the zero of flexion is uncertain where the mounting of its sensors was estimated.
-
-    Args:
-        prepared: what was solved.
-    """
+    """Return that the zero of flexion is uncertain where the mounting of its sensors was estimated."""
     skeleton, variances, wide = prepared.skeleton, mounting_variances(prepared), dict[str, float]()
     for j in hinges(skeleton):
         pair = skeleton.names[skeleton.parents[j]], skeleton.names[j]

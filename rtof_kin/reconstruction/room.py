@@ -41,15 +41,22 @@ from rtof_kin.recording.recording import Recording
 FOCAL, SIZE, RIGHT, DOWN, PITCH, HEADING, ROLL, HEIGHT = range(8)
 _DEG: Final = float(np.radians(1.0))
 _NAMES: Final = (
-    "the focal length", "the size of the body", "the principal point", "the principal point",
-    "the camera's tilt", "the camera's heading", "the camera's roll", "the height of camera or floor",
-)  # fmt: skip
+    "the focal length",
+    "the size of the body",
+    "the principal point",
+    "the principal point",
+    "the camera's tilt",
+    "the camera's heading",
+    "the camera's roll",
+    "the height of camera or floor",
+)
 _STATED: Final = "state the accuracy of its calibration"
 _REMEDIES: Final = (
     f"{_STATED}, or walk two metres towards the camera with sensors on thighs and shanks",
-    "give the person's height", *(_STATED,) * 2,
+    "give the person's height",
+    *(_STATED,) * 2,
     *("measure the camera's height and give the floor's",) * 4,
-)  # fmt: skip
+)
 DECLARED: Final = np.array([0.12, 0.04, 0.02, 0.02, 2 * _DEG, 3 * _DEG, 2 * _DEG, 0.05])
 """(8,) standard deviations of what is declared without its accuracy, by the order above: the focal length
 between a calibration and an unknown phone (0.15), as videos are cropped, zoomed and stabilised."""
@@ -79,11 +86,7 @@ class Room:
     """What makes positions in the room uncertain, and what helps; empty where nothing does."""
 
     def added(self, confidence: Confidence, poses: PoseSequence) -> tuple[Confidence, Room]:
-        """Return covariances in world with what is open, and this with it in words.
-
-        Args:
-            confidence: of the motion, with the declared camera. poses: of the motion.
-        """
+        """Return covariances in world with what is open, and this with it in words."""
         d = displacements(self.camera, poses.p_world_joint)
         if not np.isfinite(confidence.position_covariance[:, 0]).any() or not np.isfinite(d[:, 0]).any():
             return confidence, self  # nothing is known of the position anyway
@@ -107,25 +110,27 @@ def displacements(camera: Camera, p_world: Array) -> Array:
     """Return by how much points are off per unit of each unknown (..., 3, 8), m.
 
     Args:
-        camera: as declared. p_world: (..., 3) m.
+        p_world: (..., 3) m.
     """
     right, down, forward = camera.R_camera_world
     away = p_world - camera.center_world
     depth = (away @ forward)[..., None]
     up = np.array([0.0, 0.0, 1.0])
     columns = [
-        -depth * forward, -away, depth * right, depth * down, np.cross(right, away), np.cross(up, away),
-        np.cross(forward, away), np.broadcast_to(-up, away.shape),
-    ]  # fmt: skip
+        -depth * forward,
+        -away,
+        depth * right,
+        depth * down,
+        np.cross(right, away),
+        np.cross(up, away),
+        np.cross(forward, away),
+        np.broadcast_to(-up, away.shape),
+    ]
     return np.stack(columns, axis=-1)
 
 
 def declared_sigma(recording: Recording) -> Array:
-    """Return the standard deviations (8,) of what a recording declares; 0 where another estimate has it.
-
-    Args:
-        recording: with keypoints.
-    """
+    """Return the standard deviations (8,) of what a recording declares; 0 where another estimate has it."""
     camera, sigma = recording.video.camera, DECLARED.copy()
     if recording.height is not None:
         sigma[SIZE] = SIZE_BY_HEIGHT
@@ -142,11 +147,7 @@ def declared_sigma(recording: Recording) -> Array:
 
 
 def unseen_room(recording: Recording) -> Room:
-    """Return what is open of a recording without any evidence.
-
-    Args:
-        recording: with keypoints.
-    """
+    """Return what is open of a recording without any evidence."""
     camera, elsewhere = recording.video.camera, np.zeros(8)
     if (left := camera.uncertainty) is not None:
         roll = left.tilt if left.roll is None else left.roll
@@ -154,13 +155,10 @@ def unseen_room(recording: Recording) -> Room:
     return Room(camera, np.diag(declared_sigma(recording) ** 2), elsewhere)
 
 
-def look_at_room(
-    room: Room, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture
-) -> Room:
+def look_at_room(room: Room, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture) -> Room:
     """Return what the evidence leaves open.
 
     Args:
-        room: before it. scene: of the recording. keypoints: as used. poses: solved, at their times.
         picture: excerpt, lifted without sensors.
     """
     camera = keypoints.camera

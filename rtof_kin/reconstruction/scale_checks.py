@@ -24,8 +24,7 @@ from rtof_kin.reconstruction.limb_images import Limbs
 ANKLE_HEIGHT = 0.08
 """[m] of a standing ankle over the floor."""
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
-"""[m] Tolerance of that height without and with sensors, and per m of distance (one degree of camera
-tilt)."""
+"""[m] Tolerance of that height without and with sensors, and per m of distance (one degree of camera tilt)."""
 LARGEST_SCALE = 1.14
 """Tolerated factor of bone lengths by the accelerations of two sensors."""
 FLATTEST, LEAST_DISTINCT = 0.55, 0.88
@@ -58,8 +57,7 @@ def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing
     """Estimate where the person stands; None without ankles.
 
     Args:
-        poses: (T, J), of which the shape is used. k: keypoints of the same frames.
-        sensed: the poses used sensors.
+        poses: (T, J), of which the shape is used.
     """
     feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
     if not feet:
@@ -75,7 +73,7 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
     """Check bone lengths by the accelerations of two sensors at a joint.
 
     Args:
-        bone_imus: at the sensors' own times. skeleton: the subject's.
+        skeleton: the subject's.
     """
     bounds = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
     if bounds is None:
@@ -83,11 +81,15 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
     found = min(max(1.0, bounds[0]), bounds[1])  # the nearest to 1 that both directions of regression allow
     word = "long" if found < 1 else "short"
     return Check(
-        _SCALE, "bones", max(1 / found, found), LARGEST_SCALE, "times",
+        _SCALE,
+        "bones",
+        max(1 / found, found),
+        LARGEST_SCALE,
+        "times",
         f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
         "in m, or look at the sensors' places",
         cause=f"the bones are probably too {word}, or the sensors sit elsewhere on them than declared",
-    )  # fmt: skip
+    )
 
 
 def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float, float] | None:
@@ -110,9 +112,7 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float
             levers = R_child @ imus.p_bone_sensor[c] - R @ imus.p_bone_sensor[s]
             bone = R @ skeleton.joint_offsets[child]
             a = (imus.a_world[:, c] - imus.a_world[:, s])[1:-1]
-            parts = np.stack([
-                a - signals.derivative(levers, rate_hz, 2), signals.derivative(bone, rate_hz, 2)
-            ])  # fmt: skip
+            parts = np.stack([a - signals.derivative(levers, rate_hz, 2), signals.derivative(bone, rate_hz, 2)])
             known = parts[:, np.isfinite(parts).all(axis=(0, 2))]
             if known.shape[1] >= _LEAST_SAMPLES:
                 slow = np.stack([signals.low_pass(part, rate_hz, _CUTOFF_HZ) for part in known])
@@ -133,7 +133,7 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     """Check the focal length by the perspective of bones away from the image centre.
 
     Args:
-        picture: excerpt with sensors. skeleton: the subject's.
+        skeleton: the subject's.
     """
     what = "the picture"
     if picture.bone_imus is None:
@@ -157,7 +157,11 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
         return Check.unknown(_PERSPECTIVE, what, "times", why)
     share = max(float(_PERSPECTIVES[best]), 0.05)
     return Check(
-        _PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times",
+        _PERSPECTIVE,
+        what,
+        1 / share,
+        1 / FLATTEST,
+        "times",
         f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size",
         cause=picture.small or "the focal length is probably too short",
-    )  # fmt: skip
+    )

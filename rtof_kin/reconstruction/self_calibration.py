@@ -33,7 +33,6 @@ def calibrate_recording(
     """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
 
     Args:
-        recording: with IMUs and a calibration of them, however rough.
         skeleton: the subject's. Default: that of the recording.
         priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
         lifter, settings, progress: as for `reconstruct`.
@@ -70,9 +69,7 @@ def estimated(
     return found, consistency_warnings(jobs[0].recording, found)
 
 
-def calibrated(
-    jobs: Sequence[Job], priors: CalibrationPriors | None, known: SelfCalibration | None
-) -> SelfCalibration:
+def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: SelfCalibration | None) -> SelfCalibration:
     """Self-calibration, joined with what is known."""
     own = [_prior_body(job, known) for job in jobs]
     recording, settings = own[0].recording, own[0].settings

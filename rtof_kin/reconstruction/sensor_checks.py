@@ -28,13 +28,7 @@ from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, dia
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.setup_causes import (
-    check_frame_rate,
-    check_still,
-    check_tilt,
-    check_turned,
-    check_twist,
-)
+from rtof_kin.reconstruction.setup_causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -69,19 +63,22 @@ def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
 
 
 def check_sensor_evidence(
-    recording: Recording, prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
-    lifter: LifterLike | None, settings: ReconstructionSettings, suspect: bool = False,
+    recording: Recording,
+    prepared: Prepared,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    lifter: LifterLike | None,
+    settings: ReconstructionSettings,
+    suspect: bool = False,
     view_suspect: bool = False,
-) -> tuple[Check, ...]:  # fmt: skip
+) -> tuple[Check, ...]:
     """Check the declared sensors and clocks.
 
     Args:
-        recording: as declared, before calibration and outlier rejection.
-        prepared: the prepared streams and the poses of each stage before the solver.
-        poses: the final poses. skeleton: the subject's. lifter, settings: as for `reconstruct`.
-        suspect: another finding may be explained by a wrong sensor setup.
-        view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem
-            rotated together.
+        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
+        lifter, settings: as for `reconstruct`. suspect: another finding may be explained by a wrong sensor setup.
+        view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem rotated
+            together.
 
     Returns:
         Every check that the recording allows; failed ones name a likely cause.
@@ -118,9 +115,7 @@ def check_sensor_evidence(
         return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
     suspect = suspect or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
     readings = (_exchanged_segments(native), _exchanged_samples(recording.imus, recording.calibration))
-    if not suspect and all(
-        best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings
-    ):
+    if not suspect and all(best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings):
         return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
     if prepared.bone_imus is None and prepared.calibration is None:
         image_only = prepared
@@ -131,9 +126,14 @@ def check_sensor_evidence(
 
 
 def _measured(
-    found: list[Check], prepared: Prepared, poses: PoseSequence, skeleton: SkeletonModel,
-    images: BoneImages | None, camera: Camera, view_suspect: bool,
-) -> list[Check]:  # fmt: skip
+    found: list[Check],
+    prepared: Prepared,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    images: BoneImages | None,
+    camera: Camera,
+    view_suspect: bool,
+) -> list[Check]:
     """Checks of a still sensor and of the vertical, with what is measured beside them in the image."""
     still, tilt = found
     if images is not None and not view_suspect and not (still.failed or tilt.failed):
@@ -145,11 +145,7 @@ def _measured(
 
 @contextmanager
 def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Prepend failed checks of the samples to errors raised inside.
-
-    Args:
-        recording: as declared.
-    """
+    """Prepend failed checks of the samples to errors raised inside."""
     try:
         yield
     except (CalibrationError, InvalidInputError, SolverError) as error:
@@ -194,10 +190,12 @@ def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect
         why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
-        fault for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE)) for fault in diagnose_setup(
-            bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration,
-            kinds=kinds, most=1)
-    ]  # fmt: skip
+        fault
+        for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE))
+        for fault in diagnose_setup(
+            bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration, kinds=kinds, most=1
+        )
+    ]
     if not found:
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")
     fault = max(found, key=lambda fault: fault.log_likelihood_ratio / _least(fault))
@@ -206,9 +204,8 @@ def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect
         return Check.unknown(SETUP, "sensors", "nats", why)
     others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
     return Check(
-        SETUP, "sensors", fault.log_likelihood_ratio, _least(fault), "nats", f"{fault.remedy}{others}",
-        cause=fault.what,
-    )  # fmt: skip
+        SETUP, "sensors", fault.log_likelihood_ratio, _least(fault), "nats", f"{fault.remedy}{others}", cause=fault.what
+    )
 
 
 def _least(fault: Fault) -> float:

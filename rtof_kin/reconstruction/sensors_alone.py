@@ -76,9 +76,7 @@ def reconstruct_from_sensors(
 
     Args:
         recording: with IMUs and their calibration; its floor height counts, 0 where it has none.
-        skeleton: the subject's. settings: of frames, contacts and path.
-        solver: settings of the joint-space solver. frames: N of a fragment.
-        sensor_joints: further segments for which the compiled problem has room for a sensor.
+        skeleton: the subject's. sensor_joints: further segments for which the compiled problem has room for a sensor.
         progress: called with (fragments done, fragments in all).
         times: (T,) s of the frames; by default `frame_times`.
 
@@ -113,7 +111,7 @@ def frame_times(imus: ImuSequence, rate_hz: float, stop: float | None = None) ->
     """Return even frame times (T,), s, over the sensors' span.
 
     Args:
-        imus: the sensors. rate_hz: frame rate, Hz; the sensors' own where that is lower.
+        rate_hz: frame rate, Hz; the sensors' own where that is lower.
         stop: last sample, s, of sensors of which these are only the first ones.
     """
     first, last = imus.times[[0, -1]]
@@ -124,9 +122,7 @@ def frame_times(imus: ImuSequence, rate_hz: float, stop: float | None = None) ->
     return np.asarray(np.minimum(first + np.arange(count) / rate_hz, last))
 
 
-def _on_path(
-    start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: SkeletonModel
-) -> PoseSequence:
+def _on_path(start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: SkeletonModel) -> PoseSequence:
     """Poses with their root on a path, which sensors on the legs observed."""
     provenance = start.provenance.copy()
     provenance[:, 0] = Provenance.IMU if contacts.joints else Provenance.PRIOR
@@ -135,14 +131,10 @@ def _on_path(
     return replace(start, p_world_joint=p, provenance=provenance, valid=valid)
 
 
-def _warnings(
-    start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float
-) -> tuple[str, ...]:
+def _warnings(start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float) -> tuple[str, ...]:
     """Describe the limitations of the root path."""
     if not contacts.joints:
-        return (
-            "no sensor on a foot or shank: the root stays at its first position, whatever the person does",
-        )
+        return ("no sensor on a foot or shank: the root stays at its first position, whatever the person does",)
     out, rate = [], start.rate_hz
     flights = signals.runs(~contacts.standing.any(axis=1))
     longest = max((stop - start_ for start_, stop in flights), default=0) / rate

@@ -44,9 +44,7 @@ class ReconstructionSettings:
 
     def __post_init__(self) -> None:
         if self.fragment is not None and (self.space is not None or self.backend is not None):
-            raise InvalidInputError(
-                "settings: give space and backend, or the settings of a fragment, not both"
-            )
+            raise InvalidInputError("settings: give space and backend, or the settings of a fragment, not both")
         if self.space is not None and self.space not in SPACES:
             raise UnknownNameError("space", [self.space], SPACES)
         if unknown := sorted({*self.guards} - {*GUARDS}):

@@ -63,11 +63,7 @@ turn in themselves."""
 def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     """Check that the specific force of all sensors averages to the vertical of the world.
 
-    The mean acceleration over a time T is the change of velocity over T; the rest is gravity in a tilted
-    reference.
-
-    Args:
-        native: S sensors at their own times. poses: approximate motion, for the velocities at both ends.
+    The mean acceleration over a time T is the change of velocity over T; the rest is gravity in a tilted reference.
     """
     inside = (native.times >= poses.times[0]) & (native.times <= poses.times[-1])
     seconds, n = float(np.ptp(poses.times)), max(3, round(_ENDS * poses.rate_hz))
@@ -83,11 +79,15 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
         return Check.unknown(TILT, "sensors", "deg", "the sensors do not share one vertical")
     tilt = float(np.degrees(np.arctan2(np.hypot(x, y), STANDARD_GRAVITY)))
     return Check(
-        TILT, "sensors", tilt, _TILT_DEG + _TILT_DEG_S / seconds, "deg",
+        TILT,
+        "sensors",
+        tilt,
+        _TILT_DEG + _TILT_DEG_S / seconds,
+        "deg",
         f"On average the accelerometers' vertical leans by {tilt:.0f} deg; correct R_world_inertial, "
         "or calibrate the sensors again",
         cause=f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity",
-    )  # fmt: skip
+    )
 
 
 def _velocity(poses: PoseSequence) -> Array:
@@ -100,7 +100,6 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
     """Check the rotation between the sensors' world and the camera's by the directions of bones.
 
     Args:
-        images: bones in the image and by the sensors. camera: of the image.
         upright: gravity says that the sensors' world is upright; then a tilt is the camera's.
 
     Returns:
@@ -123,15 +122,27 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
     checks = []
     whose = "the camera" if upright else "the camera, or all sensors' references,"
     for name, subject, value, spread, least, cause, advice in (
-        (VIEW, "camera", tilt, float(spreads[0]), _ROLL_DEG if rolled else _PITCH_DEG,
-         f"{whose} is probably turned by about {tilt:.0f} deg {how}",
-         "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
-         "calibrate the camera again, or hold it level"),
-        (HEADING, "sensors", abs(turn), float(spreads[1]), _HEADING_DEG,
-         f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera",
-         f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
-         "or set the headings anew in a known pose"),
-    ):  # fmt: skip
+        (
+            VIEW,
+            "camera",
+            tilt,
+            float(spreads[0]),
+            _ROLL_DEG if rolled else _PITCH_DEG,
+            f"{whose} is probably turned by about {tilt:.0f} deg {how}",
+            "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
+            "calibrate the camera again, or hold it level",
+        ),
+        (
+            HEADING,
+            "sensors",
+            abs(turn),
+            float(spreads[1]),
+            _HEADING_DEG,
+            f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera",
+            f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
+            "or set the headings anew in a known pose",
+        ),
+    ):
         limit = max(least, _SIGMAS * spread)
         if spread > _VAGUE_DEG:
             checks.append(Check.unknown(name, subject, "deg", "the movement does not show it"))
@@ -141,9 +152,8 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
 
 
 def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] | None:
-    """Rotation vector (3,), rad in world, that brings the sensors' bones to the image, its
-    covariance, and the mean difference left, nats a frame and sensor; by robust Gauss-Newton from no rotation
-    and from the best heading.
+    """Rotation vector (3,), rad in world, that brings the sensors' bones to the image, its covariance, and the mean
+    difference left, nats a frame and sensor; by robust Gauss-Newton from no rotation and from the best heading.
     """
     R, n = camera.R_camera_world, len(images.directions)
     index = np.clip(images.frames, 0, n - 1)
@@ -186,11 +196,7 @@ def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] 
 
 
 def check_frame_rate(images: BoneImages, keypoints: KeypointSequence) -> Check:
-    """Check the video's speed: that of its limbs against the sensors', at any offset of the clocks.
-
-    Args:
-        images: bones in the image and by the sensors. keypoints: with the declared times.
-    """
+    """Check the video's speed: that of its limbs against the sensors', at any offset of the clocks."""
     subject, step = "keypoints", np.diff(keypoints.times)
     declared_hz = 1 / float(np.median(step)) if len(step) else np.nan
     as_given = _at_speed(images, 1.0)
@@ -208,12 +214,16 @@ def check_frame_rate(images: BoneImages, keypoints: KeypointSequence) -> Check:
     alike = best[1] < min(_SAME_MOTION, _EXPLAINED * as_given[1])
     rate_hz = declared_hz / ratio
     return Check(
-        RATE, subject, gain if alike else 0.0, _SURE_RATE, "nats",
+        RATE,
+        subject,
+        gain if alike else 0.0,
+        _SURE_RATE,
+        "nats",
         f"At {rate_hz:.3g} frames a second the limbs turn as fast as the sensors measure; give the times "
         "of the frames as they were recorded, or look at the sensors' rate",
         cause=f"the video runs {max(ratio, 1 / ratio):.2g} times too {'fast' if ratio > 1 else 'slow'}: "
         f"it has probably {rate_hz:.3g} frames a second, not {declared_hz:.3g}",
-    )  # fmt: skip
+    )
 
 
 def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
@@ -249,7 +259,7 @@ def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
     the next sensor, whose acceleration both give.
 
     Args:
-        native: S sensors at their own times. skeleton: the subject's.
+        skeleton: the subject's.
     """
     times, worst = native.times, (0.0, 0, 0.0, 0.0)
     if len(times) < 3 or np.ptp(times) < _STILL_WINDOW:
@@ -276,11 +286,15 @@ def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
     value, s, start, stop = worst
     name = native.joints[s]
     return Check(
-        STILL, f"sensor on {name}", value, _STILL_LIMIT, "m/s2",
+        STILL,
+        f"sensor on {name}",
+        value,
+        _STILL_LIMIT,
+        "m/s2",
         f"Its orientation rests from {start:.1f} to {stop:.1f} s, while the joint that it shares with the "
         "next sensor moves; leave it out, or record again",
         cause=f"the sensor on {name} is frozen, but for noise",
-    )  # fmt: skip
+    )
 
 
 def _smooth(values: Array, times: Array) -> Array:
@@ -310,7 +324,7 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
     """Check that no sensor is turned about its bone against the motion on the whole.
 
     Args:
-        poses: solved with these sensors. bone_imus: at the same times. skeleton: the subject's.
+        skeleton: the subject's.
     """
     worst = (0.0, "sensors", _TWIST_DEG)
     for s, joint in enumerate(bone_imus.joints):
@@ -325,8 +339,11 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
         worst = max(worst, (twist, joint, limit), key=lambda own: abs(own[0]) / own[2])
     twist, joint, limit = worst
     return Check(
-        TWIST, f"sensor on {joint}", abs(twist), limit, "deg",
+        TWIST,
+        f"sensor on {joint}",
+        abs(twist),
+        limit,
+        "deg",
         "Put it back as it was, or calibrate the sensors again as they sit now",
-        cause=f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its "
-        "calibration",
-    )  # fmt: skip
+        cause=f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its calibration",
+    )

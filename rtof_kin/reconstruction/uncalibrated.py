@@ -33,26 +33,23 @@ Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
 
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
-    """Return a recording with another first camera, those of further views carried along.
-
-    Args:
-        recording: with keypoints. camera: of the same images.
-    """
+    """Return a recording with another first camera, those of further views carried along."""
     before, views = recording.video.camera, recording.views
     views = tuple(replace(view, camera=view.camera.carried(before, camera)) for view in views)
     return replace(recording, keypoints=replace(recording.video, camera=camera), views=views)
 
 
 def find_camera(
-    recording: Recording, skeleton: SkeletonModel, solve: Solve, lifter: LifterLike | None,
+    recording: Recording,
+    skeleton: SkeletonModel,
+    solve: Solve,
+    lifter: LifterLike | None,
     progress: Callable[[int, int], None] | None = None,
-) -> CameraEstimate:  # fmt: skip
+) -> CameraEstimate:
     """Estimate the unknowns of the first camera from its recording, without further views.
 
     Args:
-        recording: whose camera has an uncertainty. skeleton: the subject's.
-        solve: a reconstruction of a recording of this person. lifter: default: the shipped one.
-        progress: called with (steps done, steps in all).
+        skeleton: the subject's. lifter: default: the shipped one. progress: called with (steps done, steps in all).
 
     Raises:
         Errors of the stages, with the camera as declared.
@@ -102,13 +99,10 @@ def _spread(values: Array) -> float:
     return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
 
 
-def with_camera_uncertainty(
-    confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]
-) -> Confidence:
+def with_camera_uncertainty(confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]) -> Confidence:
     """Return covariances with those of a camera's, or the clocks', unknowns added.
 
     Args:
-        confidence: with the camera given. poses: the motion.
         others: with cameras (`CameraEstimate.deviations`) or clocks one standard deviation off.
     """
     for other in others:

@@ -32,11 +32,7 @@ _BONES: Final = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("el
 
 
 def limb_bones(names: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Return bones, by name, as indices of two points named by side and joint (``RHip``, ``left_knee``).
-
-    Args:
-        names: of the points.
-    """
+    """Return bones, by name, as indices of two points named by side and joint (``RHip``, ``left_knee``)."""
     found: dict[str, int] = {}
     for i, name in enumerate(names):
         words = re.sub(r"[^a-z]", "", name.lower()).replace("right", "r").replace("left", "l")
@@ -53,7 +49,7 @@ def skeleton_bones(names: Sequence[str], parents: Sequence[int]) -> dict[str, tu
     """Return the bones of a tree of joints, as `limb_bones` does.
 
     Args:
-        names: of the joints. parents: index of each joint's parent, -1 for the root.
+        parents: index of each joint's parent, -1 for the root.
     """
     return {f"{names[p]} to {names[j]}": (p, j) for j, p in enumerate(parents) if p >= 0}
 
@@ -89,7 +85,7 @@ def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
     """Check that the points are as far apart as those of a person.
 
     Args:
-        p: positions (T, J, 3) m. unit: in which the file was read. metres: length of that unit, m.
+        p: positions (T, J, 3) m. metres: length of that unit, m.
     """
     name = "size of the person"
     seen = np.isfinite(p).all(axis=-1).sum(axis=1) >= 5
@@ -106,38 +102,50 @@ def check_size(p: Array, unit: str = "m", metres: float = 1.0) -> Check:
 
 
 def check_camera(name: str, camera: Camera) -> list[Check]:
-    """Check focal length, aspect ratio and principal point against those of ordinary cameras.
-
-    Args:
-        name: of the camera in the result. camera: to check.
-    """
+    """Check focal length, aspect ratio and principal point against those of ordinary cameras."""
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     size = np.array([camera.width_px, camera.height_px])
     view = np.degrees(2 * np.arctan(camera.width_px / 2 / fx))
     off = 100 * float(np.max(np.abs(camera.K[:2, 2] - size / 2))) / camera.width_px
     where = f"camera {name}"
     return [
-        Check("focal length", where, _factor(fx / camera.width_px / FOCAL), FOCAL_FACTOR, "times",
-              f"{fx:.5g} px see {view:.0f} deg; is it in px, and of images of this size?"),
-        Check("pixels not square", where, 100 * abs(fx / fy - 1), ASPECT, "%",
-              f"The focal lengths are {fx:.5g} and {fy:.5g} px"),
-        Check("principal point off the centre", where, off, CENTRE, "% of width",
-              "Is the matrix of images of another size, or was the image cropped?"),
-    ]  # fmt: skip
+        Check(
+            "focal length",
+            where,
+            _factor(fx / camera.width_px / FOCAL),
+            FOCAL_FACTOR,
+            "times",
+            f"{fx:.5g} px see {view:.0f} deg; is it in px, and of images of this size?",
+        ),
+        Check(
+            "pixels not square",
+            where,
+            100 * abs(fx / fy - 1),
+            ASPECT,
+            "%",
+            f"The focal lengths are {fx:.5g} and {fy:.5g} px",
+        ),
+        Check(
+            "principal point off the centre",
+            where,
+            off,
+            CENTRE,
+            "% of width",
+            "Is the matrix of images of another size, or was the image cropped?",
+        ),
+    ]
 
 
 def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Sequence[str]) -> Check:
     """Check the median reprojection error of known positions.
 
     Args:
-        keypoints: detections. p_world: (T, J, 3) m, at their times. names: of the J joints.
+        p_world: (T, J, 3) m, at their times.
     """
     name, where = "median reprojection error", "truth in the camera"
     common = [joint for joint in keypoints.names if joint in names]
     index = [list(names).index(joint) for joint in common]
-    error = np.linalg.norm(
-        keypoints.select(common).uv_px - keypoints.camera.project(p_world[:, index]), axis=-1
-    )
+    error = np.linalg.norm(keypoints.select(common).uv_px - keypoints.camera.project(p_world[:, index]), axis=-1)
     error = error[np.isfinite(error)]
     if len(error) == 0:
         return Check.unknown(name, where, "px", "no joint is both known and seen")

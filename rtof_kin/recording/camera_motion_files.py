@@ -33,8 +33,7 @@ def filmed_stream(
     """Read a camera and open its keypoints; those of a camera that turns are stabilised.
 
     Args:
-        camera: table ``[camera]``. keypoints: table ``[keypoints]``. skeleton: that has the landmarks.
-        source: how the keypoints' file is read.
+        camera: table ``[camera]``. keypoints: table ``[keypoints]``.
 
     Returns:
         The keypoints, and a note about the turning, empty without one.
@@ -52,7 +51,7 @@ def _stabilised_as_declared(
     """Return the keypoints of a still camera, and a note about it.
 
     Args:
-        keypoints: of the camera that turns. camera: it. section: table ``[camera.motion]``.
+        section: table ``[camera.motion]``.
 
     Raises:
         FileFormatError: no such file, damaged, or of another time. UnknownNameError: unknown sensor.
@@ -70,8 +69,11 @@ def _stabilised_as_declared(
     if motion.focal_px is not None and abs(motion.focal_px / focal - 1) > _FOCAL:
         _log.warning(
             "%s: the turning was estimated with a focal length of %.0f px, [camera] has %.0f px; its angles "
-            "are wrong by their ratio: give both the same", section.path, motion.focal_px, focal,
-        )  # fmt: skip
+            "are wrong by their ratio: give both the same",
+            section.path,
+            motion.focal_px,
+            focal,
+        )
     note = (
         f"The camera turned by up to {np.degrees(np.nanmax(motion.angles)):.0f} deg; the keypoints are those "
         "of a camera that stands still in the mean orientation. The translation of the hand is not modelled."

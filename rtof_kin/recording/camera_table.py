@@ -16,9 +16,12 @@ from rtof_kin.recording.files import data_path, naming
 _SHORTEST_FOCAL: Final = 0.1  # of the image's width; a shorter focal length is in another unit
 _UNCERTAINTY, _ACCURACY, _OF_MOTION = "uncertainty", "accuracy", "of_motion"
 _FIELDS: Final = {
-    "focal": ("focal", 1.0), "tilt": ("tilt_deg", float(np.radians(1.0))), "height": ("height_m", 1.0),
-    "k1": ("k1", 1.0), "roll": ("roll_deg", float(np.radians(1.0))),
-}  # fmt: skip
+    "focal": ("focal", 1.0),
+    "tilt": ("tilt_deg", float(np.radians(1.0))),
+    "height": ("height_m", 1.0),
+    "k1": ("k1", 1.0),
+    "roll": ("roll_deg", float(np.radians(1.0))),
+}
 """Field of `CameraUncertainty` -> field in the table and its unit."""
 
 
@@ -43,9 +46,10 @@ def read_camera(section: Section) -> Camera:
             position, target = section.array("position_m", (3,)), section.array("target_m", (3,))
             if np.linalg.norm(np.cross(target - position, [0, 0, 1])) < 1e-6:
                 raise section.error(
-                    "target_m", "straight above, below or at position_m, so upright is undefined; "
-                    "give R_camera_world and t_camera_world_m"
-                )  # fmt: skip
+                    "target_m",
+                    "straight above, below or at position_m, so upright is undefined; "
+                    "give R_camera_world and t_camera_world_m",
+                )
             aimed = Camera.looking_at(position, target, 1.0, max(width, 1), max(height, 1))
             R, t = aimed.R_camera_world, aimed.t_camera_world
         else:
@@ -58,10 +62,11 @@ def read_camera(section: Section) -> Camera:
         camera = Camera(K, R, t, width, height, distortion, assumed, uncertainty, stabilised, drift, accuracy)
     if K[0, 0] < _SHORTEST_FOCAL * width:
         raise section.error(
-            "K" if section.has("K") else "focal_px", f"a focal length of {K[0, 0]:g} px in images {width} "
+            "K" if section.has("K") else "focal_px",
+            f"a focal length of {K[0, 0]:g} px in images {width} "
             "px wide sees nearly everything before the camera; is it in mm? Give px: mm / width of the "
-            "sensor in mm * width_px"
-        )  # fmt: skip
+            "sensor in mm * width_px",
+        )
     section.close()
     return camera
 

@@ -24,7 +24,7 @@ def recording_digest(index: str, streams: Streams) -> str:
     """Return the SHA-256 of a recording's numbers; how its files hold them, and its labels, do not matter.
 
     Args:
-        index: text of ``recording.toml``. streams: its samples.
+        index: text of ``recording.toml``.
     """
     facts = {name: value for name, value in tomllib.loads(index).items() if name not in _LABELS}
     lines = [json.dumps(facts, sort_keys=True)]
@@ -35,9 +35,7 @@ def recording_digest(index: str, streams: Streams) -> str:
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def _of_stream(
-    kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]
-) -> list[str]:
+def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:
     """Return a line with the digest of each array of a stream, whatever the blocks it is read in."""
     digests: dict[str, Any] = {}
     for block in () if stream is None else stream.blocks():

@@ -13,13 +13,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import (
-    CalibrationError,
-    FileFormatError,
-    InvalidInputError,
-    UnitError,
-    UnknownNameError,
-)
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnitError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.section import Section
@@ -38,8 +32,13 @@ RECOGNISE: Final = "auto"  # a detector's layout that is to be recognised
 _KEYPOINT_COLUMNS: Final = ("_u_px", "_v_px", "_confidence")
 _KEYPOINT_AXES: Final = {"uv_px": 3, "confidence": 2, "times": 1}
 _TRUTH_AXES: Final = {
-    "times": 1, "p_world_joint": 3, "R_world_bone": 4, "provenance": 2, "valid": 2, "orientation_observed": 2,
-}  # fmt: skip
+    "times": 1,
+    "p_world_joint": 3,
+    "R_world_bone": 4,
+    "provenance": 2,
+    "valid": 2,
+    "orientation_observed": 2,
+}
 """Number of axes of arrays with a row for each sample; with fewer they hold for all samples."""
 TRUTH: Final = tuple(_TRUTH_AXES)
 """Fields of `PoseSequence` in a file."""
@@ -48,11 +47,7 @@ _log = logging.getLogger(__name__)
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Put the name of a file in front of errors that data types raise inside.
-
-    Args:
-        path: the file.
-    """
+    """Put the name of a file in front of errors that data types raise inside."""
     try:
         yield
     except UnitError as error:
@@ -65,7 +60,7 @@ def read_arrays(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
     """Read the arrays of an .npz file.
 
     Args:
-        path: the file. wanted: names that it may have; others raise `UnknownNameError`.
+        wanted: names that it may have; others raise `UnknownNameError`.
     """
     arrays = read_npz(path)
     unknown = sorted(set(arrays) - set(wanted))
@@ -78,7 +73,7 @@ def needed(path: Path, shapes: Mapping[str, tuple[int, ...]], name: str, shape: 
     """Return the shape of a required array, or raise `FileFormatError`.
 
     Args:
-        path: the file. shapes: of its arrays. name: of the array. shape: its axes, e.g. ``"(T, S, 4)"``.
+        shape: its axes, e.g. ``"(T, S, 4)"``.
     """
     if name not in shapes:
         have = ", ".join(shapes) or "nothing"
@@ -89,11 +84,7 @@ def needed(path: Path, shapes: Mapping[str, tuple[int, ...]], name: str, shape: 
 
 
 def data_path(section: Section, or_folder: bool = False, field: str = "file") -> Path:
-    """Return the file (or folder) inside the recording's folder that a field of a section names.
-
-    Args:
-        section: the table. or_folder: whether a folder will do. field: that names the file.
-    """
+    """Return the file (or folder) inside the recording's folder that a field of a section names."""
     name = section.text(field)
     path = path_inside(section.path.parent, name)
     if path is None:
@@ -104,11 +95,7 @@ def data_path(section: Section, or_folder: bool = False, field: str = "file") ->
 
 
 def times_of(section: Section, path: Path, table: Table, T: int) -> Array:
-    """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz``; ``start_s`` is added.
-
-    Args:
-        section: table of the file. path: the file. table: its arrays. T: number of samples.
-    """
+    """Return times (T,) in s: those of the file, or evenly spaced at ``rate_hz``; ``start_s`` is added."""
     times = table.column("times")
     if not section.has("rate_hz"):
         if times is None:
@@ -131,8 +118,7 @@ def keypoint_stream(
     """Open keypoints whose names are landmarks of the skeleton.
 
     Args:
-        section: table ``[keypoints]``. camera: that saw them. skeleton: that has the landmarks.
-        source: how the file is read.
+        section: table ``[keypoints]``.
     """
     if section.text("layout", _OWN_LAYOUT) != _OWN_LAYOUT or any(map(section.has, _PERSON)):
         return source.keep(_read_detected(section, camera, skeleton))
@@ -140,9 +126,7 @@ def keypoint_stream(
     is_csv = path.suffix.lower() == ".csv"
     if is_csv and section.has("layout"):
         raise section.error("layout", "a .csv names its points itself; leave the layout out")
-    names, table = (
-        source.csv(path, arranged_keypoints) if is_csv else _keypoint_npz(section, path, skeleton, source)
-    )
+    names, table = source.csv(path, arranged_keypoints) if is_csv else _keypoint_npz(section, path, skeleton, source)
     unknown = [n for n in names if n and n not in skeleton.landmarks and not is_detector_point(n)]
     if unknown:
         where = str(path) if is_csv else f"{section.path}, {section.where('landmarks')}"
@@ -172,9 +156,7 @@ def keypoint_arrays(arrays: dict[str, Array]) -> tuple[Array, Array]:
     uv = arrays["uv_px"]
     confidence: Array = arrays.get("confidence", np.isfinite(uv).all(axis=-1).astype(float))
     if confidence.shape != uv.shape[:2]:
-        raise InvalidInputError(
-            f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}"
-        )
+        raise InvalidInputError(f"confidence: expected shape {uv.shape[:2]} as uv_px has, got {confidence.shape}")
     return uv, confidence
 
 
@@ -192,9 +174,9 @@ def _keypoint_npz(
         raise section.error("landmarks", "missing; list the names of the points in the file's order")
     if len(names) != points:
         raise section.error(
-            "landmarks", f"{len(names)} names, but {path} has {points} points; name each one, "
-            'with "" for those to leave out'
-        )  # fmt: skip
+            "landmarks",
+            f'{len(names)} names, but {path} has {points} points; name each one, with "" for those to leave out',
+        )
     return names, table
 
 
@@ -208,9 +190,10 @@ def _read_detected(section: Section, camera: Camera, skeleton: SkeletonModel) ->
         raise section.error("layout", "stands beside landmarks; give only one of the two")
     if skeleton.name != "total_capture":
         raise section.error(
-            "layout", f"{layout!r} is for the skeleton total_capture, not {skeleton.name}; list the "
-            f"names of the points in landmarks, or write {_OWN_LAYOUT!r} for its joints in their order"
-        )  # fmt: skip
+            "layout",
+            f"{layout!r} is for the skeleton total_capture, not {skeleton.name}; list the "
+            f"names of the points in landmarks, or write {_OWN_LAYOUT!r} for its joints in their order",
+        )
     found = read_detector_keypoints(
         data_path(section, or_folder=True),
         camera,
@@ -255,7 +238,7 @@ def arranged_keypoints(path: Path, columns: dict[str, Array]) -> tuple[tuple[str
     """Return what `read_keypoint_csv` does of columns.
 
     Args:
-        path: of the file, for errors. columns: (T,) by name.
+        columns: (T,) by name.
     """
     arrays = {"times": columns["time"]} if "time" in columns else {}
     names = csv_names(path, [name for name in columns if name != "time"], _KEYPOINT_COLUMNS, optional=1)
@@ -269,17 +252,15 @@ def csv_names(path: Path, columns: list[str], endings: Sequence[str], optional: 
     """Return names in the order of their first column.
 
     Args:
-        path: the file. columns: its columns but time. endings: of the columns of each name.
-        optional: number of the last endings that are not required.
+        endings: of the columns of each name. optional: number of the last endings that are not required.
     """
     names: dict[str, None] = {}
     for column in columns:
         ending = next((end for end in endings if column.endswith(end)), None)
         if ending is None:
             raise FileFormatError(
-                path, f"column {column!r}: expected 'time', or a name with one of the endings "
-                f"{', '.join(endings)}", 1
-            )  # fmt: skip
+                path, f"column {column!r}: expected 'time', or a name with one of the endings {', '.join(endings)}", 1
+            )
         names[column.removesuffix(ending)] = None
     if not names:
         raise FileFormatError(path, f"no column ends in {endings[0]}", 1)
@@ -297,7 +278,7 @@ def truth_stream(section: Section, skeleton: SkeletonModel, source: Source) -> S
     """Open known poses, joints in the skeleton's order.
 
     Args:
-        section: table ``[truth]``. skeleton: that names the joints. source: how the file is read.
+        section: table ``[truth]``.
     """
     path = data_path(section)
     table = source.npz(path, _TRUTH_AXES)

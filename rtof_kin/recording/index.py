@@ -39,9 +39,6 @@ shipped = cache(SkeletonModel.named)
 def index_of(folder: Path) -> Section:
     """Return the top level of a recording's ``recording.toml``.
 
-    Args:
-        folder: of the recording.
-
     Raises:
         FileFormatError: it does not exist or is not TOML.
     """
@@ -49,9 +46,7 @@ def index_of(folder: Path) -> Section:
     if folder.is_dir() and not path.exists():
         if (folder / UNFINISHED / INDEX).is_file():
             finish = f"rtof-kin live --finish {folder}"
-            raise FileFormatError(
-                folder, f"a live session that was not finished; {finish} makes a recording of it"
-            )
+            raise FileFormatError(folder, f"a live session that was not finished; {finish} makes a recording of it")
         raise FileFormatError(
             path, "there is no such file; rtof-kin init makes a recording of a video and sensors' files"
         )
@@ -62,7 +57,7 @@ def read_index(index: Section, source: Source) -> tuple[dict[str, Any], Streams]
     """Read the fields of a `Recording`, and open its streams.
 
     Args:
-        index: top level of ``recording.toml``. source: how files are read.
+        index: top level of ``recording.toml``.
 
     Raises:
         FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
@@ -70,9 +65,10 @@ def read_index(index: Section, source: Source) -> tuple[dict[str, Any], Streams]
     version = index.integer("schema_version")
     if version != SCHEMA_VERSION:
         raise index.error(
-            "schema_version", f"{version} is not {SCHEMA_VERSION}, which this version of the "
-            "package reads; use the version that wrote it, or a newer one"
-        )  # fmt: skip
+            "schema_version",
+            f"{version} is not {SCHEMA_VERSION}, which this version of the "
+            "package reads; use the version that wrote it, or a newer one",
+        )
     check_index(index)
     subject, skeleton, scene, notes = (index.table(n) for n in ("subject", "skeleton", "scene", "notes"))
     fields: dict[str, Any] = {

@@ -62,9 +62,8 @@ class RecordingSlices(Protocol):
 class RecordingReader(TimeAxis):
     """A recording's folder of which spans of time are read when they are asked for.
 
-    It is checked as a whole when it is opened, by blocks. Arrays in .npz files stay there. What can only be
-    read as a whole or in order (.csv files, files of sensors' makers and of detectors) is kept in temporary
-    files.
+    It is checked as a whole when it is opened, by blocks. Arrays in .npz files stay there. What can only be read as a
+    whole or in order (.csv files, files of sensors' makers and of detectors) is kept in temporary files.
     """
 
     def __init__(self, first: Recording, streams: Streams, closing: ExitStack):

@@ -231,7 +231,7 @@ class Recording(TimeAxis):
         """Return what was recorded in a closed interval; see `between`.
 
         Args:
-            streams: of the whole recording. start_s, stop_s: first and last instant, s.
+            start_s, stop_s: first and last instant, s.
         """
         parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
         if parts["keypoints"] is None and parts["imus"] is None:
@@ -262,13 +262,11 @@ class Recording(TimeAxis):
             fields, streams = read_index(index, InMemory())
             return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))
 
-    def save(
-        self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None
-    ) -> None:
+    def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:
         """Write the folder that `load` reads back exactly, or nothing at all.
 
         Args:
-            folder: to write. overwrite: replace a recording that was saved here and not changed since.
+            overwrite: replace a recording that was saved here and not changed since.
             inputs: fingerprints of what it is made from, for its manifest.
 
         Raises:

@@ -118,9 +118,7 @@ def _explained(index: Section, error: _Violation) -> RtofError:
         return table.error(field, f"{value} {told or 'is not allowed: ' + error.message[:200]}")
     known = error.validator_value
     if "title" in error.schema:
-        return UnknownNameError(
-            error.schema["title"], [str(error.instance)], known, table.path, table.where(field)
-        )
+        return UnknownNameError(error.schema["title"], [str(error.instance)], known, table.path, table.where(field))
     hint = did_you_mean([str(error.instance)], map(str, known))
     return table.error(field, f"{value} is not one of {', '.join(known)}{'.' if hint else ''}{hint}")
 
@@ -129,7 +127,7 @@ def _place(index: Section, steps: list[Any], keyword: str) -> tuple[Section, Nod
     """Return the innermost table on a path, its schema, and the field in it that an error is about.
 
     Args:
-        index: top level. steps: from there. keyword: that failed; of some the field is not on the path.
+        keyword: that failed; of some the field is not on the path.
     """
     table, node = index, schema()
     of_table = keyword in ("required", "additionalProperties")
@@ -155,8 +153,11 @@ def _field(node: Node, field: str) -> Node:
 def _read(table: Section, field: str, node: Node) -> None:
     """Read a field as its schema says, so that `Section` raises what is wrong."""
     plain: dict[str, Callable[[str], Any]] = {
-        "number": table.number, "integer": table.integer, "boolean": table.flag, "object": table.table,
-    }  # fmt: skip
+        "number": table.number,
+        "integer": table.integer,
+        "boolean": table.flag,
+        "object": table.table,
+    }
     if node.get("type") != "array":
         plain.get(node.get("type", "string"), table.text)(field)
     elif "prefixItems" in node:
@@ -168,9 +169,5 @@ def _read(table: Section, field: str, node: Node) -> None:
 
 
 def shape_of(node: Node) -> tuple[int, ...]:
-    """Return the shape of an array of numbers.
-
-    Args:
-        node: its schema.
-    """
+    """Return the shape of an array of numbers."""
     return () if node.get("type") != "array" else (node["minItems"], *shape_of(node["prefixItems"][0]))

@@ -49,7 +49,7 @@ def imu_stream(
     """Open sensor data, where the section names a file, and read their calibration, where it has one.
 
     Args:
-        section: table ``[imus]``. skeleton: with the usual places of sensors. source: how the file is read.
+        section: table ``[imus]``.
     """
     calibration = calibration_of(section.table("sensors"), skeleton)
     imus = None
@@ -88,7 +88,7 @@ def _opened(
     if len(names) != S:
         raise section.error(
             "names", f"{len(names)} sensors are named, but {path} has {S}; list them in the file's order"
-        )  # fmt: skip
+        )
     with naming(path):
         _check_rotations(path, table.shapes, len(names))
         times, (drift, shift) = times_of(section, path, table, T), _clock(section)
@@ -110,7 +110,7 @@ def read_log(section: Section, skeleton: SkeletonModel, named: Sequence[str] = (
     """Read the sensor files of a recording: those in use, by their places, on the recording's clock.
 
     Args:
-        section: table ``[imus]``. skeleton: with the segments. named: further names of places.
+        section: table ``[imus]``.
 
     Raises:
         FileFormatError, UnknownNameError: the message names file, field and remedy.
@@ -188,9 +188,6 @@ def imus_of_log(log: SensorLog) -> ImuSequence:
     Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its
     specific force. Sensors of other times are resampled to even times at the fastest sensor's rate.
 
-    Args:
-        log: sensors on one clock.
-
     Raises:
         InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
     """
@@ -208,20 +205,12 @@ def _with_force(stream: SensorStream) -> SensorStream:
 
 
 def write_imus(path: Path, imus: ImuSequence) -> None:
-    """Write sensors as `imu_stream` reads them back exactly, with their names in the table.
-
-    Args:
-        path: .npz file. imus: the sensors.
-    """
+    """Write sensors as `imu_stream` reads them back exactly, with their names in the table."""
     write_npz(path, imu_arrays(imus))
 
 
 def imu_arrays(imus: ImuSequence) -> dict[str, Any]:
-    """Return the arrays of a file of sensors.
-
-    Args:
-        imus: the sensors.
-    """
+    """Return the arrays of a file of sensors."""
     return {"R_inertial_sensor": imus.R_inertial_sensor, "f_sensor": imus.f_sensor, "times": imus.times}
 
 
@@ -261,9 +250,10 @@ def _imu_rotations(path: Path, arrays: dict[str, Array], names: Sequence[str]) -
     if np.any(wrong):
         t, s = (int(i) for i in np.argwhere(wrong)[0])
         raise FileFormatError(
-            path, f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
-            "it, or write NaN where a sample is missing"
-        )  # fmt: skip
+            path,
+            f"quat_wxyz: sample {t} of {names[s]} has norm {norm[t, s]:.6g}, not 1; normalise "
+            "it, or write NaN where a sample is missing",
+        )
     return so3.known_from_quat_wxyz(quat)
 
 

@@ -57,19 +57,12 @@ class Session:
         return {name: text for name, text in asdict(self).items() if text}
 
     def updated(self, other: Session) -> Session:
-        """Return these labels, replaced by those of another session where it has them.
-
-        Args:
-            other: the session that takes precedence.
-        """
+        """Return these labels, replaced by those of another session where it has them."""
         return Session.of(self.plain() | other.plain())
 
 
 def read_session(section: Section) -> Session:
     """Read the labels of a table ``[session]``; all of its fields are optional.
-
-    Args:
-        section: the table.
 
     Raises:
         FileFormatError: a field is not text, or the date not a day. UnknownNameError: another field.

@@ -46,7 +46,7 @@ class Source(Protocol):
         """Open an .npz file.
 
         Args:
-            path: the file. axes: number of axes of the arrays with a row for each sample.
+            axes: number of axes of the arrays with a row for each sample.
             constants: names of further arrays that it may have; others raise `UnknownNameError`.
         """
 

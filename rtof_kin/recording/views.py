@@ -21,7 +21,7 @@ def view_streams(
     """Open further cameras, each with a table ``camera`` and a table ``keypoints``.
 
     Args:
-        sections: tables ``[[views]]``. skeleton: that has the landmarks. source: how files are read.
+        sections: tables ``[[views]]``.
     """
     views = []
     for section in sections:
@@ -42,11 +42,7 @@ def camera_and_keypoints(keypoints: KeypointSequence, which: int) -> dict[str, A
 
 
 def keypoint_file_arrays(keypoints: KeypointSequence) -> dict[str, Any]:
-    """Return the arrays of a `keypoint_file`.
-
-    Args:
-        keypoints: of the camera.
-    """
+    """Return the arrays of a `keypoint_file`."""
     arrays = {"uv_px": keypoints.uv_px, "confidence": keypoints.confidence, "times": keypoints.times}
     return arrays | video_arrays(keypoints)
 

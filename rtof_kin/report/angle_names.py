@@ -24,9 +24,16 @@ ISB: Final = "isb"
 XZY: Final = "xzy"
 OPENSIM: Final = "opensim"
 MAIN: Final = frozenset(
-    {"spine flexion", "hip flexion", "knee flexion", "ankle dorsiflexion", "shoulder elevation",
-     "shoulder flexion", "elbow flexion"}
-)  # fmt: skip
+    {
+        "spine flexion",
+        "hip flexion",
+        "knee flexion",
+        "ankle dorsiflexion",
+        "shoulder elevation",
+        "shoulder flexion",
+        "elbow flexion",
+    }
+)
 """Angles that a narrow screen shows without being asked, without their side."""
 SECOND_SHOULDER: Final = "shoulder_xzy_"
 """Begins the names of the shoulder angles in the sequence for hanging arms, after their side."""
@@ -65,7 +72,6 @@ def plain_words(text: str, table: AngleTable) -> str:
 
     Args:
         text: e.g. 'left hip flexion/extension (LeftUpLeg_y): beyond its anatomical limit, largest 37 deg'.
-        table: with the names of segments.
     """
     for pattern, words in _PLAIN.items():
         text = re.sub(pattern, words, text)
@@ -96,30 +102,18 @@ class AngleName:
 
 
 def label(name: str) -> str:
-    """Return the name of an angle in words.
-
-    Args:
-        name: as in files.
-    """
+    """Return the name of an angle in words."""
     return name.replace("_", " ")
 
 
 def side_and_name(name: str) -> tuple[str, str]:
-    """Split the name of an angle into 'right', 'left' or '', and the rest.
-
-    Args:
-        name: of the angle.
-    """
+    """Split the name of an angle into 'right', 'left' or '', and the rest."""
     side = next((side for side in SIDES if name.startswith(f"{side}_")), "")
     return side, name.removeprefix(f"{side}_")
 
 
 def angle_name(row: AngleRow) -> AngleName:
-    """Return the name of an angle under all conventions.
-
-    Args:
-        row: of the table of angles.
-    """
+    """Return the name of an angle under all conventions."""
     side, name = side_and_name(row.name)
     coordinate = row.opensim.removeprefix("-")
     if side and coordinate:

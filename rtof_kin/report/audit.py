@@ -1,9 +1,8 @@
 """Audit of a reconstruction: figures against limits that show how far to trust it.
 
-Residuals are those of the exported motion, not of the solver's state: reprojection error of each landmark,
-orientation residual of each sensor (across its bone and about it), acceleration residual, joint limits;
-further the observed share, faults of the streams, and the outcome of calibration and solver. Each limit is
-given with its source.
+Residuals are those of the exported motion, not of the solver's state: reprojection error of each landmark, orientation
+residual of each sensor (across its bone and about it), acceleration residual, joint limits; further the observed
+share, faults of the streams, and the outcome of calibration and solver. Each limit is given with its source.
 """
 
 from __future__ import annotations
@@ -23,14 +22,7 @@ from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit_results import (
-    FAILED_FRAGMENTS,
-    FAULT,
-    ROOM,
-    ROOM_BAND,
-    UNOBSERVED_FRAGMENTS,
-    AuditResult,
-)
+from rtof_kin.report.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.report.statistics import ReconstructionStatistics
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
@@ -85,19 +77,38 @@ def _inputs(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             continue
         note = ": ".join(part for part in (check.cause if check.failed else "", check.advice) if part)
         yield AuditResult(
-            section, check.name, check.subject, check.value, check.unit, check.limit, check.limit,
-            "limit of the check", note,
-        )  # fmt: skip
+            section,
+            check.name,
+            check.subject,
+            check.value,
+            check.unit,
+            check.limit,
+            check.limit,
+            "limit of the check",
+            note,
+        )
 
 
 def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     first = statistics.first
     shares = [
-        ("share of joints and frames without a valid position", "motion", statistics["invalid"].mean_of_all,
-         2.0, 30.0, "their position is unobserved"),
-        ("share of joints and frames without an observation", "motion", statistics["unobserved"].mean_of_all,
-         25.0, 75.0, "interpolated, or from the prior"),
-    ]  # fmt: skip
+        (
+            "share of joints and frames without a valid position",
+            "motion",
+            statistics["invalid"].mean_of_all,
+            2.0,
+            30.0,
+            "their position is unobserved",
+        ),
+        (
+            "share of joints and frames without an observation",
+            "motion",
+            statistics["unobserved"].mean_of_all,
+            25.0,
+            75.0,
+            "interpolated, or from the prior",
+        ),
+    ]
     if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
         shares = shares[1:]  # only joints between sensors are valid there
@@ -119,9 +130,17 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.4 * seconds}  # as the shares above
     for fault in statistics.faults:
         yield AuditResult(
-            "streams", FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S,
-            max(most.get(fault.kind, math.inf), _SHORT_S), _USER, fault.kind.value, fault.start,
-        )  # fmt: skip
+            "streams",
+            FAULT,
+            fault.what,
+            fault.stop - fault.start,
+            "s",
+            _SHORT_S,
+            max(most.get(fault.kind, math.inf), _SHORT_S),
+            _USER,
+            fault.kind.value,
+            fault.start,
+        )
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
         if warning in of_camera:  # its effect is in the stated uncertainty
@@ -150,10 +169,17 @@ def _image(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             yield AuditResult.not_checked("image", subject, why, name)
             continue
         yield AuditResult(
-            "image", name, subject, float(median), "px", limits[0] * height, limits[1] * height,
+            "image",
+            name,
+            subject,
+            float(median),
+            "px",
+            limits[0] * height,
+            limits[1] * height,
             f"{100 * limits[0]:g} and {100 * limits[1]:g} % {_DETECTORS}",
-            "errors of detector, bone lengths, camera or synchronisation", float(at),
-        )  # fmt: skip
+            "errors of detector, bone lengths, camera or synchronisation",
+            float(at),
+        )
 
 
 def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -163,19 +189,37 @@ def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         return
     degree = np.degrees(1.0)
     figures = (
-        ("orientation residual across the bone", "swing", degree, "deg",
-         np.degrees(_MODEL.sigma_swing), np.degrees(DISAGREES),
-         "the solver's standard deviation; 12 deg, the limit of a misaligned sensor",
-         "mounting, heading, soft tissue, or a slipped sensor"),
-        ("orientation residual about the bone", "twist", degree, "deg",
-         np.degrees(_MODEL.sigma_twist), 2 * np.degrees(_MODEL.sigma_twist),
-         "once (forearms: 1.5 times) and twice the solver's standard deviation",
-         "soft tissue artefact or mounting"),
-        ("acceleration residual", "acceleration", 1.0, "m/s2",
-         2 * _MODEL.sigma_acceleration, 8 * _MODEL.sigma_acceleration,
-         "twice and eight times the solver's standard deviation per axis; fast motions reach seven",
-         "synchronisation, impacts, lever arm, or a loose sensor"),
-    )  # fmt: skip
+        (
+            "orientation residual across the bone",
+            "swing",
+            degree,
+            "deg",
+            np.degrees(_MODEL.sigma_swing),
+            np.degrees(DISAGREES),
+            "the solver's standard deviation; 12 deg, the limit of a misaligned sensor",
+            "mounting, heading, soft tissue, or a slipped sensor",
+        ),
+        (
+            "orientation residual about the bone",
+            "twist",
+            degree,
+            "deg",
+            np.degrees(_MODEL.sigma_twist),
+            2 * np.degrees(_MODEL.sigma_twist),
+            "once (forearms: 1.5 times) and twice the solver's standard deviation",
+            "soft tissue artefact or mounting",
+        ),
+        (
+            "acceleration residual",
+            "acceleration",
+            1.0,
+            "m/s2",
+            2 * _MODEL.sigma_acceleration,
+            8 * _MODEL.sigma_acceleration,
+            "twice and eight times the solver's standard deviation per axis; fast motions reach seven",
+            "synchronisation, impacts, lever arm, or a loose sensor",
+        ),
+    )
     for s, joint in enumerate(imus.joints):
         for name, residual, factor, unit, warn, fail, source, note in figures:
             rms, at = factor * float(statistics[residual].rms[s]), float(statistics[residual].largest_at[s])
@@ -193,9 +237,16 @@ def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("body", "skeleton", why)
     else:
         yield AuditResult(
-            "body", "difference from the height given", "skeleton", 100 * abs(own - height), "cm",
-            3.0, 10.0, _USER, f"given {height:.2f} m, the skeleton is {own:.2f} m tall",
-        )  # fmt: skip
+            "body",
+            "difference from the height given",
+            "skeleton",
+            100 * abs(own - height),
+            "cm",
+            3.0,
+            10.0,
+            _USER,
+            f"given {height:.2f} m, the skeleton is {own:.2f} m tall",
+        )
     name, source = "beyond its anatomical limit, largest", "limits of the skeleton table"
     excess = statistics["limit excess"]
     hinged = {skeleton.names[j] for j in hinges(skeleton)}
@@ -204,10 +255,17 @@ def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             # Euler angles of a ball joint may leave their limits in a real posture, a hinge may not.
             fail = 30.0 if dof.rsplit("_", 1)[0] in hinged else math.inf
             yield AuditResult(
-                "body", name, clinical_name(skeleton.table, dof), float(np.degrees(largest)), "deg", 10.0,
-                fail, f"{source}; {_USER}", "a wrong angle, or unusual anatomy; angles are not clipped",
+                "body",
+                name,
+                clinical_name(skeleton.table, dof),
+                float(np.degrees(largest)),
+                "deg",
+                10.0,
+                fail,
+                f"{source}; {_USER}",
+                "a wrong angle, or unusual anatomy; angles are not clipped",
                 float(at),
-            )  # fmt: skip
+            )
     if not np.any(excess.largest > 0):
         yield AuditResult("body", name, "any angle", 0.0, "deg", 10.0, 30.0, source)
 
@@ -235,10 +293,17 @@ def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
             size = 0.0  # no correction is applied
         weak = quantity.verdict is not Verdict.OBSERVED  # convicts nothing
         yield AuditResult(
-            "calibration", f"{quantity.kind}, correction in standard deviations of the prior",
-            quantity.item, size, "", 3.0, math.inf if weak else 6.0, "3 and 6 standard deviations",
-            quantity.verdict.value, weak=weak,
-        )  # fmt: skip
+            "calibration",
+            f"{quantity.kind}, correction in standard deviations of the prior",
+            quantity.item,
+            size,
+            "",
+            3.0,
+            math.inf if weak else 6.0,
+            "3 and 6 standard deviations",
+            quantity.verdict.value,
+            weak=weak,
+        )
 
 
 def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
@@ -254,11 +319,16 @@ def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
     for name, assumed, now, left, verdict in found.table():
         yield AuditResult(
             "calibration" if name in ("pitch", "roll") else ROOM,
-            f"{name}, correction in standard deviations of the prior", "camera",
-            float(sizes[name] / priors[name]), "", 3.0, 6.0, "3 and 6 standard deviations",
+            f"{name}, correction in standard deviations of the prior",
+            "camera",
+            float(sizes[name] / priors[name]),
+            "",
+            3.0,
+            6.0,
+            "3 and 6 standard deviations",
             f"{assumed} assumed, {now} found ({left} of the standard deviation remain)",
             weak=verdict != FOUND,
-        )  # fmt: skip
+        )
 
 
 def _solver(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -281,10 +351,15 @@ def _solver(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         sigma = float(np.median([fragment.sigma_reprojection for fragment in solution.fragments]))
         top = _MODEL.sigma_reprojection_range[1]
         yield AuditResult(
-            "solver", "standard deviation of keypoints, estimated", "median of fragments", sigma, "px",
-            0.96 * top, source=f"{top:g} px is the solver's upper bound",
+            "solver",
+            "standard deviation of keypoints, estimated",
+            "median of fragments",
+            sigma,
+            "px",
+            0.96 * top,
+            source=f"{top:g} px is the solver's upper bound",
             note="the keypoints carry little information, or the person is large in the image",
-        )  # fmt: skip
+        )
 
 
 def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -307,9 +382,17 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             continue
         worst = int(np.nan_to_num(per_axis.largest).argmax())
         yield AuditResult(
-            "confidence", _EXPECTED, subject, math.sqrt(3) * factor * per_axis.rms_of_all, unit, warn, fail,
-            _USER, note, float(per_axis.largest_at[worst]),
-        )  # fmt: skip
+            "confidence",
+            _EXPECTED,
+            subject,
+            math.sqrt(3) * factor * per_axis.rms_of_all,
+            unit,
+            warn,
+            fail,
+            _USER,
+            note,
+            float(per_axis.largest_at[worst]),
+        )
 
 
 def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -323,9 +406,7 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
         open_ = "" if first.room is None else first.room.unverified
         limit = math.inf if open_ else _WIDE_M
-        yield AuditResult(
-            ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_)
-        )
+        yield AuditResult(ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_))
 
 
 def _truth(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:

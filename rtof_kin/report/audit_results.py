@@ -49,9 +49,7 @@ class Grade(Enum):
     INFORMATION = "for information"
 
 
-WORST_FIRST: Final = (
-    Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.PASS, Grade.INFORMATION, Grade.NOT_CHECKED,
-)  # fmt: skip
+WORST_FIRST: Final = (Grade.FAIL, Grade.WARN, Grade.WEAK, Grade.PASS, Grade.INFORMATION, Grade.NOT_CHECKED)
 """A section has the first of these grades that its figures have."""
 
 
@@ -133,10 +131,7 @@ class AuditResult:
 
     def plain(self) -> dict[str, Any]:
         """Return the fields and the grade as JSON data, null for values that are not finite."""
-        out = {
-            name: None if isinstance(v, float) and not math.isfinite(v) else v
-            for name, v in asdict(self).items()
-        }
+        out = {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(self).items()}
         return out | {"grade": self.grade.value}
 
     @classmethod
@@ -177,7 +172,7 @@ def section_verdict(section: str, results: Sequence[AuditResult], most: int = 6)
     """Return the verdict on a section.
 
     Args:
-        section: one of `SECTIONS`. results: of any sections. most: reasons that are listed.
+        section: one of `SECTIONS`. results: of any sections.
     """
     own = [result for result in results if result.section == section]
     grades = {result.grade for result in own}

@@ -24,20 +24,25 @@ SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
 MOST_DRAWN: Final = 10_000
 """Largest number of samples of a curve; a picture has fewer columns of pixels."""
 SHOWN: Final = (
-    "pelvis_tilt", "pelvis_list", "spine_flexion",
-    "hip_flexion", "hip_adduction", "hip_internal_rotation",
-    "knee_flexion", "ankle_dorsiflexion", "ankle_inversion",
-    "shoulder_elevation", "elbow_flexion", "elbow_pronation",
-)  # fmt: skip
+    "pelvis_tilt",
+    "pelvis_list",
+    "spine_flexion",
+    "hip_flexion",
+    "hip_adduction",
+    "hip_internal_rotation",
+    "knee_flexion",
+    "ankle_dorsiflexion",
+    "ankle_inversion",
+    "shoulder_elevation",
+    "elbow_flexion",
+    "elbow_pronation",
+)
 """Angles that are plotted, without their side."""
 
 
 def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list[Path]:
     """Write ``angles.png``, ``gait_cycles.png`` of gait, and ``ground_reaction.png`` where the body mass is
     known; return their paths.
-
-    Args:
-        analysis: of the motion. folder: to write.
     """
     figures = {"angles": angles_over_time(analysis)}
     if analysis.curves and analysis.gait.is_gait:
@@ -48,11 +53,7 @@ def write_clinical_figures(analysis: MotionAnalysis, folder: str | Path) -> list
 
 
 def ground_reaction_over_time(found: GroundReaction) -> Figure:
-    """Plot the vertical force with its band and the interval of each foot, and the centre of pressure.
-
-    Args:
-        found: of a motion.
-    """
+    """Plot the vertical force with its band and the interval of each foot, and the centre of pressure."""
     figure = Figure(figsize=(10.0, 7.5), layout="constrained")
     force, each, sole = figure.subplots(3, 1, sharex=True)
     step = max(1, math.ceil(len(found.times) / MOST_DRAWN))
@@ -83,11 +84,7 @@ def ground_reaction_over_time(found: GroundReaction) -> Figure:
 
 
 def gait_cycles(analysis: MotionAnalysis) -> Figure:
-    """Plot mean and standard deviation of angles from heel strike to heel strike of each side.
-
-    Args:
-        analysis: of the motion.
-    """
+    """Plot mean and standard deviation of angles from heel strike to heel strike of each side."""
     figure, axes = _panels("gait cycle of the same side, from heel strike [%]")
     for curve in analysis.curves:
         if (shown := curve.name.removeprefix(f"{curve.side}_")) in axes:
@@ -103,11 +100,7 @@ def gait_cycles(analysis: MotionAnalysis) -> Figure:
 
 
 def angles_over_time(analysis: MotionAnalysis) -> Figure:
-    """Plot the same angles over time, with their 95 % bands.
-
-    Args:
-        analysis: of the motion.
-    """
+    """Plot the same angles over time, with their 95 % bands."""
     figure, axes = _panels("time [s]")
     angles = analysis.angles
     for a, name in enumerate(angles.names):
@@ -157,8 +150,16 @@ def _finish(axes: dict[str, Any]) -> None:
         ax.set_ylabel("[deg]", fontsize=8)
         ax.grid(alpha=0.3)
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False,
-                      borderaxespad=0, handlelength=1, columnspacing=1)  # fmt: skip
+            ax.legend(
+                fontsize=7,
+                loc="lower right",
+                bbox_to_anchor=(1, 1),
+                ncols=2,
+                frameon=False,
+                borderaxespad=0,
+                handlelength=1,
+                columnspacing=1,
+            )
         elif not ax.lines:
             ax.text(0.5, 0.5, "not observed", transform=ax.transAxes, ha="center", color="0.5")
             ax.set_yticks([])

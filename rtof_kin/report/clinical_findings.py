@@ -20,11 +20,7 @@ _USER: Final = "a convention of this report"
 
 
 def clinical_findings(analysis: MotionAnalysis) -> tuple[AuditResult, ...]:
-    """Return audit results of the sections angles, gait and torques.
-
-    Args:
-        analysis: of the motion.
-    """
+    """Return audit results of the sections angles, gait and torques."""
     return (*_angles(analysis), *_gait(analysis), *_torques(analysis))
 
 
@@ -35,10 +31,16 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         known = angles.known[:, a]
         if known.any():
             yield AuditResult(
-                "angles", "share of frames without an observation", angles.rows[a].label,
-                100 * float(1 - known.mean()), "%", 10.0, 75.0, _USER,
+                "angles",
+                "share of frames without an observation",
+                angles.rows[a].label,
+                100 * float(1 - known.mean()),
+                "%",
+                10.0,
+                75.0,
+                _USER,
                 "gaps are not filled; ranges are of the observed frames",
-            )  # fmt: skip
+            )
     if angles.sigma is None:
         yield AuditResult.not_checked("angles", "95 % bands", NO_BANDS)
     else:
@@ -47,9 +49,15 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
             if np.isfinite(sigma[:, a]).any():
                 half = float(BAND_95 * np.degrees(np.nanmedian(sigma[:, a])))
                 yield AuditResult(
-                    "angles", "half width of the 95 % band, median", angles.rows[a].label, half, "deg",
-                    *WIDEST, _USER, "low accuracy; a sensor on each of its two segments would improve it",
-                )  # fmt: skip
+                    "angles",
+                    "half width of the 95 % band, median",
+                    angles.rows[a].label,
+                    half,
+                    "deg",
+                    *WIDEST,
+                    _USER,
+                    "low accuracy; a sensor on each of its two segments would improve it",
+                )
     for note in analysis.notes["angles"]:
         yield AuditResult.not_checked("angles", "angles", note)
 
@@ -68,9 +76,15 @@ def _gait(analysis: MotionAnalysis) -> Iterator[AuditResult]:
     for side, measures in gait.summary.items():
         count = measures["stride_time"][2]
         yield AuditResult(
-            "gait", "strides fewer than three", side, float(max(0, 3 - count)), "", 0.0,
-            source=_USER, note=f"{count} complete: a mean of so few may not represent usual walking",
-        )  # fmt: skip
+            "gait",
+            "strides fewer than three",
+            side,
+            float(max(0, 3 - count)),
+            "",
+            0.0,
+            source=_USER,
+            note=f"{count} complete: a mean of so few may not represent usual walking",
+        )
     for note in gait.notes:
         yield AuditResult.warning("gait", "gait", note)
 
@@ -82,9 +96,16 @@ def _torques(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         return
     known = float(np.isfinite(torques.torques).mean())
     yield AuditResult(
-        "torques", "share of torques that could not be computed", "joints", 100 * (1 - known), "%",
-        50.0, 99.9, _USER, "no force was measured; which foot bears load is not always known",
-    )  # fmt: skip
+        "torques",
+        "share of torques that could not be computed",
+        "joints",
+        100 * (1 - known),
+        "%",
+        50.0,
+        99.9,
+        _USER,
+        "no force was measured; which foot bears load is not always known",
+    )
     reaction = analysis.ground_reaction
     for note in (*torques.notes, *(() if reaction is None else reaction.notes)):
         yield AuditResult.not_checked("torques", "torques", note)

@@ -58,10 +58,9 @@ def export(
     """Write a reconstruction; after an error there is no folder.
 
     Args:
-        result: of `reconstruct`. folder: a new folder. overwrite: replace an earlier export there.
-        figures: draw figures too, which takes most of the time.
-        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`. Default: CSV
-            and ROS of motions up to `MOST_SECONDS`, none of longer ones.
+        result: of `reconstruct`. overwrite: replace an earlier export there.
+        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
+            motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
 
     Returns:

@@ -19,16 +19,20 @@ from rtof_kin.reconstruction.result import Reconstruction
 ESTIMATE: Final = "#c0392b"
 TRUTH: Final = "#2e8b57"
 STAGE_COLORS: Final = {
-    "lift": "#8c8c8c", "sf2": "#e69f00", "rto": "#0072b2", "rtof": "#c0392b",
-    "start": "#e69f00", "imu": "#c0392b",
-}  # fmt: skip
+    "lift": "#8c8c8c",
+    "sf2": "#e69f00",
+    "rto": "#0072b2",
+    "rtof": "#c0392b",
+    "start": "#e69f00",
+    "imu": "#c0392b",
+}
 
 
 def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
     """Write all figures that apply as PNG, and return their paths.
 
     Args:
-        result: of `reconstruct`. folder: to write.
+        result: of `reconstruct`.
     """
     figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
     if result.stage_metrics:
@@ -40,7 +44,7 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path
     """Write figures as PNG, and return their paths.
 
     Args:
-        figures: name of the file without suffix -> figure. folder: to write.
+        figures: name of the file without suffix -> figure.
     """
     paths = []
     for name, figure in figures.items():
@@ -58,7 +62,7 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     camera, from the front and the right. See `comparable` for mode imu.
 
     Args:
-        result: of `reconstruct`. instants: number of columns.
+        result: of `reconstruct`.
     """
     poses, parents = result.motion.poses, result.motion.skeleton.parents
     truth = _truth_at(result)

@@ -31,9 +31,11 @@ _NAMED: Final = 3  # largest number of unchecked things that are named
 _ALONE: Final = "for the angles; "
 """Beginning of the text where the angles pass and the position in the room does not."""
 _ROOM: Final = {
-    Grade.FAIL: "fails", Grade.WARN: "uncertain", Grade.WEAK: "not verified",
+    Grade.FAIL: "fails",
+    Grade.WARN: "uncertain",
+    Grade.WEAK: "not verified",
     Grade.NOT_CHECKED: "not checked",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -137,9 +139,7 @@ def _severity(result: AuditResult) -> tuple[bool, bool, bool, bool, float]:
     )
 
 
-def _without_warnings(
-    sections: tuple[SectionVerdict, ...], results: Sequence[AuditResult]
-) -> tuple[Grade, str]:
+def _without_warnings(sections: tuple[SectionVerdict, ...], results: Sequence[AuditResult]) -> tuple[Grade, str]:
     """Grade and words of what was checked, what is weakly observed, and what could not be checked."""
     checked = [verdict.section for verdict in sections if verdict.grade is Grade.PASS]
     weak = [f"{v.section}: {v.reasons[0]}" for v in sections if v.grade is Grade.WEAK]

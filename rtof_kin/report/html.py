@@ -18,19 +18,19 @@ from rtof_kin.report.audit_results import Grade
 
 _ASSETS: Final = Path(__file__).parent / "assets"
 GRADE_WORDS: Final = {
-    Grade.PASS: "good", Grade.WARN: "use with care", Grade.FAIL: "do not use", Grade.WEAK: "not verified",
-    Grade.NOT_CHECKED: "not checked", Grade.INFORMATION: "for information",
-}  # fmt: skip
+    Grade.PASS: "good",
+    Grade.WARN: "use with care",
+    Grade.FAIL: "do not use",
+    Grade.WEAK: "not verified",
+    Grade.NOT_CHECKED: "not checked",
+    Grade.INFORMATION: "for information",
+}
 """What a grade means to the reader of a page."""
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
 
 
 def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any], foot: str = "") -> str:
-    """Return the page.
-
-    Args:
-        parts: name in the template -> HTML. plots: data for the script. foot: text on printed pages.
-    """
+    """Return the page."""
     style = asset("page.css") + fill(asset("report.css"), {"foot": css_string(foot)})
     return self_contained("page.html", style, _SCRIPTS, parts, plots)
 
@@ -38,12 +38,7 @@ def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any], foot: str 
 def self_contained(
     template: str, style: str, scripts: Iterable[str], parts: Mapping[str, str], plots: Mapping[str, Any]
 ) -> str:
-    """Return a page with its style, script and data, and their hashes for the content security policy.
-
-    Args:
-        template: asset with these names in it. style: sheet. scripts: assets, in their order.
-        parts: other names in the template -> HTML. plots: data for the script.
-    """
+    """Return a page with its style, script and data, and their hashes for the content security policy."""
     script = "".join(asset(name) for name in scripts)
     data = json.dumps(plots, separators=(",", ":"), allow_nan=False)
     for character in "<>&":
@@ -53,11 +48,7 @@ def self_contained(
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:
-    """Return a template with its ``{{name}}`` replaced.
-
-    Args:
-        template: HTML. parts: name -> HTML, of all names in the template.
-    """
+    """Return a template with its ``{{name}}`` replaced."""
     out = []
     for piece in template.split("{{"):
         name, closed, rest = piece.partition("}}")
@@ -66,20 +57,12 @@ def fill(template: str, parts: Mapping[str, str]) -> str:
 
 
 def asset(name: str) -> str:
-    """Return a style sheet, script or template of the report.
-
-    Args:
-        name: of the file.
-    """
+    """Return a style sheet, script or template of the report."""
     return (_ASSETS / name).read_text(encoding="utf-8")
 
 
 def source_hash(text: str) -> str:
-    """Return the hash of an inline script or style for the content security policy.
-
-    Args:
-        text: of the script or style.
-    """
+    """Return the hash of an inline script or style for the content security policy."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
@@ -105,8 +88,7 @@ def table(
     """Return a table, which a narrow screen shows as one card for each row.
 
     Args:
-        header: text. rows: cells that are HTML. kind: CSS class. caption: text; none without.
-        row_headers: whether the first cell of a row is its header.
+        caption: text; none without. row_headers: whether the first cell of a row is its header.
         shown: `AngleName.shown` of each row; all are always shown without.
         further: whether a narrow screen shows each row only if asked to.
     """
@@ -127,11 +109,7 @@ def table(
 
 
 def folded(summary: str, inside: str) -> str:
-    """Return a part that is folded until it is asked for, and not printed while it is.
-
-    Args:
-        summary: text of the line that unfolds it. inside: HTML.
-    """
+    """Return a part that is folded until it is asked for, and not printed while it is."""
     return f"<details><summary>{escape(summary)}</summary>\n{inside}\n</details>"
 
 
@@ -150,7 +128,7 @@ def badge(grade: Grade, word: str = "") -> str:
     """Return a label, told apart by colour, sign and word.
 
     Args:
-        grade: that gives colour and sign. word: in place of that of `GRADE_WORDS`.
+        word: in place of that of `GRADE_WORDS`.
     """
     kind = grade.value.replace(" ", "-")
     return f'<span class="grade {kind}">{escape(word or GRADE_WORDS[grade])}</span>'

@@ -46,9 +46,11 @@ from rtof_kin.vision.recognise import recognise
 Bones = Mapping[str, tuple[int, int]]
 _NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"
 _SIGNALS: Final = {
-    "f_sensor": "acceleration", "w_sensor": "gyroscope", "m_sensor": "magnetometer",
+    "f_sensor": "acceleration",
+    "w_sensor": "gyroscope",
+    "m_sensor": "magnetometer",
     "R_inertial_sensor": "orientation",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ def inspect(path: str | Path, **declared: Any) -> Inspection:
     """Inspect a file, or a folder with a recording or the sensor log of a trial.
 
     Args:
-        path: the file or folder. declared: of a sensor log, fields of `Declaration` to override.
+        declared: of a sensor log, fields of `Declaration` to override.
 
     Raises:
         FileFormatError: the file is missing, of an unknown type, or damaged.

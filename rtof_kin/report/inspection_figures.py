@@ -20,11 +20,7 @@ MOST: Final = 4
 
 
 def picture(inspection: Inspection) -> Figure | None:
-    """Plot the sensors or the bone lengths of a file; None if it has neither.
-
-    Args:
-        inspection: of the file.
-    """
+    """Plot the sensors or the bone lengths of a file; None if it has neither."""
     excess = {check.subject: 0.0 for check in inspection.checks}
     for check in inspection.failed:
         excess[check.subject] = max(excess[check.subject], check.value / check.limit)

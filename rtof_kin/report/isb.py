@@ -30,8 +30,7 @@ def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> d
     """Return topic -> item -> its value; None if the user must provide it.
 
     Args:
-        inputs: of `report.provenance`. mode: of the reconstruction. bands: whether angles have 95 % bands.
-        gaps: description of missing data.
+        inputs: of `report.provenance`. bands: whether angles have 95 % bands. gaps: description of missing data.
     """
     confidence = "95 % bands of the posterior, inflated on other subjects"
     return {

@@ -43,9 +43,6 @@ def angle_curves(analysis: MotionAnalysis, shown: slice) -> Data:
     Up to `MOST_SAMPLES` plotted frames are given one by one. Longer curves have the lowest and the highest
     reliable value of equal intervals of 'interval' seconds, with the widest band, so that no peak is lost.
     'doubtful' has the samples [first, stop) that are not reliable.
-
-    Args:
-        analysis: of the motion. shown: frames to plot.
     """
     angles = analysis.angles
     frames = len(angles.times[shown])
@@ -102,7 +99,6 @@ def widest_bands(half: Array, values: Array, step: int) -> Array:
 
     Args:
         half, values: (T,) half width of the band and its value, NaN where unknown.
-        step: frames of an interval.
     """
     bands = _intervals(np.where(np.isfinite(values), half, np.nan), step)
     widest = np.where(np.isfinite(bands), bands, -np.inf).max(axis=1)
@@ -118,7 +114,7 @@ def interval_times(times: Array, step: int) -> Array:
     """Return two times in each interval of `envelope_frames`, s.
 
     Args:
-        times: (T,) s. step: frames of an interval.
+        times: (T,) s.
     """
     frames = np.arange(0, len(times), step)[:, None] + step * np.array([0.25, 0.75])
     return np.asarray(np.interp(frames.ravel(), np.arange(len(times)), times))
@@ -128,10 +124,14 @@ def _group(groups: dict[str, Data], row: AngleRow) -> Data:
     """Group of both sides of an angle."""
     name = angle_name(row)
     group = {
-        "name": name.clinical, "positive": name.positive, "shown": name.shown,
-        "opensim": name.opensim_title, "opposite": name.opposite, "further": name.clinical not in MAIN,
+        "name": name.clinical,
+        "positive": name.positive,
+        "shown": name.shown,
+        "opensim": name.opensim_title,
+        "opposite": name.opposite,
+        "further": name.clinical not in MAIN,
         "series": [],
-    }  # fmt: skip
+    }
     return groups.setdefault(side_and_name(row.name)[1], group)
 
 
@@ -147,9 +147,13 @@ def cycle_curves_data(analysis: MotionAnalysis) -> Data:
     rows = {row.name: row for row in analysis.angles.rows}
     for curve in analysis.curves:
         _group(groups, rows[curve.name])["series"].append(
-            {"side": curve.side, "n": len(curve.curves), "y": packed(np.degrees(curve.mean), 10),
-             "half": packed(np.degrees(curve.sd), 10)}
-        )  # fmt: skip
+            {
+                "side": curve.side,
+                "n": len(curve.curves),
+                "y": packed(np.degrees(curve.mean), 10),
+                "half": packed(np.degrees(curve.sd), 10),
+            }
+        )
     stance = {side: float(m["stance_share"][0]) for side, m in analysis.gait.summary.items()}
     phase = [round(100 * float(p), 2) for p in PHASES]
     return {"phase": phase, "stance": stance, "groups": list(groups.values())}
@@ -160,13 +164,11 @@ def player_data(motion: MotionSequence | MotionSource, shown: slice, floor: Any)
     the bone that leads to a joint is unobserved.
 
     Args:
-        motion: to plot. shown: frames to plot, from the first on. floor: its height, m; None if unknown.
+        shown: frames to plot, from the first on. floor: its height, m; None if unknown.
     """
     source, step = MotionSource.of(motion), shown.step or 1
     skeleton, masks = source.skeleton, source.masks
-    p = np.concatenate(
-        [b.motion.poses.p_world_joint[b.own][-b.start % step :: step] for b in source.blocks()]
-    )
+    p = np.concatenate([b.motion.poses.p_world_joint[b.own][-b.start % step :: step] for b in source.blocks()])
     known = np.isfinite(p).all(axis=(1, 2))
     middle = np.zeros(3)
     if known.any():
@@ -199,7 +201,7 @@ def packed(values: Array, scale: float) -> str:
     """Return numbers as base64 of little-endian 16-bit integers; NaN and overflow are `MISSING`.
 
     Args:
-        values: any shape. scale: multiplied before rounding.
+        values: any shape.
     """
     with np.errstate(invalid="ignore"):
         whole = np.round(np.asarray(values, dtype=float) * scale)

@@ -17,9 +17,6 @@ Data = dict[str, Any]
 def input_provenance(statistics: ReconstructionStatistics) -> Data:
     """Return session, subject, camera, keypoints, sensors and calibration of a reconstruction.
 
-    Args:
-        statistics: of all its parts.
-
     Returns:
         Plain data with units in the names; None or an empty list for missing inputs.
     """
@@ -45,20 +42,26 @@ def input_provenance(statistics: ReconstructionStatistics) -> Data:
         "floor_height_m": recording.floor_height,
         "camera": _camera(statistics),
         "cameras": 0 if result.keypoints is None else 1 + len(recording.views),
-        "camera_estimate": None if result.camera is None else {
-            "columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()],
-        },
+        "camera_estimate": None
+        if result.camera is None
+        else {"columns": list(COLUMNS), "rows": [list(row) for row in result.camera.table()]},
         "sensors": _sensors(statistics),
-        "delay": None if (delay := result.delay) is None else {
-            "offset_s": float(delay.value[0]), "sigma_s": float(delay.sigma[0]),
-            "drift_share": float(delay.value[1]) if len(delay.value) > 1 else 0.0, "doubt": delay.doubt,
+        "delay": None
+        if (delay := result.delay) is None
+        else {
+            "offset_s": float(delay.value[0]),
+            "sigma_s": float(delay.sigma[0]),
+            "drift_share": float(delay.value[1]) if len(delay.value) > 1 else 0.0,
+            "doubt": delay.doubt,
         },
-        "calibration": None if result.calibration is None else {
+        "calibration": None
+        if result.calibration is None
+        else {
             "converged": result.calibration.converged,
             "columns": ["quantity", "of", "value", "sd", "sd expected", "verdict"],
             "rows": [list(row) for row in result.calibration.table()],
         },
-    }  # fmt: skip
+    }
 
 
 def _version() -> str:
@@ -100,10 +103,15 @@ def _sensors(statistics: ReconstructionStatistics) -> list[Data]:
             segment = calibration.joints[own]
             lever = [round(float(v), 4) for v in calibration.p_bone_sensor[own]]
         out.append(
-            {"name": name, "segment": segment, "lever_arm_m": lever, "rate_hz": _rate(imus.times),
-             "known_share": 1 - float(statistics["sensor unknown"].mean[s]),
-             "largest_specific_force_m_s2": force if np.isfinite(force) else None}
-        )  # fmt: skip
+            {
+                "name": name,
+                "segment": segment,
+                "lever_arm_m": lever,
+                "rate_hz": _rate(imus.times),
+                "known_share": 1 - float(statistics["sensor unknown"].mean[s]),
+                "largest_specific_force_m_s2": force if np.isfinite(force) else None,
+            }
+        )
     return out
 
 

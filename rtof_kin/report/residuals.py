@@ -14,9 +14,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 def reprojection_errors(result: Reconstruction) -> Array:
     """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
 
-    Args:
-        result: with keypoints.
-
     Raises:
         InvalidInputError: there are no keypoints.
     """
@@ -28,9 +25,6 @@ def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
     """Return orientation residuals (T, S) rad across the bone and about it, NaN where unknown.
 
     The residual of a segment with several children or none is all across.
-
-    Args:
-        result: with sensors.
     """
     skeleton, imus = result.motion.skeleton, result.bone_imus
     assert imus is not None
@@ -52,9 +46,6 @@ def orientation_residuals(result: Reconstruction) -> tuple[Array, Array]:
 def acceleration_residuals(result: Reconstruction) -> Array:
     """Return residuals (T, S) m/s^2 between sensors and the second difference of the motion at their lever
     arms; NaN at the ends and where unknown.
-
-    Args:
-        result: with sensors.
     """
     imus, poses = result.bone_imus, result.motion.poses
     assert imus is not None

@@ -63,11 +63,7 @@ class ReconstructionStatistics:
         return cls(found) if isinstance(found, Reconstruction) else found
 
     def add(self, part: Reconstruction) -> None:
-        """Add the next part.
-
-        Args:
-            part: of the same recording and settings.
-        """
+        """Add the next part."""
         for name, times, values in _blocks(part):
             values = values.reshape(len(times), math.prod(values.shape[1:]))
             if name not in self._statistics:

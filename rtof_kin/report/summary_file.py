@@ -46,9 +46,6 @@ class Summary:
 def read_summary(path: str | Path) -> Summary:
     """Read the ``summary.json`` of a reconstruction.
 
-    Args:
-        path: of the file.
-
     Raises:
         FileFormatError: the file is missing, no JSON, or not written by `export`.
     """
@@ -74,9 +71,7 @@ def read_summary(path: str | Path) -> Summary:
             sigmas = tuple(math.nan if sigmas.get(n) is None else float(sigmas[n]) for n in SIGMAS)
     except (InvalidInputError, ValueError) as error:
         raise FileFormatError(path, f"{error}; reconstruct again") from error
-    return Summary(
-        **texts, session=session, inputs=inputs, results=results, settings=settings, mean_sigmas=sigmas
-    )  # fmt: skip
+    return Summary(**texts, session=session, inputs=inputs, results=results, settings=settings, mean_sigmas=sigmas)
 
 
 _TABLES = ("calibration", "camera_estimate")

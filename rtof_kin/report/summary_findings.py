@@ -44,20 +44,14 @@ class Finding:
     """Difference divided by its standard deviation."""
 
 
-def findings(
-    analysis: MotionAnalysis, skeleton: SkeletonTable, sides: Comparison | None
-) -> tuple[Finding, ...]:
+def findings(analysis: MotionAnalysis, skeleton: SkeletonTable, sides: Comparison | None) -> tuple[Finding, ...]:
     """Return the findings of an analysis, the largest first, at most one for each joint and measure.
 
     Args:
-        analysis: of the motion. skeleton: of the motion, with its anatomical limits.
         sides: `compared_sides` of the analysis.
     """
     rows = {row.name: row for row in analysis.ranges if is_comparable(row)}
-    found = [
-        *_side_differences(sides), *_beyond_limits(rows, analysis.table, skeleton),
-        *_asymmetries(analysis.gait),
-    ]  # fmt: skip
+    found = [*_side_differences(sides), *_beyond_limits(rows, analysis.table, skeleton), *_asymmetries(analysis.gait)]
     out: dict[str, Finding] = {}
     for finding in sorted(found, key=lambda finding: -finding.size):
         out.setdefault(finding.subject, finding)
@@ -65,11 +59,7 @@ def findings(
 
 
 def compared_sides(analysis: MotionAnalysis) -> Comparison | None:
-    """Return left against right as `compare --sides` has it; None if nothing can be compared.
-
-    Args:
-        analysis: of the motion.
-    """
+    """Return left against right as `compare --sides` has it; None if nothing can be compared."""
     try:
         return compare_sides(with_strides("", analysis.angles, analysis.gait))[0]
     except InvalidInputError:
@@ -77,20 +67,12 @@ def compared_sides(analysis: MotionAnalysis) -> Comparison | None:
 
 
 def is_comparable(row: RangeOfMotion) -> bool:
-    """Return whether a range has a band, may be compared, and is not of a second sequence.
-
-    Args:
-        row: the range.
-    """
+    """Return whether a range has a band, may be compared, and is not of a second sequence."""
     return row.is_comparable and bool(np.isfinite(row.range_sigma)) and not is_second_sequence(row.name)
 
 
 def is_second_sequence(name: str) -> bool:
-    """Return whether an angle is one of another sequence of the same rotation, which a summary omits.
-
-    Args:
-        name: of the angle, as in files.
-    """
+    """Return whether an angle is one of another sequence of the same rotation, which a summary omits."""
     return name.startswith(SECOND_PELVIS) or SECOND_SHOULDER in name
 
 
@@ -112,15 +94,11 @@ def _side_differences(sides: Comparison | None) -> Iterator[Finding]:
             over = " over the gait cycle" if sides is not None and sides.by == "cycle" else ""
             right, left = (f"{np.degrees(value):.0f}°" for value in (change.b, change.a))
             by = with_band(abs(change.difference), change.half_width(LEVEL) / BAND_95)
-            text = (
-                f"{name}: {change.measure}{over} {right} right, {left} left, that is {by} less on the {less}"
-            )
+            text = f"{name}: {change.measure}{over} {right} right, {left} left, that is {by} less on the {less}"
             yield Finding(name.split()[0], text, abs(change.difference) / change.sigma)
 
 
-def _beyond_limits(
-    rows: dict[str, RangeOfMotion], table: AngleTable, skeleton: SkeletonTable
-) -> Iterator[Finding]:
+def _beyond_limits(rows: dict[str, RangeOfMotion], table: AngleTable, skeleton: SkeletonTable) -> Iterator[Finding]:
     """Ends of ranges beyond the anatomical limits of the skeleton by more than their band."""
     limits = anatomical_limits(skeleton)
     joints = {angle.name: joint for joint in table.joints for angle in joint.angles}
@@ -129,8 +107,9 @@ def _beyond_limits(
             continue
         low, high = limits[name]
         for end, sigma, excess, limit in (
-            (row.low, row.low_sigma, low - row.low, low), (row.high, row.high_sigma, row.high - high, high),
-        ):  # fmt: skip
+            (row.low, row.low_sigma, low - row.low, low),
+            (row.high, row.high_sigma, row.high - high, high),
+        ):
             if excess > max(LEAST_DIFFERENCE, BAND_95 * sigma):
                 text = (
                     f"{label(name)}: {'lowest' if end == row.low else 'highest'} angle "
@@ -140,11 +119,7 @@ def _beyond_limits(
 
 
 def anatomical_limits(skeleton: SkeletonTable) -> dict[str, tuple[float, float]]:
-    """Return the limits, rad, of those clinical angles that are single revolutes of the skeleton.
-
-    Args:
-        skeleton: with the limits of its revolutes.
-    """
+    """Return the limits, rad, of those clinical angles that are single revolutes of the skeleton."""
     out = {}
     for joint in skeleton.joints:
         for dof, (low, high) in zip(joint.dofs, joint.limits, strict=True):
@@ -163,9 +138,7 @@ def _asymmetries(gait: GaitAnalysis) -> Iterator[Finding]:
     (right, sd_right, n_right), (left, sd_left, n_left) = (gait.summary[s]["stance_share"] for s in SIDES)
     if min(n_right, n_left) < FEWEST_STRIDES:
         return
-    errors = [
-        float(np.hypot(sd / np.sqrt(n), EVENT_SIGMA)) for sd, n in ((sd_right, n_right), (sd_left, n_left))
-    ]
+    errors = [float(np.hypot(sd / np.sqrt(n), EVENT_SIGMA)) for sd, n in ((sd_right, n_right), (sd_left, n_left))]
     sigma = float(np.hypot(errors[0], errors[1]))
     if abs(right - left) > BAND_95 * sigma:
         ends = [

@@ -1,5 +1,4 @@
-"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about,
-findings.
+"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about, findings.
 
 The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
 and interpret nothing.
@@ -59,12 +58,7 @@ class SummaryLine:
 def summary_lines(
     analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
-    """Return the lines of a report's summary; one on the position in the room where its audit has one.
-
-    Args:
-        analysis: of the motion. summary: of its folder.
-        overall: headline of its audit. session: labels of the session.
-    """
+    """Return the lines of a report's summary; one on the position in the room where its audit has one."""
     return (
         SummaryLine("Who", _who(analysis, summary, session), None),
         SummaryLine("What", _what(analysis, summary), None),
@@ -139,9 +133,7 @@ def _knee_bends(analysis: MotionAnalysis) -> list[str]:
     found = find_repetitions(analysis.paths, analysis.angles, "squat").repetitions
     deep = [sum(knee >= DEEP_KNEE for knee in one.knee_flexion.values()) for one in found]
     kinds = {2: "bends of both knees (squats)", 1: "bends of one knee (lunges)"}
-    return [
-        f"{deep.count(knees)} {name}" for knees, name in kinds.items() if deep.count(knees) >= FEWEST_BENDS
-    ]
+    return [f"{deep.count(knees)} {name}" for knees, name in kinds.items() if deep.count(knees) >= FEWEST_BENDS]
 
 
 def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
@@ -165,9 +157,7 @@ def _both_sides(names: list[str]) -> list[str]:
     names = list(dict.fromkeys(names))
     singles = [_SIDE.sub("", name) for name in names]
     return [
-        f"both {_PLURALS.get(single, f'{single}s')}"
-        if singles.count(single) == 2
-        else names[singles.index(single)]
+        f"both {_PLURALS.get(single, f'{single}s')}" if singles.count(single) == 2 else names[singles.index(single)]
         for single in dict.fromkeys(singles)
     ]
 

@@ -56,9 +56,12 @@ _CHANCE: Final = 1e-3
 _SHARED_SIGMA: Final = float(np.radians(6.0))
 """[rad] Spread of headings in a shared, magnetic reference."""
 _PRIORS: Final = CalibrationPriors(
-    sigma_heading=float(np.radians(20.0)), sigma_swing=float(np.radians(10.0)),
-    sigma_twist=float(np.radians(20.0)), sigma_size=0.02, sigma_proportion=0.03,
-)  # fmt: skip
+    sigma_heading=float(np.radians(20.0)),
+    sigma_swing=float(np.radians(10.0)),
+    sigma_twist=float(np.radians(20.0)),
+    sigma_size=0.02,
+    sigma_proportion=0.03,
+)
 SURE: Final = float(np.radians(4.0))
 """[rad] Largest standard deviation of a heading that is not in doubt."""
 _MARGIN: Final = 3.0
@@ -123,8 +126,7 @@ def align_sensors(
     """Estimate heading and mounting of each sensor.
 
     Args:
-        poses: lifted from the keypoints, at their times. keypoints: T frames. skeleton: the subject's.
-        log: sensors on the video's clock, each with a reference of its own.
+        skeleton: the subject's. log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
         refine: by the self-calibration, which takes about as long as the video.
 
@@ -153,10 +155,12 @@ def align_sensors(
             for M in [_mounted(seen, sensed, axis, shared)[0]]
         ]
     calibration = ImuCalibration(
-        log.names, segments, so3.about_axis("z", np.array([start.heading for start in starts])),
+        log.names,
+        segments,
+        so3.about_axis("z", np.array([start.heading for start in starts])),
         np.stack([start.R_sensor_bone for start in starts]),
         np.stack([usual_lever(joint, skeleton) for joint in segments]),
-    )  # fmt: skip
+    )
     refined, warnings = None, tuple[str, ...]()
     if refine:
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
@@ -261,9 +265,12 @@ def _shared(starts: list[_Start]) -> float | None:
 
 
 def _refined(
-    calibration: ImuCalibration, keypoints: KeypointSequence, log: SensorLog, skeleton: SkeletonModel,
+    calibration: ImuCalibration,
+    keypoints: KeypointSequence,
+    log: SensorLog,
+    skeleton: SkeletonModel,
     priors: CalibrationPriors,
-) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:  # fmt: skip
+) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:
     """Refine the sensors on segments that the solver takes sensors on."""
     from rtof_kin.reconstruction.self_calibration import calibrate_recording
 
@@ -273,10 +280,13 @@ def _refined(
         return calibration, None, ("heading and mounting are not refined: no sensor is on a usual segment",)
     names = tuple(calibration.sensors[s] for s in used)
     recording = Recording(
-        name="alignment", keypoints=keypoints, calibration=calibration.select(names),
+        name="alignment",
+        keypoints=keypoints,
+        calibration=calibration.select(names),
         imus=imus_of_log(log.select(names)),
-        skeleton_table=skeleton.name, joint_offsets=skeleton.joint_offsets,
-    )  # fmt: skip
+        skeleton_table=skeleton.name,
+        joint_offsets=skeleton.joint_offsets,
+    )
     try:
         found = calibrate_recording(recording, priors=priors)
     except RtofError as error:
@@ -293,9 +303,7 @@ def _judged(
     calibration: ImuCalibration, starts: list[_Start], refined: SelfCalibration | None
 ) -> tuple[SensorAlignment, ...]:
     out = []
-    for s, (sensor, joint, start) in enumerate(
-        zip(calibration.sensors, calibration.joints, starts, strict=True)
-    ):
+    for s, (sensor, joint, start) in enumerate(zip(calibration.sensors, calibration.joints, starts, strict=True)):
         heading = float(so3.heading(calibration.R_world_inertial[s]))
         sigma, axes = start.sigma, np.array([_SWING, _SWING, _TWIST])
         if refined is not None and joint in refined.of_kind("heading"):
@@ -316,8 +324,7 @@ def _judged(
             )
         elif abs(wrapped(heading - start.heading)) > 3 * float(np.hypot(start.sigma, _SWING)):
             doubt = (
-                "image and joints disagree about its heading; check that it sits on the segment named and "
-                "did not slip"
+                "image and joints disagree about its heading; check that it sits on the segment named and did not slip"
             )
         out.append(SensorAlignment(sensor, joint, heading, sigma, mounting, doubt))
     return tuple(out)

@@ -58,11 +58,7 @@ class Assignment:
 
 
 def assign_sensors(
-    log: SensorLog,
-    skeleton: SkeletonModel,
-    poses: PoseSequence | None = None,
-    *,
-    candidates: Candidates | None = None,
+    log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence | None = None, *, candidates: Candidates | None = None
 ) -> Assignment:
     """Find the segment of each sensor from motion. Mountings and headings may be anything.
 
@@ -103,8 +99,8 @@ def match_sensors(
     """Return the posterior of assignments of sensors to segments.
 
     Args:
-        motions: of S sensors. skeleton: the subject's. segments: K in question. poses: on the same clock.
-        allowed: (S, K). prior: log-probability (C,) of assignments (C, S); default: symmetric ones.
+        skeleton: the subject's. allowed: (S, K).
+        prior: log-probability (C,) of assignments (C, S); default: symmetric ones.
 
     Raises:
         InvalidInputError: without poses, a segment that nothing was learned of, or no accelerations.
@@ -135,9 +131,7 @@ def _possible(
     allowed = np.array([[name in own.get(sensor, usual) for name in segments] for sensor in sensors])
     rows, columns = linear_sum_assignment(~allowed)
     if not allowed[rows, columns].all():
-        raise InvalidInputError(
-            "the candidates leave no segment of its own for each sensor; name more of them"
-        )
+        raise InvalidInputError("the candidates leave no segment of its own for each sensor; name more of them")
     return segments, allowed
 
 
@@ -173,9 +167,7 @@ class _Symmetry:
     def __call__(self, labels: Labels) -> Array:
         used = np.zeros((len(labels), self._count), dtype=np.bool_)
         np.put_along_axis(used, labels, True, axis=1)
-        return np.asarray(
-            -_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1)
-        )
+        return np.asarray(-_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1))
 
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:
@@ -203,9 +195,7 @@ def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str]
         others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
         alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
     sure = Assignment(joints, probabilities, alternatives, "")
-    return replace(
-        sure, doubt=_at_rest(motions) or _unsure(sure, seen) or ("" if seen else _too_short(motions))
-    )
+    return replace(sure, doubt=_at_rest(motions) or _unsure(sure, seen) or ("" if seen else _too_short(motions)))
 
 
 def _at_rest(motions: SensorMotions) -> str:

@@ -122,9 +122,6 @@ def check_assignment(
 def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
     """Check the sensors of a recording with its video, if it has one whose clock agrees.
 
-    Args:
-        recording: with calibrated IMUs.
-
     Returns:
         The check, and the recording with the correction, or as it is where nothing is wrong.
 

@@ -89,14 +89,12 @@ class Adjusted:
     """Standard deviation of a joint in an image per axis, relative to the focal length."""
 
 
-def adjust(
-    cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array, settings: BundleSettings
-) -> Adjusted:
+def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array, settings: BundleSettings) -> Adjusted:
     """Adjust the second camera to the images.
 
     Args:
         cameras: at the start; the second one's pose within some tens of degrees.
-        images: of the joints. p_world_joint: (F, n, 3) start of the joints, m. settings: priors.
+        p_world_joint: (F, n, 3) start of the joints, m.
     """
     x, p, prior = np.zeros(_UNKNOWNS), p_world_joint.copy(), _prior(settings)
     now = cameras
@@ -142,9 +140,8 @@ class _System:
     """
 
     def __init__(
-        self, cameras: tuple[Camera, Camera], x: Array, images: Images, p: Array, start: Array,
-        settings: BundleSettings,
-    ) -> None:  # fmt: skip
+        self, cameras: tuple[Camera, Camera], x: Array, images: Images, p: Array, start: Array, settings: BundleSettings
+    ) -> None:
         F, n = p.shape[:2]
         self._x, self._shape = x, p.shape
         self._H_pp = np.zeros((F, n, 3, n, 3))

@@ -44,36 +44,30 @@ class SetupCamera:
 
 
 def assumed_camera(width_px: int, height_px: int, lens: LensPrior, size: Field) -> SetupCamera:
-    """Return the camera that is assumed where none is calibrated.
-
-    Args:
-        width_px, height_px: size of the upright image. lens: prior of its lens. size: origin of the size.
-    """
+    """Return the camera that is assumed where none is calibrated."""
     focal, k1 = float(round(lens.focal_px, 1)), float(round(lens.k1, 4))
     camera = replace(
         Camera.looking_at([0, 0, HEIGHT], [1, 0, HEIGHT], focal, width_px, height_px),
-        distortion=np.array([k1, 0.0, 0.0, 0.0, 0.0]), assumed=("focal length", "lens distortion", _POSE),
-    )  # fmt: skip
+        distortion=np.array([k1, 0.0, 0.0, 0.0, 0.0]),
+        assumed=("focal length", "lens distortion", _POSE),
+    )
     optics = {
         "focal_px": Field(
-            focal, Origin.ASSUMED, lens.source,
+            focal,
+            Origin.ASSUMED,
+            lens.source,
             f"focal length {focal:.0f} px ± {100 * lens.sigma_focal:.0f} % ({lens.source})",
         ),
-        "distortion": Field(
-            camera.distortion.tolist(), Origin.ASSUMED, f"k1 = {k1:g} ± {lens.sigma_k1:.2g}"
-        ),
-    }  # fmt: skip
+        "distortion": Field(camera.distortion.tolist(), Origin.ASSUMED, f"k1 = {k1:g} ± {lens.sigma_k1:.2g}"),
+    }
     return _placed(camera, size, optics, float(lens.sigma_focal), float(lens.sigma_k1))
 
 
-def calibrated_camera(
-    path: str | Path, name: str | None, size_px: tuple[int, int] | None, video: str
-) -> SetupCamera:
+def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, int] | None, video: str) -> SetupCamera:
     """Read a calibration; where it has no pose, the pose is assumed.
 
     Args:
-        path: see `rtof_kin.formats.cameras`. name: of the camera, where the file has several.
-        size_px: of the video's upright image, None where unknown. video: its name, for messages.
+        path: see `rtof_kin.formats.cameras`. size_px: of the video's upright image, None where unknown.
 
     Raises:
         InvalidInputError: it is of another image size. Errors of `read_camera`.
@@ -95,24 +89,26 @@ def calibrated_camera(
         return _placed(camera, size, optics, 0.0, 0.0)
     assumed = {"assumed": Field(list(camera.assumed), Origin.FILE, origin)} if camera.assumed else {}
     fields = {
-        **_size(camera, size), **optics,
+        **_size(camera, size),
+        **optics,
         "R_camera_world": Field(camera.R_camera_world.tolist()),
-        "t_camera_world_m": Field(camera.t_camera_world.tolist()), **assumed,
-    }  # fmt: skip
+        "t_camera_world_m": Field(camera.t_camera_world.tolist()),
+        **assumed,
+    }
     return SetupCamera(camera, fields)
 
 
-def _placed(
-    camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float
-) -> SetupCamera:
+def _placed(camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float) -> SetupCamera:
     """Return a camera with the assumed pose and its standard deviations."""
     unsure = Origin.ASSUMED
     pitch, roll = (float(np.radians(deg)) for deg in (SIGMA_PITCH_DEG, SIGMA_ROLL_DEG))
     sigma = CameraUncertainty(sigma_focal, pitch, SIGMA_HEIGHT, sigma_k1, roll)
     fields: dict[str, Field | Tables] = {
-        **_size(camera, size), **optics,
+        **_size(camera, size),
+        **optics,
         "position_m": Field(
-            [0.0, 0.0, HEIGHT], unsure,
+            [0.0, 0.0, HEIGHT],
+            unsure,
             f"± {SIGMA_HEIGHT:g} m over the floor; measure the height of the lens, write it in both lines",
             f"the camera is {HEIGHT:g} ± {SIGMA_HEIGHT:g} m over the floor, and level ± "
             f"{SIGMA_PITCH_DEG:.0f} degrees (roll {SIGMA_ROLL_DEG:.0f})",
@@ -126,22 +122,24 @@ def _placed(
             "height_m": Field(sigma.height, note="over the floor (0.01 where it is measured),"),
             "k1": Field(sigma.k1, note="before the motion; reconstruct estimates the four"),
         },
-    }  # fmt: skip
+    }
     return SetupCamera(replace(camera, uncertainty=sigma), fields)
 
 
 def seen_camera(
-    camera: SetupCamera, keypoints: KeypointSequence, height: float | None, lifter: LifterLike | None,
+    camera: SetupCamera,
+    keypoints: KeypointSequence,
+    height: float | None,
+    lifter: LifterLike | None,
     progress: Progress,
-) -> SetupCamera:  # fmt: skip
+) -> SetupCamera:
     """Return an assumed camera as the person before it shows it; sensors are aligned with this one.
 
     Sensors whose mounting is found with the image do not tell its tilt any more, so what floor and posture
     say is used here, before them.
 
     Args:
-        camera: assumed. keypoints: as it saw them. height: of the person, m.
-        lifter: default: the shipped one. progress: called with (stage, steps done, in all).
+        height: of the person, m. lifter: default: the shipped one. progress: called with (stage, steps done, in all).
 
     Raises:
         Errors of the lift.

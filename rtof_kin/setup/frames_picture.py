@@ -31,9 +31,7 @@ def write_frames_picture(
     """Draw the people of a video at six instants.
 
     Args:
-        path: .png file, replaced. people: to draw. layout: of their points.
-        image_px: width and height of the image.
-        video: whose frames are shown behind them; None: a plain background.
+        path: .png file, replaced. video: whose frames are shown behind them; None: a plain background.
 
     Raises:
         FileFormatError: the video cannot be read.
@@ -93,9 +91,13 @@ def _joints(people: People, column: int, layout: str) -> tuple[Array, tuple[tupl
 
 
 def _draw(
-    axes: Axes, frame: int, people: People, joints: Sequence[tuple[Array, Any]],
-    image_px: tuple[int, int], image: NDArray[np.uint8] | None,
-) -> None:  # fmt: skip
+    axes: Axes,
+    frame: int,
+    people: People,
+    joints: Sequence[tuple[Array, Any]],
+    image_px: tuple[int, int],
+    image: NDArray[np.uint8] | None,
+) -> None:
     width, height = image_px
     if image is None:
         axes.add_patch(_rectangle(width, height))
@@ -105,9 +107,12 @@ def _draw(
     axes.set_ylim(height, 0)
     axes.set_aspect("equal")
     axes.text(
-        0.02 * width, 0.98 * height, f"{people.times[frame]:.2f} s", fontsize=8,
+        0.02 * width,
+        0.98 * height,
+        f"{people.times[frame]:.2f} s",
+        fontsize=8,
         bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
-    )  # fmt: skip
+    )
     for number, (uv, bones) in enumerate(joints, start=1):
         points, color = uv[frame], _COLORS[(number - 1) % len(_COLORS)]
         seen = points[np.isfinite(points).all(axis=-1)]
@@ -116,15 +121,21 @@ def _draw(
         for a, b in bones:
             axes.plot(*points[[a, b]].T, color=color, linewidth=1.6, solid_capstyle="round")
         own = people.detections.uv_px[frame, number - 1]
-        axes.plot(*own.T, linestyle="", marker="o", markersize=1.8, color="white", markeredgecolor=color,
-                  markeredgewidth=0.6)  # fmt: skip
+        axes.plot(
+            *own.T, linestyle="", marker="o", markersize=1.8, color="white", markeredgecolor=color, markeredgewidth=0.6
+        )
         top = np.nanmin([seen[:, 1].min(), np.nanmin(own[:, 1])])
         axes.text(
             float(np.clip(seen[:, 0].mean(), 0.04 * width, 0.96 * width)),
-            float(np.clip(top - 0.03 * height, 0.07 * height, height)), str(number), color="white",
-            fontsize=9, fontweight="bold", ha="center", va="bottom",
+            float(np.clip(top - 0.03 * height, 0.07 * height, height)),
+            str(number),
+            color="white",
+            fontsize=9,
+            fontweight="bold",
+            ha="center",
+            va="bottom",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
-        )  # fmt: skip
+        )
 
 
 def _rectangle(width: int, height: int) -> Any:

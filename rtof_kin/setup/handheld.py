@@ -47,8 +47,7 @@ def filming_camera(
     """Find out whether a camera stood still; of one that turned, its focal length follows too.
 
     Args:
-        video: None where there is none. people: in it, with times. camera: as it is assumed or calibrated.
-        phone: log of the phone that filmed. progress: called with ("camera", frames done, in total).
+        video: None where there is none. progress: called with ("camera", frames done, in total).
 
     Raises:
         InvalidInputError: a log without a video. FileFormatError: the log cannot be read.
@@ -76,9 +75,7 @@ def filming_camera(
         uncertainty = fields["uncertainty"]
         assert not isinstance(uncertainty, Field)
         fields["uncertainty"] = {**uncertainty, "focal": Field(sigma, note="standard deviations: relative,")}
-        camera = SetupCamera(
-            replace(camera.camera, K=found.camera.K, uncertainty=replace(unsure, focal=sigma)), fields
-        )
+        camera = SetupCamera(replace(camera.camera, K=found.camera.K, uncertainty=replace(unsure, focal=sigma)), fields)
     fields["motion"] = {"file": Field(MOTION, Origin.FOUND, "keypoints are stabilised by it", found.summary)}
     return FilmingCamera(SetupCamera(camera.camera, fields), found.motion)
 

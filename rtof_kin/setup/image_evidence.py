@@ -25,11 +25,7 @@ from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions
 _FACTORS: Final = {"Foot": (1.5, 0.8), "Head": (0.9, 1.1), "": (1.0, 1.6)}
 """Actual over stated errors of a lifted segment's direction and of its twist, by the end of its name."""
 _LEAST, _USUAL = np.radians([4.0, 12.0])  # errors beside the stated one; stated, where the poses state none
-_RATE, _RATE_ALONG, _RATE_SHARE = (
-    4.0,
-    1.2,
-    0.2,
-)  # [1/s] of the direction's, [rad/s], [-] of angular velocities
+_RATE, _RATE_ALONG, _RATE_SHARE = (4.0, 1.2, 0.2)  # [1/s] of the direction's, [rad/s], [-] of angular velocities
 _CUTOFF_HZ = 3.0  # of angular velocities
 _MEMORY, _RATE_MEMORY = 1.0, 0.3  # [s] correlation times of the two errors
 _FREEDOM = 4.0  # of Student's t
@@ -44,22 +40,19 @@ def image_scores(
 ) -> Array:
     """Return the log-likelihood (S, K), nats, of each sensor's motion on each segment, up to a constant.
 
-    Args:
-        motions: on the poses' clock. poses: lifted. skeleton: theirs. segments: K names of joints.
-
     Raises:
         InvalidInputError: poses and sensors have no two seconds in common.
     """
     skeleton.check_joints(poses.names)
     index = list(skeleton.index(*segments))
     R_bone = signals.interpolate_rotations(
-        poses.times, np.where(poses.valid[:, index, None, None], poses.R_world_bone[:, index], np.nan),
-        motions.times, _LONGEST_GAP,
-    )  # fmt: skip
+        poses.times,
+        np.where(poses.valid[:, index, None, None], poses.R_world_bone[:, index], np.nan),
+        motions.times,
+        _LONGEST_GAP,
+    )
     # In the axes of a limb the last is along it.
-    along = [
-        so3.minimal_rotation(np.array([0.0, 0.0, 1.0]), so3.unit(skeleton.table.joints[j].end)) for j in index
-    ]
+    along = [so3.minimal_rotation(np.array([0.0, 0.0, 1.0]), so3.unit(skeleton.table.joints[j].end)) for j in index]
     R_bone = R_bone @ np.stack(along)
     known = np.isfinite(R_bone).all(axis=(1, 2, 3))
     if known.sum() < _LEAST_SECONDS * RATE_HZ:
@@ -68,9 +61,7 @@ def image_scores(
             "sensors on the video's clock (rtof_kin.calibration.clocks), or give no poses"
         )
     w_bone = np.stack([_turning(motions.times, R_bone[:, k]) for k in range(len(index))], axis=1)
-    w = signals.low_pass_known(motions.times, motions.w.reshape(len(motions), -1), _CUTOFF_HZ).reshape(
-        motions.w.shape
-    )
+    w = signals.low_pass_known(motions.times, motions.w.reshape(len(motions), -1), _CUTOFF_HZ).reshape(motions.w.shape)
     rows = np.flatnonzero(known & np.isfinite(w_bone).all(axis=(1, 2)))[::_EVERY]
     sigma = _sigma(poses, index, segments, motions.times[rows])
     return _scores(R_bone[rows], w_bone[rows], sigma, motions.R[rows], w[rows])

@@ -80,9 +80,7 @@ class SetupSettings:
 
     def __post_init__(self) -> None:
         if self.height is not None and not 0.4 < self.height < 2.6:
-            raise InvalidInputError(
-                f"--height {self.height:g}: is no human height in metres; give e.g. --height 1.72"
-            )
+            raise InvalidInputError(f"--height {self.height:g}: is no human height in metres; give e.g. --height 1.72")
 
 
 @dataclass(frozen=True)
@@ -114,13 +112,16 @@ class _Video:
 
 
 def find_people(
-    sources: Sources, settings: SetupSettings, folder: str | Path, detect: Detect,
+    sources: Sources,
+    settings: SetupSettings,
+    folder: str | Path,
+    detect: Detect,
     inputs: Mapping[str, str] | None = None,
-) -> People:  # fmt: skip
+) -> People:
     """Detect the people, number them and write `KEYPOINTS` and `PICTURE`.
 
     Args:
-        sources: files of the take. settings: of the user. folder: to write; an unfinished one is replaced.
+        folder: to write; an unfinished one is replaced.
         detect: detects the people in a video, where there are no keypoints.
         inputs: fingerprints for the folder's manifest.
 
@@ -131,9 +132,7 @@ def find_people(
     found = _detections(sources, video, detect)
     known = recognise(found.uv_px, found.confidence, found.names)
     order = list(known.order)
-    found = replace(
-        found, uv_px=found.uv_px[:, :, order], confidence=found.confidence[:, :, order], names=None
-    )
+    found = replace(found, uv_px=found.uv_px[:, :, order], confidence=found.confidence[:, :, order], names=None)
     assert found.times is not None
     people = number_people(found, found.times, video.size_px)
     shown = sources.video if settings.keep_video else None
@@ -145,14 +144,18 @@ def find_people(
 
 
 def make_recording(
-    sources: Sources, settings: SetupSettings, folder: str | Path, *, name: str | None = None,
-    inputs: Mapping[str, str] | None = None, progress: Progress | None = None,
-) -> Findings:  # fmt: skip
+    sources: Sources,
+    settings: SetupSettings,
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    inputs: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
+) -> Findings:
     """Write ``recording.toml`` and the sensors beside what `find_people` wrote.
 
     Args:
-        sources, settings: as for `find_people`. folder: that it wrote.
-        name: title in reports; default: of the video or keypoints.
+        sources, settings: as for `find_people`. name: title in reports; default: of the video or keypoints.
         inputs: fingerprints for the folder's manifest. progress: called with (stage, steps done, in all).
 
     Returns:
@@ -166,9 +169,7 @@ def make_recording(
     people, video = read_people(folder / KEYPOINTS), _described(sources, settings)
     number = choose_person(people, settings.person, str(folder / PICTURE))
     seen = replace(people.detections, times=people.times)
-    filming = filming_camera(
-        sources.video, seen, _camera(sources, settings, video), settings.phone_log, progress
-    )
+    filming = filming_camera(sources.video, seen, _camera(sources, settings, video), settings.phone_log, progress)
     camera = filming.camera
     detected = keypoints_from_detections(
         people.detections, people.times, camera.camera, None, number - 1, people.first_frame(number)
@@ -180,9 +181,12 @@ def make_recording(
         still = replace(still, camera=camera.camera)
     sensors = _sensors(sources, settings, still, camera, video.metadata, progress)
     about = {
-        **_session(video), "subject": subject_table(settings), **_scene(camera), "camera": camera.fields,
+        **_session(video),
+        "subject": subject_table(settings),
+        **_scene(camera),
+        "camera": camera.fields,
         "keypoints": _keypoints(sources, settings, detected, people, number),
-    }  # fmt: skip
+    }
     top = {"schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name)}
     tables: Tables = top | about | ({} if sensors is None else {"imus": sensors.fields})
     doubts = [*_doubts(settings, detected.keypoints, people, number), *filming.doubts]
@@ -206,7 +210,7 @@ def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupS
     """Return the texts of a recording's folder by file; without the name of a video that is not kept.
 
     Args:
-        found: to be read again. tables: of recording.toml. sources, settings: as for `make_recording`.
+        sources, settings: as for `make_recording`.
     """
     title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
     texts = {
@@ -226,9 +230,6 @@ def _unnamed(text: str, video: Path | None) -> str:
 def read_findings(folder: str | Path) -> Findings:
     """Read what `make_recording` returned.
 
-    Args:
-        folder: of the recording.
-
     Raises:
         FileFormatError: missing or damaged.
     """
@@ -242,9 +243,7 @@ def read_findings(folder: str | Path) -> Findings:
 def _described(sources: Sources, settings: SetupSettings) -> _Video:
     """Return the size and rate of the image, from the video or as the user says."""
     if sources.video is None and sources.keypoints is None:
-        raise InvalidInputError(
-            f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one"
-        )
+        raise InvalidInputError(f"{', '.join(map(str, sources.paths))}: no video and no keypoints among them; give one")
     if sources.video is not None:
         meta = read_video_metadata(sources.video)
         size = Field(None, Origin.FILE, f"{sources.video.name}, upright")
@@ -287,9 +286,13 @@ def _camera(sources: Sources, settings: SetupSettings, video: _Video) -> SetupCa
 
 
 def _sensors(
-    sources: Sources, settings: SetupSettings, keypoints: KeypointSequence, camera: SetupCamera,
-    metadata: VideoMetadata | None, progress: Progress,
-) -> SetupSensors | None:  # fmt: skip
+    sources: Sources,
+    settings: SetupSettings,
+    keypoints: KeypointSequence,
+    camera: SetupCamera,
+    metadata: VideoMetadata | None,
+    progress: Progress,
+) -> SetupSensors | None:
     if not sources.sensors:
         return None
     from rtof_kin.setup.sensors import set_up_sensors
@@ -319,29 +322,19 @@ def _session(video: _Video) -> dict[str, Tables]:
 
 
 def subject_table(settings: SetupSettings) -> Tables:
-    """Return the table ``[subject]``.
-
-    Args:
-        settings: of the user.
-    """
+    """Return the table ``[subject]``."""
     if settings.height is None:
         usual = round(SkeletonModel.default().height, 2)
         note = "a usual one; every length follows it: give --height, or write it here"
         return {"height_m": Field(usual, Origin.ASSUMED, note, f"the person is {usual:.2f} m tall")}
-    return {
-        "height_m": Field(
-            settings.height, Origin.GIVEN, summary=f"the person is {settings.height:.2f} m tall"
-        )
-    }
+    return {"height_m": Field(settings.height, Origin.GIVEN, summary=f"the person is {settings.height:.2f} m tall")}
 
 
 def _scene(camera: SetupCamera) -> dict[str, Tables]:
     if camera.placed:
         return {}
     note = "take this line out where the floor is not flat"
-    return {
-        "scene": {"floor_height_m": Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")}
-    }
+    return {"scene": {"floor_height_m": Field(0.0, Origin.ASSUMED, note, "the person stands on a flat floor")}}
 
 
 def _keypoints(
@@ -365,9 +358,7 @@ def _doubts(settings: SetupSettings, keypoints: KeypointSequence, people: People
     share, seconds = float(people.share[number - 1]), float(keypoints.times[-1] - keypoints.times[0])
     out = []
     if share < _LEAST_SEEN:
-        out.append(
-            f"the person is seen in {100 * share:.0f} % of the frames only; the rest is bridged, or missing"
-        )
+        out.append(f"the person is seen in {100 * share:.0f} % of the frames only; the rest is bridged, or missing")
     if seconds < _SHORTEST:
         out.append(f"the take lasts {seconds:.1f} s; 20 s with walking and turning tell camera and sensors")
     if settings.height is None:
@@ -376,11 +367,7 @@ def _doubts(settings: SetupSettings, keypoints: KeypointSequence, people: People
 
 
 def findings_of(tables: Tables, doubts: list[str]) -> Findings:
-    """Return the sentences of a recording's tables.
-
-    Args:
-        tables: of recording.toml. doubts: further sentences.
-    """
+    """Return the sentences of a recording's tables."""
     sentences: dict[str, list[str]] = {origin.value: [] for origin in Origin}
     for origin, sentence in summaries(tables):
         sentences[origin.value].append(sentence)

@@ -40,17 +40,14 @@ def join_recordings(
     one's pose, and both focal lengths, are found too (`find_second_camera`).
 
     Args:
-        first: with sensors or without; its camera defines the world. second: of the other camera.
-        lifter: default: the shipped one. synchronised: whether both recordings have one clock already.
+        first: with sensors or without; its camera defines the world. lifter: default: the shipped one.
 
     Raises:
         InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in
             common. CalibrationError: the cameras do not see the person together for long enough.
     """
     if second.imus is not None:
-        raise InvalidInputError(
-            f"recording {second.name}: has sensors; give the one with sensors as the first"
-        )
+        raise InvalidInputError(f"recording {second.name}: has sensors; give the one with sensors as the first")
     if _is_calibrated(first.video.camera) and _is_calibrated(second.video.camera):
         offset, sigma, doubt = 0.0, 0.0, ""
         if not synchronised:

@@ -48,10 +48,9 @@ def match(
     """Sample assignments of each sensor to a segment of its own.
 
     Args:
-        single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself.
-        allowed: (S, K) segments that each sensor may be on; at least one assignment is possible.
-        mirrors: permutations (K,) of segments that are proposed for all sensors at once.
-        prior: log-probability (C,) of assignments (C, S), added.
+        single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself. allowed:
+        (S, K) segments that each sensor may be on; at least one assignment is possible. mirrors: permutations (K,) of
+        segments that are proposed for all sensors at once. prior: log-probability (C,) of assignments (C, S), added.
     """
     S, K = single.shape
     single = np.where(np.ones((S, K), bool) if allowed is None else allowed, single, _IMPOSSIBLE)
@@ -84,9 +83,7 @@ def _starts(rng: np.random.Generator, single: Array) -> Labels:
     S, K = single.shape
     starts = [linear_sum_assignment(-single)[1]]
     for _ in range(_CHAINS - 1):
-        starts.append(
-            linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1]
-        )
+        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
     return np.array(starts)
 
 

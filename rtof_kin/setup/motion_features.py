@@ -27,11 +27,7 @@ _W0, _A0 = 0.05, 0.1  # [rad/s], [m/s^2] added to sizes: rest
 
 
 def single_features(motions: SensorMotions) -> Array:
-    """Return features (S, F) of each sensor.
-
-    Args:
-        motions: with accelerations.
-    """
+    """Return features (S, F) of each sensor."""
     w, a = motions.w, motions.a
     w_h, w_z, a_h, a_z = np.hypot(w[..., 0], w[..., 1]), w[..., 2], np.hypot(a[..., 0], a[..., 1]), a[..., 2]
     speed, size = np.linalg.norm(w, axis=-1), np.linalg.norm(a, axis=-1)
@@ -44,35 +40,48 @@ def single_features(motions: SensorMotions) -> Array:
     dot = np.sum(w[..., :2] * a[..., :2], axis=-1)
     cross = w[..., 0] * a[..., 1] - w[..., 1] * a[..., 0]
     even = [
-        np.log(_rms(w_z) + _W0), np.log(_rms(w_h) + _W0), np.log(_rms(a_z) + _A0), np.log(_rms(a_h) + _A0),
-        np.log(_rms(turning) / (_rms(speed) + _W0) + 0.1), np.log(_rms(jerk) / (_rms(size) + _A0) + 0.1),
-        np.log(tilt + 1e-3), tilts[:, 0], tilts[:, 1], about[:, 0], about[:, 1],
+        np.log(_rms(w_z) + _W0),
+        np.log(_rms(w_h) + _W0),
+        np.log(_rms(a_z) + _A0),
+        np.log(_rms(a_h) + _A0),
+        np.log(_rms(turning) / (_rms(speed) + _W0) + 0.1),
+        np.log(_rms(jerk) / (_rms(size) + _A0) + 0.1),
+        np.log(tilt + 1e-3),
+        tilts[:, 0],
+        tilts[:, 1],
+        about[:, 0],
+        about[:, 1],
         np.log(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2)),
         np.log(_rms(size**2) / (_rms(size) ** 2 + _A0**2)),
         np.log((np.quantile(speed, 0.2, axis=0) + 0.02) / (_rms(speed) + _W0)),
         np.log((np.quantile(size, 0.2, axis=0) + 0.05) / (_rms(size) + _A0)),
-        _skewness(a_z), _correlation(a_z, speed), _correlation(a_z, size), _correlation(speed, size),
-        _mean_ratio(cross, w_h * a_h), _correlation(np.abs(w_z), w_h),
+        _skewness(a_z),
+        _correlation(a_z, speed),
+        _correlation(a_z, size),
+        _correlation(speed, size),
+        _mean_ratio(cross, w_h * a_h),
+        _correlation(np.abs(w_z), w_h),
         np.log(_rms(np.gradient(a_z, axis=0) * RATE_HZ) / (_rms(a_z) + _A0) + 0.1),
-    ]  # fmt: skip
+    ]
     return np.stack([*even, *_odd(w_z, dot, w_h, a_z, speed, size)], axis=-1)
 
 
 def _odd(w_z: Array, dot: Array, w_h: Array, a_z: Array, speed: Array, size: Array) -> list[Array]:
     rise = np.gradient(speed, axis=0)
     return [
-        _skewness(w_z), _correlation(w_z, w_h), _correlation(w_z, a_z), _correlation(w_z, size),
-        _correlation(w_z, rise), _correlation(dot, w_h), _correlation(dot, a_z),
+        _skewness(w_z),
+        _correlation(w_z, w_h),
+        _correlation(w_z, a_z),
+        _correlation(w_z, size),
+        _correlation(w_z, rise),
+        _correlation(dot, w_h),
+        _correlation(dot, a_z),
         _mean_ratio(dot, speed * size),
-    ]  # fmt: skip
+    ]
 
 
 def pair_features(motions: SensorMotions) -> Array:
-    """Return features (S, S, G) of ordered pairs of sensors; those of a sensor with itself mean nothing.
-
-    Args:
-        motions: with accelerations.
-    """
+    """Return features (S, S, G) of ordered pairs of sensors; those of a sensor with itself mean nothing."""
     w, a = motions.w, motions.a
     speed, size = np.linalg.norm(w, axis=-1), np.linalg.norm(a, axis=-1)
     rise = np.gradient(speed, axis=0)
@@ -80,20 +89,35 @@ def pair_features(motions: SensorMotions) -> Array:
     turn, push = _coherence(w_c), _coherence(a_c)
     joint, gain, arm, heading = _common_joint(motions)
     both = [
-        _correlations(speed, speed), _correlations(size, size), _correlations(w[..., 2], w[..., 2]),
-        _correlations(a[..., 2], a[..., 2]), np.abs(turn), np.abs(push), gain,
+        _correlations(speed, speed),
+        _correlations(size, size),
+        _correlations(w[..., 2], w[..., 2]),
+        _correlations(a[..., 2], a[..., 2]),
+        np.abs(turn),
+        np.abs(push),
+        gain,
         *_relative_turning(motions, heading),
-        np.cos(np.angle(turn) - heading) * np.abs(turn), np.cos(np.angle(push) - heading) * np.abs(push),
-        _lagged(speed), np.sin(np.angle(turn) - heading) * np.abs(turn),
-    ]  # fmt: skip
+        np.cos(np.angle(turn) - heading) * np.abs(turn),
+        np.cos(np.angle(push) - heading) * np.abs(push),
+        _lagged(speed),
+        np.sin(np.angle(turn) - heading) * np.abs(turn),
+    ]
     ordered = [
-        joint, joint.T, arm, arm.T,
-        _correlations(a[..., 2], speed), _correlations(speed, a[..., 2]),
-        _correlations(w[..., 2], speed), _correlations(speed, w[..., 2]),
-        _correlations(w[..., 2], rise), _correlations(rise, w[..., 2]),
-        _correlations(w[..., 2], a[..., 2]), _correlations(a[..., 2], w[..., 2]),
-        _correlations(w[..., 2], size), _correlations(size, w[..., 2]),
-    ]  # fmt: skip
+        joint,
+        joint.T,
+        arm,
+        arm.T,
+        _correlations(a[..., 2], speed),
+        _correlations(speed, a[..., 2]),
+        _correlations(w[..., 2], speed),
+        _correlations(speed, w[..., 2]),
+        _correlations(w[..., 2], rise),
+        _correlations(rise, w[..., 2]),
+        _correlations(w[..., 2], a[..., 2]),
+        _correlations(a[..., 2], w[..., 2]),
+        _correlations(w[..., 2], size),
+        _correlations(size, w[..., 2]),
+    ]
     return np.stack([*both, *ordered], axis=-1)
 
 

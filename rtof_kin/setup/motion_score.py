@@ -43,17 +43,12 @@ class MotionScore:
         Raises:
             FileFormatError: not such a file.
         """
-        arrays = read_npz_as_saved(
-            model_path("assignment.npz") if path is None else Path(path), kinds="fiubU"
-        )
+        arrays = read_npz_as_saved(model_path("assignment.npz") if path is None else Path(path), kinds="fiubU")
         segments = tuple(str(name) for name in arrays.pop("segments"))
         return cls(segments, {name: values.astype(np.float64) for name, values in arrays.items()})
 
     def tables(self, motions: SensorMotions, segments: Sequence[str]) -> tuple[Array, Array]:
         """Return scores, nats, of sensors (S, K) and of ordered pairs (S, S, K, K), 0 of one with itself.
-
-        Args:
-            motions: S sensors with accelerations. segments: K of those known.
 
         Raises:
             UnknownNameError: a segment is not known.

@@ -59,7 +59,7 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     """Number the people, the most prominent first: large, in the middle and often seen.
 
     Args:
-        detections: of all people. times: (T,) s. image_px: width and height of the image.
+        times: (T,) s.
 
     Raises:
         InvalidInputError: there is no person.
@@ -73,9 +73,8 @@ def number_people(detections: Detections, times: Array, image_px: tuple[float, f
     uv, confidence = zip(*(track.of(detections) for track, _ in kept), strict=True)
     numbers = np.broadcast_to(np.arange(len(kept)), (len(times), len(kept)))
     own = replace(
-        detections, uv_px=np.stack(uv, axis=1), confidence=np.stack(confidence, axis=1), times=times,
-        identity=numbers,
-    )  # fmt: skip
+        detections, uv_px=np.stack(uv, axis=1), confidence=np.stack(confidence, axis=1), times=times, identity=numbers
+    )
     weights = tuple(weight / kept[0][1] for _, weight in kept)
     return People(own, times, weights)
 
@@ -100,25 +99,23 @@ def _same(a: Array, b: Array) -> Mask:
 
 
 def write_people(path: Path, people: People) -> None:
-    """Write an .npz file that `read_detector_file` reads too.
-
-    Args:
-        path: new file. people: of a video.
-    """
+    """Write an .npz file that `read_detector_file` reads too."""
     found = people.detections
     assert found.identity is not None
     write_npz(
         path,
-        {"uv_px": found.uv_px, "confidence": found.confidence, "times": people.times,
-         "identity": found.identity, "weights": np.array(people.weights)},
-    )  # fmt: skip
+        {
+            "uv_px": found.uv_px,
+            "confidence": found.confidence,
+            "times": people.times,
+            "identity": found.identity,
+            "weights": np.array(people.weights),
+        },
+    )
 
 
 def read_people(path: Path) -> People:
     """Read what `write_people` wrote.
-
-    Args:
-        path: of the file.
 
     Raises:
         FileFormatError: damaged.
@@ -140,7 +137,7 @@ def choose_person(people: People, number: int | None, picture: str) -> int:
     """Return the number of the person that the recording is of.
 
     Args:
-        people: of the video. number: as the user says, None where not said. picture: that shows the numbers.
+        number: as the user says, None where not said.
 
     Raises:
         InvalidInputError: there is no such person, or several are equally prominent and none was chosen.
@@ -149,8 +146,7 @@ def choose_person(people: People, number: int | None, picture: str) -> int:
         rivals = [n for n, weight in enumerate(people.weights, start=1) if weight >= _RIVAL]
         if len(rivals) > 1:
             raise InvalidInputError(
-                f"{len(rivals)} people are in the video: look at {picture} and choose one with "
-                f"{_options(rivals)}"
+                f"{len(rivals)} people are in the video: look at {picture} and choose one with {_options(rivals)}"
             )
         return 1
     if not 1 <= number <= len(people):

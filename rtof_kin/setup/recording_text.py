@@ -61,7 +61,7 @@ def recording_text(tables: Tables, title: str) -> str:
     """Return the TOML text of tables of fields.
 
     Args:
-        tables: fields and tables by name. title: first line of the file's comment.
+        title: first line of the file's comment.
 
     Raises:
         InvalidInputError: a value cannot be written in TOML.
@@ -101,20 +101,12 @@ def _own(fields: Tables) -> bool:
 
 
 def plain(tables: Tables) -> dict[str, Any]:
-    """Return the values alone.
-
-    Args:
-        tables: of fields.
-    """
+    """Return the values alone."""
     return {name: f.value if isinstance(f, Field) else plain(f) for name, f in tables.items()}
 
 
 def summaries(tables: Tables) -> Iterator[tuple[Origin, str]]:
-    """Yield origin and sentence of every field that the summary names.
-
-    Args:
-        tables: of fields.
-    """
+    """Yield origin and sentence of every field that the summary names."""
     for field in tables.values():
         if not isinstance(field, Field):
             yield from summaries(field)

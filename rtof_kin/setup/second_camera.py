@@ -31,9 +31,20 @@ from rtof_kin.setup.video_offset import VideoOffset, find_video_offset
 from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 JOINTS: Final = (
-    "Head", "RightArm", "RightForeArm", "RightHand", "LeftArm", "LeftForeArm", "LeftHand",
-    "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot",
-)  # fmt: skip
+    "Head",
+    "RightArm",
+    "RightForeArm",
+    "RightHand",
+    "LeftArm",
+    "LeftForeArm",
+    "LeftHand",
+    "RightUpLeg",
+    "RightLeg",
+    "RightFoot",
+    "LeftUpLeg",
+    "LeftLeg",
+    "LeftFoot",
+)
 """Joints that detectors show; those of the trunk are only interpolated."""
 _FEWEST_JOINTS: Final = 6
 """Joints that both cameras see in a used frame."""
@@ -134,7 +145,7 @@ def find_second_camera(
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
-    )  # fmt: skip
+    )
     return _result(found, view, clock)
 
 
@@ -197,9 +208,12 @@ def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:
 
 
 def _images(
-    first: KeypointSequence, view: KeypointSequence, frames: Index, skeleton: SkeletonModel,
+    first: KeypointSequence,
+    view: KeypointSequence,
+    frames: Index,
+    skeleton: SkeletonModel,
     shapes: Sequence[PoseSequence],
-) -> Images:  # fmt: skip
+) -> Images:
     """The joints in both images, as each camera's poses have them, and the bones between them."""
     times, index = first.times[frames], skeleton.index(*JOINTS)
     seen = [keypoints.resample(times).select(JOINTS) for keypoints in (first, view)]

@@ -56,20 +56,13 @@ class SensorMotions:
         return len(self.times)
 
     def select(self, rows: slice | NDArray[Any]) -> SensorMotions:
-        """Return only some times.
-
-        Args:
-            rows: slice, mask or indices.
-        """
+        """Return only some times."""
         cut = {name: getattr(self, name)[rows] for name in ("times", "R", "w", "a", "D")}
         return replace(self, **cut)
 
 
 def sensor_motions(log: SensorLog) -> SensorMotions:
     """Return the motion of the sensors over the time that all of them recorded.
-
-    Args:
-        log: with orientation, or with gyroscope and accelerometer.
 
     Raises:
         InvalidInputError: no common time, or a sensor without orientation that has no raw samples either.
@@ -119,10 +112,7 @@ def _motion(stream: SensorStream, times: Array) -> tuple[Array, Array, Array, Ar
     D[1:-1] = (smooth[2:] - 2 * smooth[1:-1] + smooth[:-2]) * RATE_HZ**2
     turn = (smooth[2:] - smooth[:-2]) * (RATE_HZ / 2) @ np.swapaxes(smooth[1:-1], -1, -2)
     w[1:-1] = (
-        np.stack(
-            [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]],
-            axis=-1,
-        )
+        np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=-1)
         / 2
     )
     if stream.f_sensor is None:
@@ -139,12 +129,6 @@ def _in_inertial(stream: SensorStream) -> Array:
 
 
 def joined(parts: Sequence[SensorMotions]) -> SensorMotions:
-    """Return recordings of the same sensors, mounted as before, one after the other.
-
-    Args:
-        parts: at least one.
-    """
-    fields = {
-        name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")
-    }
+    """Return recordings of the same sensors, mounted as before, one after the other."""
+    fields = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("times", "R", "w", "a", "D")}
     return SensorMotions(parts[0].names, **fields)

@@ -68,15 +68,17 @@ class _Take:
 
 
 def set_up_sensors(
-    log: SensorLog, sensor_map: Path | None, poses: PoseSequence, keypoints: KeypointSequence,
-    skeleton: SkeletonModel, start_utc: datetime | None = None,
-) -> SetupSensors:  # fmt: skip
+    log: SensorLog,
+    sensor_map: Path | None,
+    poses: PoseSequence,
+    keypoints: KeypointSequence,
+    skeleton: SkeletonModel,
+    start_utc: datetime | None = None,
+) -> SetupSensors:
     """Find clock, segments, headings and mounting of the sensors of a video.
 
     Args:
-        log: sensors on their own clock.
         sensor_map: file of two columns, sensor and segment; None: the sensors' names say it, or their motion.
-        poses: lifted from the keypoints, at their times. keypoints: of the video. skeleton: of the poses.
         start_utc: when the video began, if known.
 
     Raises:
@@ -117,9 +119,7 @@ def set_up_sensors(
     return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)))
 
 
-def _clock(
-    log: SensorLog, take: _Take, told: dict[str, str] | None, start_utc: datetime | None
-) -> ClockEstimate:
+def _clock(log: SensorLog, take: _Take, told: dict[str, str] | None, start_utc: datetime | None) -> ClockEstimate:
     """Find the clock by the motion; where video and sensors state when they began, near that first."""
     search = partial(find_clock, take.poses, take.keypoints, log, take.skeleton, told)
     if start_utc is not None and log.start_utc is not None:
@@ -137,16 +137,11 @@ def _days_apart(sensors: datetime | None, video: datetime | None) -> str:
     if sensors is None or video is None or abs(sensors - video) < _SAME_DAY:
         return ""
     days = abs(sensors - video).days
-    return (
-        f"{DAYS_APART}: the video of {video:%Y-%m-%d}, the sensors of {sensors:%Y-%m-%d}, {days} days apart"
-    )
+    return f"{DAYS_APART}: the video of {video:%Y-%m-%d}, the sensors of {sensors:%Y-%m-%d}, {days} days apart"
 
 
 def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonModel) -> dict[str, Field] | None:
     """Return the segments that a map or the sensors' own names say; None where they do not say all.
-
-    Args:
-        log: the sensors. sensor_map: file of two columns. skeleton: of the segments.
 
     Raises:
         FileFormatError: the map is damaged. UnknownNameError: a place is no segment.
@@ -175,9 +170,7 @@ def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
     if not still:
         return log, []
     what = ", ".join(still)
-    return log.select(moving), [
-        f"{what}: does not move and is left out; check that it was on the person and recording"
-    ]
+    return log.select(moving), [f"{what}: does not move and is left out; check that it was on the person and recording"]
 
 
 def _speed(stream: SensorStream) -> float:
@@ -235,12 +228,8 @@ def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]
 
 def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], take: _Take) -> ClockEstimate:
     """Return the clock with the segments known, within half a stride; a doubt of the first search stays."""
-    again = find_clock(
-        take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART
-    )
-    return replace(
-        again, doubt=clock.doubt, sigma=clock.sigma if clock.doubt else min(clock.sigma, again.sigma)
-    )
+    again = find_clock(take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART)
+    return replace(again, doubt=clock.doubt, sigma=clock.sigma if clock.doubt else min(clock.sigma, again.sigma))
 
 
 def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
@@ -264,20 +253,19 @@ def _fields(
     """Return the table ``[imus]``."""
     start = clock.offset - clock.drift * clock.middle
     sigma = f"± {clock.sigma:.1f} s" if clock.doubt else f"± {1000 * clock.sigma:.0f} ms"
-    origin, why = (
-        (Origin.ASSUMED, "other offsets fit too") if clock.doubt else (Origin.FOUND, "by their motion")
-    )
+    origin, why = (Origin.ASSUMED, "other offsets fit too") if clock.doubt else (Origin.FOUND, "by their motion")
     drift = f"; {1e6 * clock.drift:+.0f} ppm of their clock are in {IMUS}" if clock.drift else ""
     fields: dict[str, Field | Tables] = {
         "file": Field(IMUS),
         "names": Field(list(imus.names)),
         "start_s": Field(
-            round(start, 5), origin,
+            round(start, 5),
+            origin,
             f"{sigma}, {why}; {IMUS} is on the sensors' clock{drift}",
             f"the sensors began {abs(start):.{1 if clock.doubt else 3}f} s "
             f"{'after' if start >= 0 else 'before'} the video, {sigma}{f', {why}' if clock.doubt else ''}",
         ),
-    }  # fmt: skip
+    }
     tables = calibration_table(found.calibration)
     sensors: dict[str, Tables] = {}
     for sensor in found.sensors:

@@ -25,15 +25,19 @@ from rtof_kin.setup.sources import Sources
 
 
 def make_sensor_recording(
-    sources: Sources, settings: SetupSettings, folder: str | Path, pose: str = "N", *,
-    name: str | None = None, inputs: Mapping[str, str] | None = None,
-) -> Findings:  # fmt: skip
+    sources: Sources,
+    settings: SetupSettings,
+    folder: str | Path,
+    pose: str = "N",
+    *,
+    name: str | None = None,
+    inputs: Mapping[str, str] | None = None,
+) -> Findings:
     """Write a recording of sensors alone; the person stands still in a known pose for a second.
 
     Args:
         sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; the height is used. folder: to write.
-        pose: that was held: N, T or seated (`rtof_kin.inertial.poses`).
+        settings: of the user; the height is used. pose: that was held: N, T or seated (`rtof_kin.inertial.poses`).
         name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
 
     Raises:
@@ -54,9 +58,11 @@ def make_sensor_recording(
     imus = imus_of_log(log)
     first = float(imus.times[0])
     tables: Tables = {
-        "schema_version": Field(SCHEMA_VERSION), "name": Field(name or sources.name),
-        "subject": subject_table(settings), "imus": _sensors(found, imus.names, places, first),
-    }  # fmt: skip
+        "schema_version": Field(SCHEMA_VERSION),
+        "name": Field(name or sources.name),
+        "subject": subject_table(settings),
+        "imus": _sensors(found, imus.names, places, first),
+    }
     findings = findings_of(tables, list(found.warnings))
     with new_folder(folder, INDEX, overwrite=True, inputs=inputs) as fresh:
         write_imus(fresh / IMUS, replace(imus, times=imus.times - first))
@@ -66,15 +72,11 @@ def make_sensor_recording(
     return findings
 
 
-def _sensors(
-    found: PoseCalibration, names: tuple[str, ...], places: Mapping[str, Field], first: float
-) -> Tables:
+def _sensors(found: PoseCalibration, names: tuple[str, ...], places: Mapping[str, Field], first: float) -> Tables:
     """Return the table ``[imus]``, of times from the first sample on."""
     start, stop = (at - first for at in found.still)
     held = f"{found.pose}-pose from {start:.1f} to {stop:.1f} s"
-    pose = Field(
-        list(names), Origin.ASSUMED, held, f"the person stood in the {held}; --pose takes another one"
-    )
+    pose = Field(list(names), Origin.ASSUMED, held, f"the person stood in the {held}; --pose takes another one")
     tables, sensors = calibration_table(found.calibration), dict[str, Tables]()
     for report in found.sensors:
         own, off = tables[report.sensor], f"± {report.expected_deg:.0f} degrees"

@@ -31,9 +31,13 @@ VIDEO_SUFFIXES: Final = frozenset(
 _BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 """First boxes of MP4, MOV and 3GP."""
 _CONTAINERS: Final = (
-    b"\x1a\x45\xdf\xa3", b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", b"\x00\x00\x01\xba", b"\x00\x00\x01\xb3",
-    b"FLV\x01", b"OggS",
-)  # fmt: skip
+    b"\x1a\x45\xdf\xa3",
+    b"\x30\x26\xb2\x75\x8e\x66\xcf\x11",
+    b"\x00\x00\x01\xba",
+    b"\x00\x00\x01\xb3",
+    b"FLV\x01",
+    b"OggS",
+)
 """First bytes of MKV and WebM, WMV, MPEG, FLV, Ogg."""
 _PEOPLE: Final = re.compile(
     r'"(people|bodies|instances|instance_info|annotations|keypoints|pose_keypoints(_2d)?|(pose_)?landmarks'
@@ -69,9 +73,6 @@ _KNOWN: Final = (
 
 def recognise_source(path: str | Path) -> SourceKind:
     """Return what a file or folder is, from its first bytes; it may be damaged further on.
-
-    Args:
-        path: the file or folder.
 
     Raises:
         FileFormatError: there is no such file or folder, or it cannot be read.
@@ -200,14 +201,16 @@ class Sources:
             raise FileFormatError(path, f"nothing that is known. Known: {_KNOWN}")
         for path in found[SourceKind.RECORDING]:
             folder = path if path.is_dir() else path.parent
-            raise InvalidInputError(
-                f"{path}: is a recording already; go on with: rtof-kin reconstruct {folder}"
-            )
+            raise InvalidInputError(f"{path}: is a recording already; go on with: rtof-kin reconstruct {folder}")
         one = {kind: _only(kind, files) for kind, files in found.items() if kind is not SourceKind.SENSORS}
         return cls(
-            one[SourceKind.VIDEO], one[SourceKind.KEYPOINTS], tuple(found[SourceKind.SENSORS]),
-            one[SourceKind.CAMERA], one[SourceKind.SENSOR_MAP], one[SourceKind.PHONE],
-        )  # fmt: skip
+            one[SourceKind.VIDEO],
+            one[SourceKind.KEYPOINTS],
+            tuple(found[SourceKind.SENSORS]),
+            one[SourceKind.CAMERA],
+            one[SourceKind.SENSOR_MAP],
+            one[SourceKind.PHONE],
+        )
 
     @property
     def seen(self) -> bool:

@@ -102,11 +102,7 @@ class DetectorErrorTable:
     """The sections amplitude, visibility, exchanges, jumps, lost and camera as they stand in the file."""
 
     def points_of(self, groups: Sequence[str]) -> Index:
-        """Return the points of some kinds.
-
-        Args:
-            groups: names of kinds.
-        """
+        """Return the points of some kinds."""
         return np.flatnonzero(np.isin(self.kind, [self.group.index(name) for name in groups]))
 
 
@@ -119,12 +115,8 @@ def detector_error_table() -> DetectorErrorTable:
 def read_detector_error_table(path: str | Path) -> DetectorErrorTable:
     """Read a table of a detector's errors.
 
-    Args:
-        path: .toml file.
-
     Raises:
-        FileFormatError: not TOML, or a field is missing or of the wrong kind.
-        UnknownNameError: unknown layout.
+        FileFormatError: not TOML, or a field is missing or of the wrong kind. UnknownNameError: unknown layout.
     """
     data = load_toml(Path(path))
     try:
@@ -142,8 +134,9 @@ def _table(data: Mapping[str, Any]) -> DetectorErrorTable:
     kind = np.array([group.index(point["group"]) for point in points])
     left = np.array(["left" in name.split("_") for name in layout.names])
     sides = list(zip(map(_stem, layout.names), left.tolist(), strict=True))
-    mirror = np.array([sides.index((stem, not side)) if (stem, not side) in sides else k
-                       for k, (stem, side) in enumerate(sides)])  # fmt: skip
+    mirror = np.array(
+        [sides.index((stem, not side)) if (stem, not side) in sides else k for k, (stem, side) in enumerate(sides)]
+    )
     limb = [_limb(group[g], bool(side)) for g, side in zip(kind, left, strict=True)]
     coloured = data["coloured"]
     return DetectorErrorTable(
@@ -171,9 +164,7 @@ def _limb(group: str, left: bool) -> int:
     return left + (1 if group in _ARM else 3) if group in (*_ARM, *_LEG) else 0
 
 
-def _places(
-    data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: Mask, group: Sequence[str]
-) -> Places:
+def _places(data: Mapping[str, Any], points: Sequence[Mapping[str, Any]], left: Mask, group: Sequence[str]) -> Places:
     sign = np.where(left[:, None], _MIRROR_BODY, 1)
     view = np.array([point["view_mm"] for point in points]) / 1e3
     mirrored = view * MIRROR_HARMONICS[:, None] * _MIRROR_BODY

@@ -1,10 +1,9 @@
 """Detections of a known motion with the errors of a real detector (``models/detector_errors.toml``).
 
-A point stands at its place in the body, which differs from person to person and moves with the pose and the
-view. Its error in the image has a part that is constant over the recording and a coloured one, both
-correlated over the points; the coloured part grows where the body hides the point. Limbs jump, left and
-right are exchanged, the person is lost, the whole picture is late by some frames, and the camera stands a
-little differently from what its calibration says.
+A point stands at its place in the body, which differs from person to person and moves with the pose and the view. Its
+error in the image has a part that is constant over the recording and a coloured one, both correlated over the points;
+the coloured part grows where the body hides the point. Limbs jump, left and right are exchanged, the person is lost,
+the whole picture is late by some frames, and the camera stands a little differently from what its calibration says.
 """
 
 from __future__ import annotations
@@ -55,16 +54,11 @@ class DetectorErrors:
     def none(cls) -> Self:
         """Return a detector that finds the points at the mean of their places, seen by an exact camera."""
         return cls(
-            person=0, view=0, constant=0, coloured=0, jumps=0, exchanges=0, losses=0, camera=0,
-            delay_frames=(0,),
-        )  # fmt: skip
+            person=0, view=0, constant=0, coloured=0, jumps=0, exchanges=0, losses=0, camera=0, delay_frames=(0,)
+        )
 
     def draw_delay(self, rng: Generator) -> float:
-        """Return by how much the detections of a recording are late, s.
-
-        Args:
-            rng: source of randomness.
-        """
+        """Return by how much the detections of a recording are late, s."""
         return float(rng.choice(self.delay_frames)) / DELAY_RATE_HZ
 
 
@@ -105,8 +99,7 @@ def simulate_detections(
 
     Args:
         rng: source of randomness, of this person, detector, camera mounting and recording.
-        poses: motion at the instants that the frames show; an even rate is assumed. skeleton: of the person.
-        camera: as its calibration says. errors: what is wrong.
+        poses: motion at the instants that the frames show; an even rate is assumed.
 
     Returns:
         One person in the table's layout, with visibility as confidence; points outside of the image included.
@@ -238,9 +231,7 @@ def _amplitude(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Arra
     exponent = kind["hidden"] * scene.hidden + kind["far"] * scene.far + kind["speed"] * scene.speed
     mood = ornstein_uhlenbeck(rng, len(exponent), (_LIMBS,), numbers["mood_memory"] * rate)
     mood = smoothed(mood, numbers["mood_smoothing"] * rate)[:, table.limb] * kind["mood_sd"]
-    return np.asarray(
-        kind["gain"] * np.exp(np.clip(exponent, *numbers["log_range"]) + mood - kind["mood_sd"] ** 2)
-    )
+    return np.asarray(kind["gain"] * np.exp(np.clip(exponent, *numbers["log_range"]) + mood - kind["mood_sd"] ** 2))
 
 
 def _jumps(rng: Generator, scene: _Scene, table: DetectorErrorTable, factor: float) -> Array:

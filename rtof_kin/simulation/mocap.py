@@ -36,10 +36,7 @@ from rtof_kin.simulation.mocap_families import (
 )
 from rtof_kin.simulation.mocap_mapping import MocapClip, map_motion, resample_clip
 
-__all__ = [
-    "NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip",
-    "without_spikes",
-]  # fmt: skip
+__all__ = ["NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip", "without_spikes"]
 
 _BLOCK: Final = 4096
 """Frames that are mapped at once."""
@@ -59,12 +56,12 @@ def read_mocap(
     Frames that a converter put before the motion are left out.
 
     Args:
-        path: a .bvh or .amc file. asf: skeleton of an .amc file, by default `find_asf` of it.
+        asf: skeleton of an .amc file, by default `find_asf` of it.
         rate_hz: sampling rate that replaces the file's, Hz; an .amc has none (120 Hz by default).
         unit_m: length unit of the file, m; by default the one that gives a human leg.
         output_rate_hz: sampling rate of the result, Hz; None keeps that of the file.
-        names: name of a joint in a known family by its name in the file. A common prefix of all names
-            ("mixamorig:") is removed where that makes the family known.
+        names: name of a joint in a known family by its name in the file. A common prefix of all names ("mixamorig:")
+            is removed where that makes the family known.
 
     Raises:
         FileFormatError: a missing or damaged file, an unknown skeleton or one that is not of human size.
@@ -78,9 +75,7 @@ def read_mocap(
     else:
         raise FileFormatError(path, "motion capture is read from .bvh and .amc files")
     first = frames.motion(slice(0, 1))
-    block = (
-        _BLOCK if first.p_parent_joint is None else frames.length
-    )  # offsets are the median of moving joints
+    block = _BLOCK if first.p_parent_joint is None else frames.length  # offsets are the median of moving joints
 
     def motion(start: int) -> ArticulatedMotion:
         return without_character(frames.motion(slice(start, start + block)).renamed(names or {}))
@@ -91,9 +86,7 @@ def read_mocap(
     unit_m = recognise_unit(path, begins, family) if unit_m is None else unit_m
     skipped = lead_in(begins, family)
     if skipped == len(begins) - 1 < frames.length - 1:  # at rest for a whole block
-        skipped = lead_in(
-            frames.motion(slice(None)).renamed(dict(zip(first.names, begins.names, strict=True))), family
-        )
+        skipped = lead_in(frames.motion(slice(None)).renamed(dict(zip(first.names, begins.names, strict=True))), family)
     starts = range(skipped, frames.length, block)
     clips = (map_motion(motion(start), family, unit_m, rate, path.stem) for start in starts)
     clip = _joined(clips, frames.length - skipped, rate)
@@ -157,11 +150,7 @@ those of these subjects."""
 
 
 def read_corpus(
-    root: str | Path,
-    subjects: Collection[str] | None = None,
-    *,
-    output_rate_hz: float = 60.0,
-    min_seconds: float = 0.5,
+    root: str | Path, subjects: Collection[str] | None = None, *, output_rate_hz: float = 60.0, min_seconds: float = 0.5
 ) -> Iterator[MocapClip]:
     """Read the clips of a folder whose ``index.csv`` has subject, category and true rate of each file.
 
@@ -169,13 +158,11 @@ def read_corpus(
     lies at z = 0. Clips are cut at glitches, see `without_spikes`.
 
     Args:
-        root: the folder. subjects: names in the corrected index; None for all.
-        output_rate_hz: sampling rate of the clips, Hz.
+        subjects: names in the corrected index; None for all. output_rate_hz: sampling rate of the clips, Hz.
         min_seconds: shortest piece of a cut clip that is kept, s.
 
     Yields:
-        Clips; pieces of a cut file are named ``name[first:stop]``, in frames of the file without its
-        artificial start.
+        Clips; pieces of a cut file are named ``name[first:stop]``, in frames of the file without its artificial start.
 
     Raises:
         UnknownNameError: a subject is not in the index.
@@ -191,9 +178,7 @@ def read_corpus(
         if subjects is not None and row["subject"] not in subjects:
             continue
         whole = read_mocap(root / row["file"], rate_hz=_rate(root, row), output_rate_hz=None)
-        whole = _on_floor(
-            replace(whole, subject=row["subject"], category=row["tc_like"], quality=row["quality"])
-        )
+        whole = _on_floor(replace(whole, subject=row["subject"], category=row["tc_like"], quality=row["quality"]))
         pieces = without_spikes(whole)
         for piece in pieces:
             if len(pieces) == 1 or len(piece.poses) >= min_seconds * piece.poses.rate_hz:
@@ -243,9 +228,6 @@ def without_spikes(clip: MocapClip) -> list[MocapClip]:
 
     Where a step between frames exceeds the limit of speed, velocity jump or turning rate, both frames and
     a neighbour on either side are cut out; so are frames beyond the limit of the ankle.
-
-    Args:
-        clip: to cut.
     """
     poses = clip.poses
     good = ~_flipped(poses.R_world_bone)

@@ -97,9 +97,6 @@ def _family(name: str, row: dict[str, Any], table: dict[str, Any]) -> Family:
 def recognise_family(path: str | Path, motion: ArticulatedMotion) -> Family:
     """Return the family of a skeleton.
 
-    Args:
-        path: of the file, for errors. motion: its content.
-
     Raises:
         FileFormatError: an unknown skeleton, or one that lacks a joint of its family.
     """
@@ -125,9 +122,6 @@ def _candidate(motion: ArticulatedMotion) -> Family | None:
 def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
     """Remove the character's name before the joints' names, up to a ':', '_' or '|', if a family is known
     without it only.
-
-    Args:
-        motion: content of a file.
     """
     root = motion.names[0]
     ends = (i + 1 for i, letter in enumerate(root) if letter in ":_|")
@@ -138,11 +132,7 @@ def without_character(motion: ArticulatedMotion) -> ArticulatedMotion:
 
 
 def lead_in(motion: ArticulatedMotion, family: Family) -> int:
-    """Return the number of artificial frames at the start: those of the family, and rest poses after them.
-
-    Args:
-        motion: content of a file. family: of its skeleton.
-    """
+    """Return the number of artificial frames at the start: those of the family, and rest poses after them."""
     if not family.lead_in:
         return 0
     at_rest = np.abs(motion.R_parent_joint - np.eye(3)).max(axis=(1, 2, 3)) < 1e-9
@@ -151,11 +141,7 @@ def lead_in(motion: ArticulatedMotion, family: Family) -> int:
 
 
 def restored_offsets(motion: ArticulatedMotion, family: Family) -> Array:
-    """Return the offsets (J, 3) in file units, with those restored that a converter lost.
-
-    Args:
-        motion: content of a file. family: of its skeleton.
-    """
+    """Return the offsets (J, 3) in file units, with those restored that a converter lost."""
     moving = motion.p_parent_joint
     given = motion.offsets if moving is None else np.median(moving, axis=0)
     offsets = np.array(given)
@@ -168,9 +154,6 @@ def restored_offsets(motion: ArticulatedMotion, family: Family) -> Array:
 def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) -> float:
     """Return the one of `UNITS_M` that gives human legs, m.
 
-    Args:
-        path: of the file, for errors. motion: its content. family: of its skeleton.
-
     Raises:
         FileFormatError: none does.
     """
@@ -182,6 +165,4 @@ def recognise_unit(path: str | Path, motion: ArticulatedMotion, family: Family) 
         if _PLAUSIBLE_LEG[0] < leg * unit_m < _PLAUSIBLE_LEG[1]:
             return unit_m
     units = ", ".join(f"{unit:.4g}" for unit in UNITS_M)
-    raise FileFormatError(
-        path, f"the legs are {leg:.4g} units long, human in no unit of {units} m; give unit_m=..."
-    )
+    raise FileFormatError(path, f"the legs are {leg:.4g} units long, human in no unit of {units} m; give unit_m=...")

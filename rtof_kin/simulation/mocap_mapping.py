@@ -26,9 +26,15 @@ _R_WORLD_FILE = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Files are y up and face z in their rest pose; world is z up, and the T-pose faces x."""
 _DOWN, _LEFT = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
 _CANONICAL = {
-    "RightUpLeg": _DOWN, "RightLeg": _DOWN, "LeftUpLeg": _DOWN, "LeftLeg": _DOWN,
-    "RightArm": -_LEFT, "RightForeArm": -_LEFT, "LeftArm": _LEFT, "LeftForeArm": _LEFT,
-}  # fmt: skip
+    "RightUpLeg": _DOWN,
+    "RightLeg": _DOWN,
+    "LeftUpLeg": _DOWN,
+    "LeftLeg": _DOWN,
+    "RightArm": -_LEFT,
+    "RightForeArm": -_LEFT,
+    "LeftArm": _LEFT,
+    "LeftForeArm": _LEFT,
+}
 """Direction of a segment's child in its link frame."""
 
 
@@ -56,14 +62,12 @@ class MocapClip:
         object.__setattr__(self, "joint_offsets", offsets)
 
 
-def map_motion(
-    motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str
-) -> MocapClip:
+def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str) -> MocapClip:
     """Map a motion to the package's joints, at the source's rate.
 
     Args:
-        motion: source frames without artificial ones. family: of its skeleton. name: of the clip.
-        unit_m: length unit of the source, m. rate_hz: its sampling rate, Hz.
+        motion: source frames without artificial ones. unit_m: length unit of the source, m.
+        rate_hz: its sampling rate, Hz.
     """
     offsets = restored_offsets(motion, family)
     rigid = replace(motion, offsets=offsets, p_parent_joint=None)
@@ -132,9 +136,7 @@ def _canonical_rotations(family: Family, p_rest: Array) -> Array:
     return R
 
 
-def _aimed(
-    R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tuple[float, ...]
-) -> tuple[Array, Array]:
+def _aimed(R_world_bone: Array, joint_offsets: Array, p_wanted: Array, aim: tuple[float, ...]) -> tuple[Array, Array]:
     """Return positions and orientations in which segments with one child turn towards its wanted position.
 
     `aim` has, by joint, the share of the smallest rotation that would point the segment at its child.
@@ -158,7 +160,7 @@ def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     position linearly, and joints follow by forward kinematics.
 
     Args:
-        clip: to resample. rate_hz: new sampling rate, Hz.
+        rate_hz: new sampling rate, Hz.
     """
     poses = clip.poses
     ratio = poses.rate_hz / rate_hz

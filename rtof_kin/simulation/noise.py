@@ -21,10 +21,20 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 
 ORIENTATION_MEDIAN_DEG: Final = {
-    "Head": 2.0, "Hips": 3.0, "Spine3": 3.9, "LeftFoot": 2.2, "RightFoot": 8.4,
-    "LeftArm": 5.3, "RightArm": 5.8, "LeftForeArm": 7.4, "RightForeArm": 10.0,
-    "LeftUpLeg": 6.7, "RightUpLeg": 5.4, "LeftLeg": 4.6, "RightLeg": 5.8,
-}  # fmt: skip
+    "Head": 2.0,
+    "Hips": 3.0,
+    "Spine3": 3.9,
+    "LeftFoot": 2.2,
+    "RightFoot": 8.4,
+    "LeftArm": 5.3,
+    "RightArm": 5.8,
+    "LeftForeArm": 7.4,
+    "RightForeArm": 10.0,
+    "LeftUpLeg": 6.7,
+    "RightUpLeg": 5.4,
+    "LeftLeg": 4.6,
+    "RightLeg": 5.8,
+}
 """Median angle between an IMU with its best constant calibration and the segment, deg."""
 _OTHER_MEDIAN_DEG: Final = 5.0
 _MEDIAN_NORM: Final = 0.816
@@ -68,9 +78,16 @@ class KeypointNoise:
     def perfect(cls) -> Self:
         """Return no errors: exact projections of everything in front of the camera."""
         return cls(
-            bias_px=0, drift_px=0, white_px=0, outlier_share=(0, 0), gap_duration=(0, 0),
-            hides_outside=False, confidence=1, confidence_spread=0, parameter_spread=0,
-        )  # fmt: skip
+            bias_px=0,
+            drift_px=0,
+            white_px=0,
+            outlier_share=(0, 0),
+            gap_duration=(0, 0),
+            hides_outside=False,
+            confidence=1,
+            confidence_spread=0,
+            parameter_spread=0,
+        )
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
@@ -82,13 +99,18 @@ class KeypointNoise:
         return replace(cls.perfect(), white_px=sigma_px, arms_factor=1.0, legs_factor=1.0)
 
     def drawn(self, rng: Generator) -> Self:
-        """Return a detector with randomly drawn parameters.
-
-        Args:
-            rng: source of randomness.
-        """
-        scales = ("bias_px", "drift_px", "drift_memory", "wrist_memory", "white_px", "arms_factor",
-                  "legs_factor", "outlier_px", "confidence_spread")  # fmt: skip
+        """Return a detector with randomly drawn parameters."""
+        scales = (
+            "bias_px",
+            "drift_px",
+            "drift_memory",
+            "wrist_memory",
+            "white_px",
+            "arms_factor",
+            "legs_factor",
+            "outlier_px",
+            "confidence_spread",
+        )
         share = float(rng.uniform(*self.outlier_share))
         return replace(self, **_varied(self, rng, scales), outlier_share=(share, share))
 
@@ -116,18 +138,28 @@ class ImuNoise:
     def perfect(cls) -> Self:
         """Return no errors."""
         return cls(
-            misalignment_deg=0, orientation_factor=0, white=0, white_per_acceleration=0, coloured=0,
-            bias=0, parameter_spread=0,
-        )  # fmt: skip
+            misalignment_deg=0,
+            orientation_factor=0,
+            white=0,
+            white_per_acceleration=0,
+            coloured=0,
+            bias=0,
+            parameter_spread=0,
+        )
 
     def drawn(self, rng: Generator) -> Self:
-        """Return a sensor with randomly drawn parameters.
-
-        Args:
-            rng: source of randomness.
-        """
-        scales = ("misalignment_deg", "orientation_factor", "drift_memory", "wobble_share", "white",
-                  "white_per_acceleration", "coloured", "coloured_memory", "bias")  # fmt: skip
+        """Return a sensor with randomly drawn parameters."""
+        scales = (
+            "misalignment_deg",
+            "orientation_factor",
+            "drift_memory",
+            "wobble_share",
+            "white",
+            "white_per_acceleration",
+            "coloured",
+            "coloured_memory",
+            "bias",
+        )
         drawn = replace(self, **_varied(self, rng, scales))
         return replace(drawn, wobble_share=min(drawn.wobble_share, 1.0))
 
@@ -143,14 +175,11 @@ def _coloured_noise(rng: Generator, times: Array, memory: ArrayLike, size: Seque
     return out
 
 
-def smooth_noise(
-    rng: Generator, times: Array, memory: float, size: Sequence[int], smoothing: float = 0.5
-) -> Array:
+def smooth_noise(rng: Generator, times: Array, memory: float, size: Sequence[int], smoothing: float = 0.5) -> Array:
     """Return coloured noise (T, *size) of unit variance, low-pass filtered with a first-order filter.
 
     Args:
-        rng: source of randomness. times: (T,) s. memory: correlation time, s. size: of one sample.
-        smoothing: time constant of the filter, s.
+        times: (T,) s. memory: correlation time, s. smoothing: time constant of the filter, s.
     """
     raw = _coloured_noise(rng, times, memory, size)
     share = np.exp(-np.diff(times) / smoothing)
@@ -166,7 +195,7 @@ def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: 
     """Return errors (T, L, 2) of landmarks, px.
 
     Args:
-        rng: source of randomness. times: (T,) s. joints: of the L landmarks. noise: drawn parameters.
+        times: (T,) s.
     """
     T, L = len(times), len(joints)
     memory = [noise.wrist_memory if j in _WRISTS else noise.drift_memory for j in joints]
@@ -205,7 +234,7 @@ def unseen(rng: Generator, times: Array, inside: Mask, noise: KeypointNoise) -> 
     lost for some time.
 
     Args:
-        rng: source of randomness. times: (T,) s. inside: (T, L) inside the image. noise: drawn parameters.
+        times: (T,) s. inside: (T, L) inside the image.
     """
     if not noise.hides_outside:
         return np.zeros_like(inside)
@@ -221,7 +250,7 @@ def confidences(rng: Generator, times: Array, errors: Array, noise: KeypointNois
     """Return the confidences (T, L) in (0, 1] that the detector reports, mostly independent of its errors.
 
     Args:
-        rng: source of randomness. times: (T,) s. errors: (T, L, 2) px. noise: drawn parameters.
+        times: (T,) s. errors: (T, L, 2) px.
     """
     mood = _coloured_noise(rng, times, noise.drift_memory, errors.shape[1:2])
     size = np.linalg.norm(errors, axis=-1) / noise.outlier_px
@@ -239,8 +268,7 @@ def mounting_errors(
     """Return a sensor's rotation (T, 3, 3) from its usual mounting, in the link frame; of identity mean.
 
     Args:
-        rng: source of randomness. times: (T,) s. joint: of the segment. noise: drawn parameters.
-        axis: (3,) direction of the bone in its link frame, the main axis of slip.
+        times: (T,) s. axis: (3,) direction of the bone in its link frame, the main axis of slip.
         R_parent_bone: (T, 3, 3) segment in its parent's frame, with which soft-tissue errors correlate.
     """
     median_deg = ORIENTATION_MEDIAN_DEG.get(joint, _OTHER_MEDIAN_DEG) * noise.orientation_factor
@@ -273,7 +301,7 @@ def accelerometer_errors(rng: Generator, times: Array, a_world: Array, noise: Im
     """Return errors of an accelerometer in sensor axes (T, 3), m/s^2.
 
     Args:
-        rng: source of randomness. times: (T,) s. a_world: (T, 3) acceleration, m/s^2. noise: drawn.
+        times: (T,) s. a_world: (T, 3) acceleration, m/s^2.
     """
     size = np.linalg.norm(a_world, axis=-1, keepdims=True)
     white = noise.white + noise.white_per_acceleration * size

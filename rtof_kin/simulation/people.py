@@ -30,7 +30,7 @@ def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel)
     """Return a movement as a person with another neutral posture makes it.
 
     Args:
-        rng: source of randomness. poses: (T, J) the movement. skeleton: of the person.
+        poses: (T, J) the movement.
 
     Returns:
         The movement with pelvis, lumbar spine and clavicles turned by constants in their own frames. Limbs,

@@ -16,7 +16,6 @@ def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory:
     """Return a stationary process (T, *size) of unit variance with an exponential autocorrelation.
 
     Args:
-        rng: source of randomness. frames: T. size: of one sample.
         memory: correlation time in frames; 0 gives white noise.
     """
     noise = rng.standard_normal((frames, *size))
@@ -31,7 +30,7 @@ def smoothed(values: Array, width: float) -> Array:
     """Return values (T, ...) under a moving normal window.
 
     Args:
-        values: (T, ...). width: standard deviation of the window in frames.
+        values: (T, ...).
     """
     return np.asarray(gaussian_filter1d(values, width, axis=0, mode="nearest"))
 
@@ -40,8 +39,8 @@ def episodes(rng: Generator, per_minute: Array, rate_hz: float, median: float, s
     """Return runs of frames that start at random, of log-normal durations of at least one frame.
 
     Args:
-        rng: source of randomness. per_minute: (T,) expected starts per minute at each frame.
-        rate_hz: frames per second. median: of the durations, s. spread: log-normal, of the durations.
+        per_minute: (T,) expected starts per minute at each frame. rate_hz: frames per second.
+        median: of the durations, s.
     """
     starts = np.flatnonzero(rng.random(len(per_minute)) < per_minute / 60 / rate_hz)
     durations = median * np.exp(spread * rng.standard_normal(len(starts)))

@@ -21,9 +21,16 @@ _BEGUN: Final = 37.0
 """[s] What the sensors' clock shows when the video begins."""
 _WORDS: Final = {"UpLeg": "thigh", "Leg": "shank", "ForeArm": "forearm", "Arm": "upper arm", "Foot": "foot"}
 _DOT_COLUMNS: Final = (
-    "PacketCounter", "SampleTimeFine", "Quat_W", "Quat_X", "Quat_Y", "Quat_Z", "FreeAcc_X", "FreeAcc_Y",
+    "PacketCounter",
+    "SampleTimeFine",
+    "Quat_W",
+    "Quat_X",
+    "Quat_Y",
+    "Quat_Z",
+    "FreeAcc_X",
+    "FreeAcc_Y",
     "FreeAcc_Z",
-)  # fmt: skip
+)
 
 
 def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
@@ -33,7 +40,7 @@ def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = 
     headings and the time between the two clocks are in none of the files.
 
     Args:
-        recording: with keypoints. folder: to write. overwrite: replace what this wrote there earlier.
+        overwrite: replace what this wrote there earlier.
 
     Raises:
         InvalidInputError: there are no keypoints. OutputExistsError: `folder` may not be replaced.

@@ -22,7 +22,7 @@ def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Index, ske
 
     Args:
         p_camera_joint: (T, J, 3) joints in camera axes, m. p_camera_point: (T, K, 3) likewise.
-        limb: (K,) 3 for points of the right leg, 4 for those of the left. skeleton: names of the joints.
+        limb: (K,) 3 for points of the right leg, 4 for those of the left.
     """
 
     def joint(name: str) -> Array:

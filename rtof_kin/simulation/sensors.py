@@ -1,9 +1,8 @@
 """Virtual IMUs on a moving body.
 
-A sensor has its usual place on its segment, a random mounting rotation and a random heading. Its specific
-force is ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint +
-R_world_bone lever``. Slip rotates the sensor on the segment, so that orientation and acceleration stay
-consistent in sensor axes.
+A sensor has its usual place on its segment, a random mounting rotation and a random heading. Its specific force is
+``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint + R_world_bone lever``.
+Slip rotates the sensor on the segment, so that orientation and acceleration stay consistent in sensor axes.
 """
 
 from __future__ import annotations
@@ -29,19 +28,14 @@ from rtof_kin.simulation.noise import ImuNoise
 
 
 def simulate_imus(
-    rng: Generator,
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    sensors: Sequence[str],
-    times: Array,
-    noise: ImuNoise,
+    rng: Generator, poses: PoseSequence, skeleton: SkeletonModel, sensors: Sequence[str], times: Array, noise: ImuNoise
 ) -> tuple[ImuSequence, ImuCalibration]:
     """Simulate the samples of sensors on a body, and their calibration, exact but for the misalignment.
 
     Args:
         rng: source of randomness; a subset of the sensors has the same errors as the whole set.
-        poses: motion. skeleton: of the subject. sensors: names in the skeleton's table.
-        times: (T',) s, inside the poses' times. noise: parameters are drawn around these for each sensor.
+        sensors: names in the skeleton's table. times: (T',) s, inside the poses' times.
+        noise: parameters are drawn around these for each sensor.
 
     Raises:
         InvalidInputError: implausibly fast motion. UnknownNameError: no such sensor.

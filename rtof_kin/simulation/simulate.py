@@ -35,9 +35,7 @@ from rtof_kin.simulation.noise import ImuNoise, KeypointNoise
 from rtof_kin.simulation.sensors import simulate_imus
 from rtof_kin.vision.keypoints import keypoints_from_detections
 
-LIMB_SENSORS = (
-    "L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg",
-)  # fmt: skip
+LIMB_SENSORS = ("L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg")
 """The eight sensors of the paper: upper arms, forearms, thighs, shanks."""
 _CAMERA_DISTANCE, _CAMERA_HEIGHT, _FURTHEST_CAMERA = (3.0, 6.0), (0.8, 2.6), 12.0
 """Ranges and largest distance, m."""
@@ -110,9 +108,8 @@ def simulate(
         clip_poses: the motion, at the rate of the video; finite everywhere, at least four frames.
         joint_offsets: (J, 3) m, of the motion and of the recording.
         camera: that films; of several the one that sees the person for longest.
-        settings: errors; their parameters are drawn for this recording. seed: of everything random.
+        settings: errors; their parameters are drawn for this recording.
         skeleton: names, landmarks and usual sensors; the 21-joint one by default.
-        name, acknowledgement: labels of the recording.
 
     Returns:
         The recording with the poses as truth. Where the video lags, frame k shows an earlier instant;
@@ -135,13 +132,9 @@ def simulate(
     imus, calibration = None, None
     if settings.sensors:
         imu_times = _imu_times(clip_poses.times, start, settings.imu_rate_hz)
-        imus, calibration = simulate_imus(
-            imu, clip_poses, skeleton, settings.sensors, imu_times, settings.imu
-        )
+        imus, calibration = simulate_imus(imu, clip_poses, skeleton, settings.sensors, imu_times, settings.imu)
     cameras = [camera] if isinstance(camera, Camera) else camera
-    filmed = (
-        _simulate_keypoints(deepcopy(video), clip_poses, skeleton, one, settings, lag, cut) for one in cameras
-    )
+    filmed = (_simulate_keypoints(deepcopy(video), clip_poses, skeleton, one, settings, lag, cut) for one in cameras)
     return Recording(
         name=name,
         keypoints=max(filmed, key=lambda keypoints: float(keypoints.seen.mean())),
@@ -189,9 +182,14 @@ def simulate_file(
             indices_of("standard camera", [str(camera)], [str(i) for i in range(len(films))])
             films = films[camera]
     return simulate(
-        clip.poses, clip.joint_offsets, camera=films, settings=settings, seed=seed, name=clip.name,
+        clip.poses,
+        clip.joint_offsets,
+        camera=films,
+        settings=settings,
+        seed=seed,
+        name=clip.name,
         acknowledgement=acknowledgement,
-    )  # fmt: skip
+    )
 
 
 def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
@@ -201,13 +199,11 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
     root's position likewise; joints follow by forward kinematics.
 
     Args:
-        clip: at the rate of the file. cutoff_hz: -3 dB frequency, Hz, below half that rate.
+        cutoff_hz: -3 dB frequency, Hz, below half that rate.
     """
     poses = clip.poses
     if not 0 < cutoff_hz < poses.rate_hz / 2:
-        raise InvalidInputError(
-            f"low-pass: {cutoff_hz:g} Hz does not lie between 0 and half of {poses.rate_hz:g} Hz"
-        )
+        raise InvalidInputError(f"low-pass: {cutoff_hz:g} Hz does not lie between 0 and half of {poses.rate_hz:g} Hz")
     p_root = signals.low_pass(poses.p_world_joint[:, 0], poses.rate_hz, cutoff_hz)
     R = np.empty_like(poses.R_world_bone)
     for j in range(len(poses.names)):  # one by one, in less memory
@@ -221,9 +217,6 @@ def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
 
     1920 x 1080, f = 1250 px, 0.8-2.6 m high, aimed at the middle of the motion from 3-6 m away, or from
     further where less than nine tenths of it would be in view.
-
-    Args:
-        poses: the motion. seed: of azimuths, heights and distances.
     """
     rng = np.random.default_rng(seed)
     p = poses.p_world_joint[np.isfinite(poses.p_world_joint).all(axis=(1, 2))]

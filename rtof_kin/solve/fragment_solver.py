@@ -57,11 +57,11 @@ class FragmentSolver:
         """Build the solver.
 
         Args:
-            skeleton: joints, bone lengths and limits. frames: N, even, at least 8.
+            frames: N, even, at least 8.
             settings: `JointSpaceSettings` or `CartesianSettings`; the defaults of `space` where None.
-            sensor_joints: segments that have a place for a sensor; a recording may use any subset, which
-                in joint space shares the compiled code. None: in Cartesian space every segment that
-                usually carries one, in joint space those with data.
+            sensor_joints: segments that have a place for a sensor; a recording may use any subset, which in joint
+                space shares the compiled code. None: in Cartesian space every segment that usually carries one, in
+                joint space those with data.
             space: one of `SPACES`. None: that of the settings, else `usual_space`.
             terms: further residuals, whose observations `solve` takes.
 
@@ -78,9 +78,7 @@ class FragmentSolver:
         if space not in SPACES:
             raise UnknownNameError("space", [space], SPACES)
         if space == "joint" and not has_prior(skeleton.name):
-            raise InvalidInputError(
-                f"space 'joint': no pose prior is shipped for {skeleton.name!r}; use 'cartesian'"
-            )
+            raise InvalidInputError(f"space 'joint': no pose prior is shipped for {skeleton.name!r}; use 'cartesian'")
         settings = settings or (JointSpaceSettings() if space == "joint" else CartesianSettings())
         self.skeleton, self.frames, self.space, self.settings = skeleton, frames, space, settings
         carriers = tuple(joint for joint, _ in skeleton.sensors.values())
@@ -111,13 +109,11 @@ class FragmentSolver:
         """Optimise a sequence: RTOF with sensors, RTO without, sensors only without keypoints.
 
         Args:
-            start: (T, J) finite poses, usually those after SF2, or an initial guess; also the centre of
-                weak priors.
-            keypoints: at the frames' times, NaN where unobserved, named as the skeleton's landmarks. None
-                for sensors only, in joint space.
-            bone_imus: any subset of the sensors, at any times; several sequences where sensors have
-                their own times. None for vision only.
-            progress: called after every fragment.
+            start: (T, J) finite poses, usually those after SF2, or an initial guess; also the centre of weak priors.
+            keypoints: at the frames' times, NaN where unobserved, named as the skeleton's landmarks. None for sensors
+                only, in joint space.
+            bone_imus: any subset of the sensors, at any times; several sequences where sensors have their own times.
+                None for vision only.
             footholds: of standing feet, one row per frame; in joint space.
             confidence: whether to compute covariances of the poses, in joint space.
             views: keypoints of further cameras at the frames' times, in joint space.
@@ -130,9 +126,8 @@ class FragmentSolver:
         """
         guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds, views)
         run = self._solver.run(
-            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views,
-            observed=observed,
-        )  # fmt: skip
+            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views, observed=observed
+        )
         blocks = list(run)
         whole = replace(
             guess.poses,
@@ -165,10 +160,13 @@ class FragmentSolver:
             yield self._solver.oriented(poses, keypoints[block.frames], bone_imus)
 
     def _guess(
-        self, start: PoseSequence | InitialGuess, keypoints: KeypointSequence | None,
-        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None, footholds: Footholds | None,
+        self,
+        start: PoseSequence | InitialGuess,
+        keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None,
+        footholds: Footholds | None,
         views: Sequence[KeypointSequence] = (),
-    ) -> tuple[InitialGuess, BoneImuSequence | None]:  # fmt: skip
+    ) -> tuple[InitialGuess, BoneImuSequence | None]:
         """The initial guess, made where only poses are given, and the sensors as one sequence."""
         poses = start.poses if isinstance(start, InitialGuess) else start
         if bone_imus is not None and not isinstance(bone_imus, BoneImuSequence):
@@ -186,18 +184,19 @@ class FragmentSolver:
         self, start: PoseSequence, keypoints: KeypointSequence | None, views: Sequence[KeypointSequence]
     ) -> None:
         if views and (keypoints is None or self.space == "cartesian"):
-            raise SolverError(
-                "several cameras are used in space 'joint' only; leave out the views, or use that space"
-            )
+            raise SolverError("several cameras are used in space 'joint' only; leave out the views, or use that space")
         for i, view in enumerate(views):
             if not np.array_equal(start.times, view.times):
                 raise InvalidInputError(f"start and view {i + 1}: must have the same times")
             _check_before(view, start, f"of view {i + 1} ")
 
     def _check(
-        self, start: PoseSequence, keypoints: KeypointSequence | None,
-        bone_imus: BoneImuSequence | None, footholds: Footholds | None,
-    ) -> None:  # fmt: skip
+        self,
+        start: PoseSequence,
+        keypoints: KeypointSequence | None,
+        bone_imus: BoneImuSequence | None,
+        footholds: Footholds | None,
+    ) -> None:
         self.skeleton.check_joints(start.names, "start")
         if keypoints is None and bone_imus is None:
             raise SolverError("neither keypoints nor bone_imus: give at least one of the two")
@@ -225,9 +224,7 @@ def _spread(blocks: Sequence[Block]) -> Confidence | None:
     """Covariances of what nobody sees, zero in blocks without any; None for none at all."""
     if all(block.spread is None for block in blocks):
         return None
-    return joined([
-        block.spread or block.confidence.scaled(0.0) for block in blocks if block.confidence is not None
-    ])  # fmt: skip
+    return joined([block.spread or block.confidence.scaled(0.0) for block in blocks if block.confidence is not None])
 
 
 def _check_before(keypoints: KeypointSequence, start: PoseSequence, whose: str = "") -> None:

@@ -56,10 +56,7 @@ class PointTerm:
 
     def symbols(self, frames: int = 1) -> dict[str, Matrix]:
         """Return observation (size, frames) and weight (frames) as symbols, by name."""
-        return {
-            self.observed: ca.SX.sym(self.observed, self.size, frames),
-            self.weight: ca.SX.sym(self.weight, frames),
-        }
+        return {self.observed: ca.SX.sym(self.observed, self.size, frames), self.weight: ca.SX.sym(self.weight, frames)}
 
 
 @dataclass(frozen=True)
@@ -75,9 +72,6 @@ class PointData:
 def check_terms(terms: Sequence[PointTerm], joints: Sequence[str], built_in: Sequence[str]) -> None:
     """Check that the terms can stand beside those of an energy.
 
-    Args:
-        terms: to check. joints: of the skeleton. built_in: terms of the energy.
-
     Raises:
         UnknownNameError: no such joint. InvalidInputError: a name is taken.
     """
@@ -90,9 +84,6 @@ def check_terms(terms: Sequence[PointTerm], joints: Sequence[str], built_in: Seq
 
 def point_rows(terms: Sequence[PointTerm], data: Mapping[str, PointData], frames: int) -> dict[str, Array]:
     """Return observations (T, size) and weights (T,) of all terms by name, 0 where nothing was observed.
-
-    Args:
-        terms: of the energy. data: by the name of the term. frames: T.
 
     Raises:
         UnknownNameError: data of an unknown term. InvalidInputError: wrong shapes, or sigma is not positive.

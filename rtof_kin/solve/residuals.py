@@ -28,7 +28,7 @@ def acceleration(p: Matrix, a_world: Matrix, rate_hz: Matrix) -> Matrix:
     """Return central second difference minus measured acceleration (3, n - 2), m/s^2: E_A.
 
     Args:
-        p: (3, n) positions of the sensor, m. a_world: (3, n - 2) m/s^2. rate_hz: of the frames.
+        p: (3, n) positions of the sensor, m. a_world: (3, n - 2) m/s^2.
     """
     return (p[:, 2:] - 2 * p[:, 1:-1] + p[:, :-2]) * rate_hz**2 - a_world
 
@@ -46,7 +46,7 @@ def jerk(p: Matrix, j_world: Matrix, rate_hz: Matrix) -> Matrix:
     """Return third difference minus a target (3, n - 3), m/s^3: E_S.
 
     Args:
-        p: (3, n) m. j_world: (3, n - 3) m/s^3, zero for smoothness. rate_hz: of the frames.
+        p: (3, n) m. j_world: (3, n - 3) m/s^3, zero for smoothness.
     """
     difference = p[:, 3:] - 3 * p[:, 2:-1] + 3 * p[:, 1:-2] - p[:, :-3]
     return difference * rate_hz**3 - j_world
@@ -75,7 +75,7 @@ def pseudo_huber(squared: Matrix, delta: Matrix | float) -> Matrix:
     """Return the robust loss ``2 delta^2 (sqrt(1 + s / delta^2) - 1)``.
 
     Args:
-        squared: s, squared whitened residual. delta: threshold, sigmas.
+        squared: s, squared whitened residual.
     """
     return 2 * delta**2 * (ca.sqrt(1 + squared / delta**2) - 1)
 
@@ -134,7 +134,7 @@ def step_jerk(steps: Matrix, rate_hz: Matrix) -> Matrix:
     """Return the jerk of tangent coordinates (D, n - 2), m/s^3 or rad/s^3.
 
     Args:
-        steps: (D, n) m or rad from each frame to the next. rate_hz: of the frames.
+        steps: (D, n) m or rad from each frame to the next.
     """
     return (steps[:, 2:] - 2 * steps[:, 1:-1] + steps[:, :-2]) * rate_hz**3
 

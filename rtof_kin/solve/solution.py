@@ -28,8 +28,7 @@ class SolverStatus(Enum):
 
     CONVERGED = "The solver converged to its tolerance; see the optimality."
     ACCEPTABLE = (
-        "The solver converged at a looser tolerance, where no step lowered the energy any further; see "
-        "the optimality."
+        "The solver converged at a looser tolerance, where no step lowered the energy any further; see the optimality."
     )
     ITERATION_LIMIT = "The iteration limit was reached before the tolerance."
     UNOBSERVED = "No landmark and no sensor has data in the whole fragment: the result is the prior."
@@ -152,9 +151,8 @@ def misfits(
     """Return warnings about intervals with large reprojection errors.
 
     Args:
-        fragments: with estimated reprojection sigmas. times: (T,) s of the recording.
-        frames: N of a fragment. limit_px: upper bound of the estimates, px. off_px: (T,) median distance of
-            the joints from their keypoints; NaN where unknown.
+        times: (T,) s of the recording. limit_px: upper bound of the estimates, px.
+        off_px: (T,) median distance of the joints from their keypoints; NaN where unknown.
     """
     solved = [f for f in fragments if f.status is not SolverStatus.UNOBSERVED]
     if not solved:

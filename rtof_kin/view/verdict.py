@@ -33,9 +33,6 @@ class Verdict:
 def read_verdict(folder: Path) -> Verdict:
     """Return the verdict of a motion's summary.
 
-    Args:
-        folder: of the motion.
-
     Raises:
         FileFormatError: the summary is no JSON.
     """

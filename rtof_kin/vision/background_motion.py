@@ -85,10 +85,14 @@ class BackgroundMotion:
         """
         turned = float(np.degrees(np.nanpercentile(self.motion.angles, 95)))
         return Check(
-            "turning of the camera", "video", turned, limit_deg, "deg",
+            "turning of the camera",
+            "video",
+            turned,
+            limit_deg,
+            "deg",
             "Declare its motion, [camera.motion] in recording.toml, or film from a tripod",
             cause="the camera did not stand still: it was held by hand, or moved",
-        )  # fmt: skip
+        )
 
 
 def estimate_camera_motion(
@@ -102,7 +106,7 @@ def estimate_camera_motion(
     """Estimate the turning of a camera from its video.
 
     Args:
-        video: file. people: detected in it, whose boxes are left out. camera: of the video, for its lens.
+        people: detected in it, whose boxes are left out.
         sigma_focal: relative standard deviation of its focal length; 0 where it is known and is not refined.
         progress: called with ("camera", frames done, frames in total).
 
@@ -146,9 +150,7 @@ def _camera_of(camera: Camera, frame: VideoFrame) -> Camera:
         )
     scale = min(1.0, _LONG_SIDE / max(width, height))
     size = {"width_px": round(scale * width), "height_px": round(scale * height)}
-    return replace(
-        camera, K=np.diag([size["width_px"] / width, size["height_px"] / height, 1.0]) @ camera.K, **size
-    )
+    return replace(camera, K=np.diag([size["width_px"] / width, size["height_px"] / height, 1.0]) @ camera.K, **size)
 
 
 class _Boxes:
@@ -294,10 +296,12 @@ class _Follower:
     def pairs(self) -> list[Pair]:
         """Return pairs of keyframes and frames turned far against each other, each with as many points."""
         links = [
-            link for link in self.links
-            if link is not None and len(link.pair.uv_a) >= _PAIR_POINTS
+            link
+            for link in self.links
+            if link is not None
+            and len(link.pair.uv_a) >= _PAIR_POINTS
             and so3.angle_between(np.eye(3), link.turned.R_a_b) > _LEAST_TURN
-        ]  # fmt: skip
+        ]
         out = []
         for i in np.unique(np.linspace(0, len(links) - 1, _PAIRS).astype(int)) if links else ():
             pick = self._rng.choice(len(links[i].pair.uv_a), _PAIR_POINTS, replace=False)

@@ -49,7 +49,7 @@ def bearings(camera: Camera, uv_px: Array) -> Array:
     """Return unit vectors (..., 3) in camera axes.
 
     Args:
-        camera: that saw the points. uv_px: (..., 2).
+        uv_px: (..., 2).
     """
     xy = camera.normalise(uv_px)
     return so3.unit(np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1))
@@ -80,11 +80,7 @@ def turn_between(b_a: Array, b_b: Array, tolerance: float, rng: np.random.Genera
 
 
 def with_focal(camera: Camera, factor: float) -> Camera:
-    """Return the camera with another focal length.
-
-    Args:
-        camera: to change. factor: on the focal length.
-    """
+    """Return the camera with another focal length."""
     return replace(camera, K=camera.K @ np.diag([factor, factor, 1.0]))
 
 
@@ -92,8 +88,7 @@ def focal_factor(camera: Camera, pairs: Sequence[Pair], sigma: float) -> tuple[f
     """Return the factor on the focal length with which rotations explain the points best.
 
     Args:
-        camera: with an approximate focal length. pairs: of images turned against each other, each with as
-            many points. sigma: relative standard deviation of the given focal length.
+        pairs: of images turned against each other, each with as many points.
 
     Returns:
         The factor and its relative standard deviation; 1 and `sigma` without pairs.

@@ -55,9 +55,7 @@ class Detections:
             raise InvalidInputError("there is no person in any frame; check the detector's output")
         low, high = float(np.nanmin(confidence, initial=0.0)), float(np.nanmax(confidence, initial=0.0))
         if high > _HIGHEST_CONFIDENCE or low < 0:
-            problem = (
-                f"ranges from {low:g} to {high:g}; give values from 0 to 1 (divide by the detector's maximum)"
-            )
+            problem = f"ranges from {low:g} to {high:g}; give values from 0 to 1 (divide by the detector's maximum)"
             raise InvalidInputError(f"detections confidence: {problem}")
         confidence = np.clip(np.nan_to_num(confidence), 0.0, 1.0)
         missing = ~np.isfinite(uv).all(axis=-1) | (confidence == 0)
@@ -77,16 +75,12 @@ class Detections:
 
     @classmethod
     def of_frames(
-        cls,
-        frames: Mapping[int, Sequence[Person]],
-        times: Array | None = None,
-        names: tuple[str, ...] | None = None,
+        cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
         """Create detections from the people of each frame.
 
         Args:
-            frames: frame number -> people; frames without an entry are empty.
-            times: (T,) s. names: K names of the points.
+            frames: frame number -> people; frames without an entry are empty. times: (T,) s.
 
         Raises:
             InvalidInputError: no people, different numbers of points, or too much data.
@@ -101,9 +95,7 @@ class Detections:
                 raise InvalidInputError(f"frame {number}: {problem}")
         T, P = max(frames) + 1, max(map(len, frames.values()))
         if P > _MOST_PEOPLE or T * P * K > _MOST_NUMBERS:
-            raise InvalidInputError(
-                f"{T} frames of up to {P} people with {K} points are too much; split the recording"
-            )
+            raise InvalidInputError(f"{T} frames of up to {P} people with {K} points are too much; split the recording")
         points, identity = np.zeros((T, P, K, 3)), np.full((T, P), NO_IDENTITY)
         for number, people in frames.items():
             for p, person in enumerate(people):
@@ -121,9 +113,6 @@ class Detections:
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
         """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
-
-        Args:
-            width_px, height_px: image size, required for fractions.
 
         Raises:
             InvalidInputError: the image size is missing.

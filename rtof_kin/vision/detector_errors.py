@@ -65,10 +65,14 @@ class DetectorPoint:
     def mirrored(self) -> DetectorPoint:
         """Return the point of the other side."""
         return replace(
-            self, anchor=mirrored(self.anchor), frame=mirrored(self.frame), second=mirrored(self.second),
-            place=self.place * _MIRROR, second_place=self.second_place * _MIRROR,
+            self,
+            anchor=mirrored(self.anchor),
+            frame=mirrored(self.frame),
+            second=mirrored(self.second),
+            place=self.place * _MIRROR,
+            second_place=self.second_place * _MIRROR,
             view=self.view * MIRROR_HARMONICS[:, None] * _MIRROR,
-        )  # fmt: skip
+        )
 
 
 def detector_points(layout: str) -> Mapping[str, DetectorPoint]:
@@ -92,7 +96,7 @@ def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoi
     """Read the points of a layout.
 
     Args:
-        path: .toml file. layout: name of a layout of the shipped table of detectors.
+        layout: name of a layout of the shipped table of detectors.
 
     Raises:
         FileFormatError: not TOML, a field missing or of the wrong kind. UnknownNameError: unknown layout.
@@ -116,9 +120,7 @@ def read_detector_points(path: str | Path, layout: str) -> dict[str, DetectorPoi
     return found
 
 
-def _point(
-    part: Mapping[str, Any], usual: Landmark, measured: Mapping[str, Any] | None, view: Any
-) -> DetectorPoint:
+def _point(part: Mapping[str, Any], usual: Landmark, measured: Mapping[str, Any] | None, view: Any) -> DetectorPoint:
     """A point at its measured place, or else at that of the table of detectors."""
     skeleton = SkeletonModel.default()
     if measured is None:
@@ -133,10 +135,16 @@ def _point(
         moving = measured["frame"], place, measured["second"], second
     frame, place, second_frame, second_place = moving
     return DetectorPoint(
-        anchor, frame, place, float(part["size_mm"]) / 1000, float(part["independent"]),
-        _metres(part["place_sd_mm"], (3,)), second_frame, second_place,
+        anchor,
+        frame,
+        place,
+        float(part["size_mm"]) / 1000,
+        float(part["independent"]),
+        _metres(part["place_sd_mm"], (3,)),
+        second_frame,
+        second_place,
         np.zeros((HARMONICS, 3)) if view is None else _metres(view, (HARMONICS, 3)),
-    )  # fmt: skip
+    )
 
 
 def _metres(values_mm: Any, shape: tuple[int, ...]) -> Array:

@@ -57,21 +57,17 @@ class ImagePoints:
             p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
         """
         own = [j for j, _ in self.on]
-        return np.asarray(
-            p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places)
-        )
+        return np.asarray(p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places))
 
     def displaced(self, camera: Camera, p_world_joint: Array, R_world_bone: Array) -> Array:
         """Return by how much the points (T, L, 2) lie off their places in the undistorted image, px.
 
         Args:
-            camera: that sees them. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
+            p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
         """
         toward = so3.unit(camera.center_world - p_world_joint[:, list(self.anchors)])
         R_pelvis = R_world_bone[:, 0] @ self.R_bone_pelvis
-        by_view = np.einsum(
-            "tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views
-        )
+        by_view = np.einsum("tlh,lhi->tli", harmonics(np.einsum("tji,tlj->tli", R_pelvis, toward)), self.views)
         second = np.einsum("tlij,lj->tli", R_world_bone[:, list(self.seconds)], self.second_places)
         at = self.positions(p_world_joint, R_world_bone)
         camera = camera.undistorted()
@@ -92,11 +88,7 @@ class ImagePoints:
 
 
 def joined_points(parts: Sequence[ImagePoints]) -> ImagePoints:
-    """Return the points of several cameras, one after the other.
-
-    Args:
-        parts: at least one, of the same skeleton.
-    """
+    """Return the points of several cameras, one after the other."""
     joined: dict[str, Any] = {
         field: tuple(item for part in parts for item in getattr(part, field))
         for field in ("names", "on", "anchors", "seconds")
@@ -164,17 +156,23 @@ def _of_detector(skeleton: SkeletonModel, point: DetectorPoint, leg: float, turn
     segment, anchor, second = map(skeleton.names.index, (point.frame, point.anchor, point.second))
     at = np.zeros(3) if anchor == segment else skeleton.joint_offsets[anchor]
     return _Point(
-        segment, anchor, second, at + leg * turns[segment] @ point.place,
-        leg * turns[second] @ point.second_place, leg * point.view, leg * turns[segment] * point.place_sd,
-        point.size, point.independent,
-    )  # fmt: skip
+        segment,
+        anchor,
+        second,
+        at + leg * turns[segment] @ point.place,
+        leg * turns[second] @ point.second_place,
+        leg * point.view,
+        leg * turns[segment] * point.place_sd,
+        point.size,
+        point.independent,
+    )
 
 
 def measurements(keypoints: KeypointSequence, skeleton: SkeletonModel) -> KeypointSequence:
     """Return what a solver compares with the body: the detector's own points, or else the landmarks.
 
     Args:
-        keypoints: of one person. skeleton: the subject's; detectors' places are known for the 21-joint one.
+        skeleton: the subject's; detectors' places are known for the 21-joint one.
     """
     own = [name for name in keypoints.names if _measurement(name) is not None]
     if own and skeleton.names == _shipped().names:

@@ -54,9 +54,7 @@ _IDENTITY = ("idx", "track_id", "person_id", "instance_id")
 _MOST_FRAMES_EACH = 100  # largest mean distance between frame numbers
 
 
-def read_detector_file(
-    path: str | Path, width_px: int | None = None, height_px: int | None = None
-) -> Detections:
+def read_detector_file(path: str | Path, width_px: int | None = None, height_px: int | None = None) -> Detections:
     """Read the detections of all people in a video.
 
     Args:
@@ -78,9 +76,7 @@ def _read(path: Path) -> Detections:
         return _read_json_folder(path)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise FileFormatError(
-            path, f"not one of {', '.join(FORMATS)}, nor a folder of OpenPose's .json files"
-        )
+        raise FileFormatError(path, f"not one of {', '.join(FORMATS)}, nor a folder of OpenPose's .json files")
     if not path.is_file():
         raise FileFormatError(path, "there is no such file or folder")
     if suffix == ".json":
@@ -116,9 +112,7 @@ def _of_arrays(path: Path, arrays: dict[str, Array]) -> Detections:
 
 
 def _tracks(arrays: dict[str, Array]) -> NDArray[np.int64] | None:
-    return (
-        np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64) if "identity" in arrays else None
-    )
+    return np.nan_to_num(arrays["identity"], nan=NO_IDENTITY).astype(np.int64) if "identity" in arrays else None
 
 
 def _one_of(path: Path, arrays: dict[str, Array], names: tuple[str, ...]) -> Array | None:
@@ -234,9 +228,8 @@ def _number(stem: str) -> int | None:
 
 
 def _detections(
-    path: Path, frames: Mapping[int, Sequence[Person]], times: Array | None = None,
-    names: tuple[str, ...] | None = None,
-) -> Detections:  # fmt: skip
+    path: Path, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
+) -> Detections:
     if frames and (min(frames) < 0 or max(frames) > _MOST_FRAMES_EACH * len(frames) + 1000):
         numbers = f"numbered from {min(frames)} to {max(frames)}; number them as in the video, from 0"
         raise FileFormatError(path, f"its {len(frames)} frames are {numbers}")

@@ -25,15 +25,13 @@ from rtof_kin.vision.layouts import detector_table
 
 _ROWS: Final = {
     "frame": ("sync_index", "frame", "frame_index", "frame_id", "frame_number"),
-    "point": (
-        "point_id", "landmark", "landmark_id", "landmark_index", "keypoint", "keypoint_id", "joint", "id",
-    ),
+    "point": ("point_id", "landmark", "landmark_id", "landmark_index", "keypoint", "keypoint_id", "joint", "id"),
     "x": ("img_loc_x", "x", "x_px", "u", "u_px"),
     "y": ("img_loc_y", "y", "y_px", "v", "v_px"),
     "confidence": ("visibility", "confidence", "score", "likelihood"),
     "time": ("frame_time", "time", "time_s", "timestamp"),
     "camera": ("port", "camera", "cam", "cam_id"),
-}  # fmt: skip
+}
 """Meaning -> names of its column."""
 _NEEDED: Final = ("frame", "point", "x", "y")
 _MOST_NUMBERS: Final = 2**27
@@ -50,9 +48,6 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 
 def read_csv_table(path: Path) -> Detections:
     """Read a .csv of either form.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: unreadable, or its columns are no points.
@@ -99,11 +94,7 @@ def _numbers(names: Sequence[str]) -> list[int]:
 
 
 def is_keypoint_header(line: str) -> bool:
-    """Return whether the first line of a .csv names the columns of detected points.
-
-    Args:
-        line: of comma-separated names.
-    """
+    """Return whether the first line of a .csv names the columns of detected points."""
     if has_rows(line.strip().split(",")):
         return True
     parts: dict[str, set[str]] = {}
@@ -135,11 +126,7 @@ def _found(names: Iterable[str]) -> dict[str, str]:
 
 
 def has_rows(names: Iterable[str]) -> bool:
-    """Return whether columns are those of a table with a row for each point.
-
-    Args:
-        names: of the columns.
-    """
+    """Return whether columns are those of a table with a row for each point."""
     return set(_NEEDED) <= set(_found(names))
 
 
@@ -186,23 +173,16 @@ def read_pixel_trc(path: Path) -> Detections:
 
     Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: unreadable, in metres, or of markers that are no detector's points.
     """
     markers = read_trc(path, up="z")
     uv = markers.p_world[..., :2]
     if not np.nanmax(np.abs(uv), initial=0.0) > _LARGEST_METRES:
-        raise FileFormatError(
-            path, "its markers are in metres, in space; give Sports2D's file in pixels, *_px_*.trc"
-        )
+        raise FileFormatError(path, "its markers are in metres, in space; give Sports2D's file in pixels, *_px_*.trc")
     form, order = detector_table().nearest(markers.names)
     if form is None:
-        raise FileFormatError(
-            path, f"no layout of a detector has its markers {', '.join(markers.names[:8])}, ..."
-        )
+        raise FileFormatError(path, f"no layout of a detector has its markers {', '.join(markers.names[:8])}, ...")
     out = np.full((len(uv), 1, len(form), 2), np.nan)
     at = [i for i, index in enumerate(order) if index is not None]
     out[:, 0, at] = uv[:, [index for index in order if index is not None]]

@@ -99,8 +99,7 @@ def keypoints_from_detections(
     """Compute keypoints of one person from detections in memory.
 
     Args:
-        found: all people. times: (T,) s.
-        camera, layout, person, frame: as in `read_detector_keypoints`.
+        times: (T,) s. camera, layout, person, frame: as in `read_detector_keypoints`.
 
     Raises:
         InvalidInputError: unrecognised layout, no such person, or points outside the camera's image.
@@ -122,30 +121,20 @@ def keypoints_from_detections(
 
 
 def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, ...]:
-    """Return the names of the skeleton's landmarks that a layout gives, then of its own points.
-
-    Args:
-        form: layout of the detector. regression: that estimates the landmarks.
-    """
+    """Return the names of the skeleton's landmarks that a layout gives, then of its own points."""
     own = () if form.name in OWN_LAYOUTS else tuple(detector_point(form.name, p) for p in form.points)
     return regression.landmarks(form) + own
 
 
-def with_own_points(
-    form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array
-) -> tuple[Array, Array]:
+def with_own_points(form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array) -> tuple[Array, Array]:
     """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`.
 
     Args:
-        form: layout of the detector. landmarks: estimated from its points.
         uv: (T, K, 2) px. confidence: (T, K).
     """
     K = 0 if form.name in OWN_LAYOUTS else len(form)
     sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, :K]
-    return (
-        np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1),
-        np.concatenate([landmarks.confidence, sure], axis=1),
-    )
+    return (np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1), np.concatenate([landmarks.confidence, sure], axis=1))
 
 
 def _check_inside(uv: Array, camera: Camera) -> None:

@@ -48,7 +48,7 @@ class LandmarkRegression:
     """The regressions of all layouts.
 
     Args:
-        table: the layouts. gaussian: distribution of their points and the skeleton's landmarks.
+        gaussian: distribution of their points and the skeleton's landmarks.
 
     Raises:
         InvalidInputError: the distribution is of other points.
@@ -97,11 +97,7 @@ class LandmarkRegression:
         return RegressedLandmarks(names, out, out_confidence, sigma)
 
     def landmarks(self, form: Layout) -> tuple[str, ...]:
-        """Return the landmarks that `apply` estimates: all joints, then those that a layout shows.
-
-        Args:
-            form: the layout.
-        """
+        """Return the landmarks that `apply` estimates: all joints, then those that a layout shows."""
         if form.name in OWN_LAYOUTS:
             return form.names
         shown = {name for name, points in self.table.seen_by.items() if set(points) & set(form.points)}
@@ -158,9 +154,6 @@ def _patterns(seen: Mask) -> Iterator[tuple[Mask, NDArray[np.int64]]]:
 def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
     """Read the distribution that ``models/build_adapters.py`` fitted to a table's points.
 
-    Args:
-        path: .npz file. table: of the layouts.
-
     Raises:
         FileFormatError: no such file, damaged, or fitted to other points.
     """
@@ -171,9 +164,7 @@ def read_gaussian(path: str | Path, table: DetectorTable) -> PoseGaussian:
     offsets = np.array([point.offset for point in table.points])
     fitted = arrays["offsets"]
     if fitted.shape != offsets.shape or not np.allclose(fitted, offsets, atol=1e-9):
-        raise FileFormatError(
-            path, f"fitted to points that differ from those in {table.path}; build it again"
-        )
+        raise FileFormatError(path, f"fitted to points that differ from those in {table.path}; build it again")
     names = point_names(table, SkeletonModel.default())
     try:
         return PoseGaussian(names, arrays["mean"], arrays["covariance"], float(arrays["noise"]))

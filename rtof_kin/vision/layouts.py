@@ -1,8 +1,7 @@
 """Detectors' layouts (``models/detectors.toml``): their points and the place of each in the body.
 
-A detector's point is no joint centre but a landmark of its own, fixed in a segment's link frame. Other
-packages add layouts of these points by the entry points of `ADDED`, scripts by `add_layout`; the guide is
-CONTRIBUTING.md.
+A detector's point is no joint centre but a landmark of its own, fixed in a segment's link frame. Other packages add
+layouts of these points by the entry points of `ADDED`, scripts by `add_layout`; the guide is CONTRIBUTING.md.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Layout:
         """Return the layout of points in a detector's own words.
 
         Args:
-            name, title: of the layout. names: K names of the points (``left_big_toe``, ``LBigToe``).
+            names: K names of the points (``left_big_toe``, ``LBigToe``).
             points: which point of the table each is, where its name does not say it.
         """
         names, renamed = tuple(map(str, names)), points or {}
@@ -85,9 +84,6 @@ class DetectorTable:
 
     def layout(self, name: str) -> Layout:
         """Return a layout.
-
-        Args:
-            name: of the layout.
 
         Raises:
             UnknownNameError: there is none; the message lists those known.
@@ -126,9 +122,6 @@ def _canonical(name: str) -> str:
 def is_detector_point(name: str) -> bool:
     """Return whether a name in a `KeypointSequence` is that of a detector's own point.
 
-    Args:
-        name: of the keypoint.
-
     Raises:
         UnknownNameError: the layout has no such point, or there is no such layout.
     """
@@ -151,20 +144,12 @@ def mirrored(name: str) -> str:
 
 
 def own(landmark: str) -> str:
-    """Return the name of a landmark of the skeleton in layouts, distinct from detectors' points.
-
-    Args:
-        landmark: of the skeleton.
-    """
+    """Return the name of a landmark of the skeleton in layouts, distinct from detectors' points."""
     return f"skeleton:{landmark}"
 
 
 def point_names(table: DetectorTable, skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the N points of a view: the skeleton's landmarks, then the detectors' points.
-
-    Args:
-        table: of the layouts. skeleton: with the landmarks.
-    """
+    """Return the N points of a view: the skeleton's landmarks, then the detectors' points."""
     return (*map(own, skeleton.landmarks), *(point.name for point in table.points))
 
 
@@ -174,9 +159,6 @@ ADDED: Final = Extensions("rtof_kin.detector_layouts", Layout, lambda layout: la
 
 def add_layout(layout: Layout) -> None:
     """Add a layout for this process, in place of an added one of the same name.
-
-    Args:
-        layout: of points of the shipped table.
 
     Raises:
         InvalidInputError: its name is that of a shipped layout, or one of its names or points stands twice.
@@ -205,9 +187,7 @@ def _extended(added: tuple[Layout, ...]) -> DetectorTable:
             raise InvalidInputError(f"layout {layout.name!r} is a shipped one; choose another name")
         for kind, names in (("name", layout.names), ("point", layout.points)):
             if double := [name for name in names if names.count(name) > 1]:
-                raise InvalidInputError(
-                    f"layout {layout.name!r}: the {kind} {double[0]!r} stands there twice"
-                )
+                raise InvalidInputError(f"layout {layout.name!r}: the {kind} {double[0]!r} stands there twice")
         if unknown := sorted(set(layout.points) - set(known)):
             raise UnknownNameError(f"point in layout {layout.name!r}", unknown, known)
     return replace(shipped, layouts={**shipped.layouts, **{layout.name: layout for layout in added}})
@@ -220,9 +200,6 @@ def _shipped_table() -> DetectorTable:
 
 def read_detector_table(path: str | Path) -> DetectorTable:
     """Read and check a table of detectors' layouts.
-
-    Args:
-        path: .toml file.
 
     Raises:
         FileFormatError: not TOML, a field missing or of the wrong kind, a duplicate name.

@@ -4,10 +4,9 @@ What is known decides: the focal length that the file states, the model's entry 
 nothing, where the fields of view of phones' main cameras and of webcams give a wide prior. Focal lengths are
 kept relative to the longer side of the image, so that they hold for every resolution of a camera.
 
-An equivalent focal length f35 is stated for the diagonal of 35 mm film (43.27 mm) and the 4:3 sensor of a
-phone, whose diagonal is 5/4 of its width: f / width = f35 / 34.61 mm. The iPhones of the table whose lenses
-were calibrated have 0.955 +- 0.017 of that in videos. A phone's own camera application then crops the image
-to stabilise it.
+An equivalent focal length f35 is stated for the diagonal of 35 mm film (43.27 mm) and the 4:3 sensor of a phone, whose
+diagonal is 5/4 of its width: f / width = f35 / 34.61 mm. The iPhones of the table whose lenses were calibrated have
+0.955 +- 0.017 of that in videos. A phone's own camera application then crops the image to stabilise it.
 """
 
 from __future__ import annotations
@@ -76,7 +75,6 @@ def lens_prior(width_px: int, height_px: int, metadata: VideoMetadata | None = N
     """Return what can be assumed of the lens of an uncalibrated camera.
 
     Args:
-        width_px, height_px: size of the upright image.
         metadata: of the video; None where there is none.
 
     Raises:
@@ -143,9 +141,6 @@ def phone_table() -> tuple[Phone, ...]:
 def read_phone_table(path: str | Path) -> tuple[Phone, ...]:
     """Read a table of phones.
 
-    Args:
-        path: .toml file.
-
     Raises:
         FileFormatError: not TOML, a field missing or of the wrong kind, a focal length beyond any phone's.
     """
@@ -163,6 +158,4 @@ def _phone(entry: dict[str, Any], sources: dict[str, dict[str, Any]]) -> Phone:
         raise ValueError(f"{entry['models']}: focal length {focal:g} of the longer side")
     k1, sigma_k1 = float(entry.get("k1", source["k1"])), float(source["sigma_k1"])
     models = tuple(map(str, entry["models"]))
-    return Phone(
-        str(entry["make"]), models, focal, float(source["sigma"]), k1, sigma_k1, str(source["title"])
-    )
+    return Phone(str(entry["make"]), models, focal, float(source["sigma"]), k1, sigma_k1, str(source["title"]))

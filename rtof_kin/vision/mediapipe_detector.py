@@ -55,7 +55,7 @@ class MediaPipeDetector:
         """Load a model.
 
         Args:
-            model: ``.task`` file; None: the model inside the package. people: largest number in a frame.
+            model: ``.task`` file; None: the model inside the package.
 
         Raises:
             FileFormatError: it cannot be read. RtofError: MediaPipe is not installed, or without a model.

@@ -97,9 +97,6 @@ def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
 def model_set(name: str) -> ModelSet:
     """Return a set of models.
 
-    Args:
-        name: of the set.
-
     Raises:
         UnknownNameError: there is none of this name.
     """
@@ -124,19 +121,12 @@ def _set(entry: dict[str, Any]) -> ModelSet:
 
 
 def models_folder(wanted: ModelSet) -> Path:
-    """Return the folder of a set in the cache, which need not exist.
-
-    Args:
-        wanted: the set.
-    """
+    """Return the folder of a set in the cache, which need not exist."""
     return cache_folder() / "models" / wanted.name
 
 
 def cached_models(wanted: ModelSet) -> Path | None:
     """Return the folder of a set if all its files are in the cache, after comparing their checksums.
-
-    Args:
-        wanted: the set.
 
     Raises:
         FileFormatError: a file is not the published one.
@@ -153,7 +143,7 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
     """Download the files of a set that are not in the cache yet. Calling it is consent.
 
     Args:
-        wanted: the set. progress: called with ("fetch", megabytes done, megabytes in all).
+        progress: called with ("fetch", megabytes done, megabytes in all).
 
     Returns:
         The folder of the files.
@@ -163,9 +153,7 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
             the published one, a full disk.
     """
     if wanted.missing:
-        raise RtofError(
-            f"{', '.join(wanted.missing)}: not installed, {wanted.title} needs it: {wanted.install}"
-        )
+        raise RtofError(f"{', '.join(wanted.missing)}: not installed, {wanted.title} needs it: {wanted.install}")
     folder = models_folder(wanted)
     done = 0
     try:
@@ -215,9 +203,7 @@ def _download(file: ModelFile, part: Path, report: Callable[[int], None]) -> Non
         answer = urllib.request.urlopen(request, timeout=_WAIT)
     except urllib.error.HTTPError as error:
         if error.code != 416:  # the part is the whole file, which its checksum will tell
-            raise RtofError(
-                f"{file.url}: the server answers {error.code} {error.reason}; {_AGAIN}"
-            ) from error
+            raise RtofError(f"{file.url}: the server answers {error.code} {error.reason}; {_AGAIN}") from error
         return
     with answer, part.open("ab" if answer.status == 206 else "wb") as target:
         start = size = target.tell()

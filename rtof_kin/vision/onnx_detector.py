@@ -84,9 +84,6 @@ class OnnxDetector:
     def __init__(self, folder: str | Path):
         """Load the models of a folder; rtmlib never downloads, as it gets files that exist.
 
-        Args:
-            folder: with the .onnx files.
-
         Raises:
             FileFormatError: no pose model, several of a kind, or another kind of model.
             RtofError: the extra ``video`` is not installed.

@@ -1,11 +1,10 @@
 """Correction of keypoints with left and right exchanged, and rejection of another person's keypoints.
 
-Both are found from the continuity of the points: at the beginning of an exchange the points are far from
-their prediction, and near it with sides exchanged; another person's points are far away. An interval is
-corrected only if its end is found too, since one end does not determine which side of it was right, and soon:
-the end of one exchange and the beginning of the next, with the other ends missed, look alike. Of what is
-corrected on simulated detections, 80 of 84 intervals came nearer to those without exchanges (`tests/vision`);
-63 % of the exchanges are found.
+Both are found from the continuity of the points: at the beginning of an exchange the points are far from their
+prediction, and near it with sides exchanged; another person's points are far away. An interval is corrected only if
+its end is found too, since one end does not determine which side of it was right, and soon: the end of one exchange
+and the beginning of the next, with the other ends missed, look alike. Of what is corrected on simulated detections, 80
+of 84 intervals came nearer to those without exchanges (`tests/vision`); 63 % of the exchanges are found.
 """
 
 from __future__ import annotations
@@ -40,7 +39,6 @@ def reject_keypoint_outliers(
 
     Args:
         keypoints: at any times; names of sides begin with ``Left`` and ``Right``, or ``L`` and ``R``.
-        sides: look for exchanged sides. person: look for another person.
 
     Returns:
         The keypoints, unchanged without faults, and the faults.
@@ -70,11 +68,7 @@ def gaps(keypoints: KeypointSequence) -> Iterator[StreamFault]:
 
 
 def side_pairs(names: tuple[str, ...]) -> dict[str, Index]:
-    """Return the columns (n, 2) of left and right points of the legs, and of arms and head.
-
-    Args:
-        names: of the points.
-    """
+    """Return the columns (n, 2) of left and right points of the legs, and of arms and head."""
     groups: dict[str, list[tuple[int, int]]] = {"legs": [], "arms and head": []}
     apart = [layout_and_point(name) for name in names]
     for i, (layout, name) in enumerate(apart):
@@ -120,9 +114,7 @@ def _on_lines(since: Array, past: Array) -> Array:
     return np.where(count < _FEWEST_FRAMES, np.nan, line)
 
 
-def _exchanges(
-    landmarks: KeypointSequence, group: str, pairs: Index
-) -> tuple[list[StreamFault], list[slice]]:
+def _exchanges(landmarks: KeypointSequence, group: str, pairs: Index) -> tuple[list[StreamFault], list[slice]]:
     """Faults of a group of landmarks, and the frames whose sides are to be exchanged back."""
     times, faults, spans = landmarks.times, [], []
     for first, last, closed in _exchanged(landmarks, pairs):
@@ -155,9 +147,7 @@ def _exchanged(keypoints: KeypointSequence, pairs: Index) -> Iterator[tuple[int,
         if first is None and straight > _FRAMES_OF_PAST and not crossed:
             past.add(times[t], sides[t])
             continue
-        if first is not None and (
-            times[t] - times[first] > _LONGEST_EXCHANGE or times[t] - times[last] > _PAST
-        ):
+        if first is not None and (times[t] - times[first] > _LONGEST_EXCHANGE or times[t] - times[last] > _PAST):
             yield first, last, False
             first, past, straight = None, _Past(), 1
         now = sides[t] if first is None else sides[t][:, ::-1]

@@ -62,19 +62,11 @@ class PoseGaussian:
         object.__setattr__(self, "covariance", covariance)
 
     def given(self, seen: Sequence[str]) -> _ConditionedPose:
-        """Return the distribution conditioned on detected points.
-
-        Args:
-            seen: K names.
-        """
+        """Return the distribution conditioned on detected points."""
         return _ConditionedPose(self, seen)
 
     def between(self, a: Sequence[str], b: Sequence[str]) -> Array:
-        """Return the covariance (2A, 2B) of points of a person anywhere in the image.
-
-        Args:
-            a, b: names of A and B points.
-        """
+        """Return the covariance (2A, 2B) of points of a person anywhere in the image."""
         rows, columns = (
             (2 * np.array(indices_of("point", p, self.names))[:, None] + np.arange(2)).ravel() for p in (a, b)
         )

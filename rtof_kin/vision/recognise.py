@@ -73,9 +73,7 @@ def recognise(
     same = [form for form in table.layouts.values() if len(form) == K]
     if layout is not None and len(wanted[0]) != K:
         others = ", ".join(form.name for form in same) or "none of those known"
-        raise InvalidInputError(
-            f"layout {layout} has {len(wanted[0])} points, but there are {K} here, as in: {others}"
-        )
+        raise InvalidInputError(f"layout {layout} has {len(wanted[0])} points, but there are {K} here, as in: {others}")
     if not same:
         known = ", ".join(f"{form.name} ({len(form)})" for form in table.layouts.values())
         raise InvalidInputError(f"no layout has {K} points; known: {known}; or name each point in landmarks")
@@ -100,9 +98,7 @@ def _no_such_names(names: Sequence[str], wanted: Sequence[Layout], layout: str |
     return f"layout {layout}: the points are named {given}; there is no {', '.join(lacking[:5])}"
 
 
-def _fits(
-    regression: LandmarkRegression, forms: Sequence[Layout], uv_px: Array, confidence: Array
-) -> list[_Fit]:
+def _fits(regression: LandmarkRegression, forms: Sequence[Layout], uv_px: Array, confidence: Array) -> list[_Fit]:
     """Return the fit of each layout, the best first."""
     K = len(forms[0])
     uv, confidence = uv_px.reshape(-1, K, 2), confidence.reshape(-1, K)

@@ -48,11 +48,7 @@ class PersonTrack:
         return np.asarray(self.person == NOBODY)
 
     def of(self, detections: Detections) -> tuple[Array, Array]:
-        """Return the person's points (T, K, 2), px, and confidence (T, K); NaN and 0 where lost.
-
-        Args:
-            detections: of all people.
-        """
+        """Return the person's points (T, K, 2), px, and confidence (T, K); NaN and 0 where lost."""
         frames, index = np.arange(len(self.person)), np.maximum(self.person, 0)
         uv = np.where(self.lost[:, None, None], np.nan, detections.uv_px[frames, index])
         return uv, np.where(self.lost[:, None], 0.0, detections.confidence[frames, index])
@@ -137,8 +133,7 @@ def track_person(
     """Track one person.
 
     Args:
-        detections: of all people. times: (T,) s.
-        person: index among the people of `frame`; None: the largest, most central and most often seen.
+        times: (T,) s. person: index among the people of `frame`; None: the largest, most central and most often seen.
         frame: frame of `person`; None: the first with people.
         image_px: width and height of the image; None: the centre is that of all people.
 
@@ -175,7 +170,7 @@ def track_people(
     """Track everyone, each with a weight: the sum over frames of size times confidence, less off the centre.
 
     Args:
-        detections: of all people. times: (T,) s. image_px: as for `track_person`.
+        times: (T,) s. image_px: as for `track_person`.
 
     Returns:
         The most prominent person first.
@@ -285,9 +280,6 @@ class PersonFollower:
     """Follows one person frame by frame, without those to come.
 
     The largest and most central person is chosen, and kept until nobody like that was seen for a second.
-
-    Args:
-        image_px: width and height of the image.
     """
 
     def __init__(self, image_px: tuple[float, float]):
@@ -303,7 +295,7 @@ class PersonFollower:
         """Return the index of the person among those of the next frame; None where that one is not seen.
 
         Args:
-            people: of the frame. time: of the frame, s, later than that of the last one.
+            time: of the frame, s, later than that of the last one.
         """
         self._trails = [trail for trail in self._trails if time - trail.seen_at <= _LONGEST_GAP]
         if self._chosen not in self._trails:

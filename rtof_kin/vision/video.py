@@ -57,8 +57,7 @@ def detect_video(
 
     Args:
         source: video file, or number of a webcam; a webcam may be stopped with Ctrl-C.
-        detector: one that was not used for another video, or the models for `choose_detector`; None: the one
-            at hand.
+        detector: one that was not used for another video, or the models for `choose_detector`; None: the one at hand.
         seconds: duration after which to stop; required for a webcam.
         progress: called with ("detect", frames done, frames in total).
 
@@ -94,9 +93,6 @@ def read_video(source: str | Path | int) -> Iterator[VideoFrame]:
 
     Times are the time stamps of the file, in real time where it is slow motion (`VideoMetadata.slowed`), or
     follow from its frame rate where stamps are missing. Damaged parts of a file are skipped.
-
-    Args:
-        source: video file, or number of a webcam.
 
     Raises:
         FileFormatError: no such file, or not readable.
@@ -183,7 +179,7 @@ def write_detections(path: str | Path, detections: Detections, overwrite: bool =
     """Write uv_px, confidence and times as an .npz file that `read_detector_file` reads.
 
     Args:
-        path: .npz file. detections: of all people. overwrite: whether to replace an existing file.
+        overwrite: whether to replace an existing file.
 
     Raises:
         OutputExistsError: the file exists. RtofError: it cannot be written.

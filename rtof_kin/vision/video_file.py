@@ -26,9 +26,6 @@ _MOST_PIXELS = 64e6  # of one image: 8K has 33 million
 def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
     """Yield the container and the first video stream of a file; errors of PyAV become `FileFormatError`.
 
-    Args:
-        path: video file.
-
     Raises:
         FileFormatError: no such file, not a video, or with images larger than any camera's.
         RtofError: the extra is not installed.
@@ -46,9 +43,7 @@ def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
             if stream.codec_context is None or stream.width * stream.height == 0:
                 raise FileFormatError(path, f"its video track is not readable; {_CONVERT}")
             if stream.width * stream.height > _MOST_PIXELS:
-                raise FileFormatError(
-                    path, f"its images of {stream.width} x {stream.height} px are too large"
-                )
+                raise FileFormatError(path, f"its images of {stream.width} x {stream.height} px are too large")
             yield container, stream
     except (av.FFmpegError, ValueError, OverflowError) as error:
         if isinstance(error, RtofError):
@@ -58,30 +53,18 @@ def open_video(path: str | Path) -> Iterator[tuple[Any, Any]]:
 
 
 def turn_deg(frame: Any) -> int:
-    """Return 0, 90, 180 or 270: counterclockwise turn that makes a frame upright.
-
-    Args:
-        frame: of PyAV, with the display matrix of its file.
-    """
+    """Return 0, 90, 180 or 270: counterclockwise turn that makes a frame upright."""
     return round(float(frame.rotation) / 90) * 90 % 360
 
 
 def upright_size(frame: Any, stream: Any) -> tuple[int, int]:
-    """Return width and height, px, of `upright_image`.
-
-    Args:
-        frame, stream: of PyAV.
-    """
+    """Return width and height, px, of `upright_image`."""
     width, height = _square_width(frame, stream), frame.height
     return (height, width) if turn_deg(frame) % 180 else (width, height)
 
 
 def upright_image(frame: Any, stream: Any) -> NDArray[np.uint8]:
-    """Return the image of a frame, upright and with square pixels, (height, width, 3), BGR.
-
-    Args:
-        frame, stream: of PyAV.
-    """
+    """Return the image of a frame, upright and with square pixels, (height, width, 3), BGR."""
     image = frame.to_ndarray(format="bgr24", width=_square_width(frame, stream), height=frame.height)
     return np.ascontiguousarray(np.rot90(image, turn_deg(frame) // 90))
 

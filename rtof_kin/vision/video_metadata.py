@@ -61,9 +61,6 @@ class VideoMetadata:
 def read_video_metadata(path: str | Path) -> VideoMetadata:
     """Read the metadata of a video; decodes one image.
 
-    Args:
-        path: video file.
-
     Raises:
         FileFormatError: no such file, or not a readable video.
         RtofError: the extra ``video`` is not installed.
@@ -95,9 +92,6 @@ def read_video_metadata(path: str | Path) -> VideoMetadata:
 def read_photo_metadata(path: str | Path) -> VideoMetadata:
     """Read the camera from the EXIF data of a photo that it took, without its rotation.
 
-    Args:
-        path: JPEG, PNG, TIFF or WebP file.
-
     Raises:
         FileFormatError: no such file, or not a readable image.
     """
@@ -117,17 +111,17 @@ def read_photo_metadata(path: str | Path) -> VideoMetadata:
         "focallengthin35mmformat": str(inner.get(ExifTags.Base.FocalLengthIn35mmFilm, "")),
     }
     return VideoMetadata(
-        width, height, make=_text(tags, _MAKE), model=_text(tags, _MODEL), lens=_text(tags, _LENS),
+        width,
+        height,
+        make=_text(tags, _MAKE),
+        model=_text(tags, _MODEL),
+        lens=_text(tags, _LENS),
         focal_35mm_mm=_number(tags, _FOCAL, *_FOCAL_MM),
-    )  # fmt: skip
+    )
 
 
 def slow_motion(container: Any, stream: Any) -> float:
-    """Return the factor by which a file is slower than real time: 1, or more for slow motion of Android.
-
-    Args:
-        container, stream: of PyAV.
-    """
+    """Return the factor by which a file is slower than real time: 1, or more for slow motion of Android."""
     captured = _number(_tags(container, stream), (_CAPTURE,), _SLOW_MOTION_HZ, 1e4)
     rate = frame_rate(stream)
     if captured is None or rate is None or captured < _SLOWED * rate:
@@ -136,11 +130,7 @@ def slow_motion(container: Any, stream: Any) -> float:
 
 
 def frame_count(container: Any, stream: Any) -> int:
-    """Return the number of frames, from duration and rate where the file does not state it; 0 where unknown.
-
-    Args:
-        container, stream: of PyAV.
-    """
+    """Return the number of frames, from duration and rate where the file does not state it; 0 where unknown."""
     return int(stream.frames) or round((_duration(container, stream) or 0.0) * (frame_rate(stream) or 0.0))
 
 
@@ -184,11 +174,7 @@ def _start(tags: dict[str, str]) -> datetime | None:
 
 
 def frame_rate(stream: Any) -> float | None:
-    """Return the mean rate of the frames in a file, Hz; None where unknown.
-
-    Args:
-        stream: of PyAV.
-    """
+    """Return the mean rate of the frames in a file, Hz; None where unknown."""
     rate = float(stream.average_rate or stream.guessed_rate or 0)
     return rate if math.isfinite(rate) and 1e-3 < rate < 1e5 else None
 

@@ -13,9 +13,7 @@ from rtof_kin.core.errors import InvalidInputError
 
 
 def test_commands_are_separated_by_commas_and_options_may_have_some() -> None:
-    chain = read_chain(
-        "reconstruct --guards jumps,spikes --frames 60 ,analyse, report --place 'a, b'", COMMANDS
-    )
+    chain = read_chain("reconstruct --guards jumps,spikes --frames 60 ,analyse, report --place 'a, b'", COMMANDS)
     assert [step.command for step in chain] == ["reconstruct", "analyse", "report"]
     assert chain[0].arguments[3:] == ("--guards", "jumps,spikes", "--frames", "60")
     assert chain[2].arguments[3:] == ("--place", "a, b")
@@ -29,20 +27,21 @@ def test_a_command_that_names_its_files_is_taken_as_it_is() -> None:
     text = "overlay {out}/motion {recording}/video.mp4 -o {out}/overlay.mp4, evaluate"
     overlay, evaluate = read_chain(text, COMMANDS)
     assert overlay.output == "overlay.mp4"
-    assert overlay.line(Path("r"), Path("o"), False) == [
-        "overlay", "o/motion", "r/video.mp4", "-o", "o/overlay.mp4",
-    ]  # fmt: skip
+    assert overlay.line(Path("r"), Path("o"), False) == ["overlay", "o/motion", "r/video.mp4", "-o", "o/overlay.mp4"]
     assert evaluate.output is None
     assert evaluate.line(Path("r"), Path("o"), True) == ["evaluate", "o/motion", "--truth", "r"]
 
 
-@pytest.mark.parametrize("text, named", [
-    ("", "an empty part is no command"),
-    ("reconstrct", "reconstrct is no command; e.g. inspect, calibrate, reconstruct"),
-    ("overlay", "what overlay reads and writes is not known"),
-    ("reconstruct, reconstruct --mode imu", "two commands write motion"),
-    ("reconstruct --mode 'imu", "No closing quotation"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, named",
+    [
+        ("", "an empty part is no command"),
+        ("reconstrct", "reconstrct is no command; e.g. inspect, calibrate, reconstruct"),
+        ("overlay", "what overlay reads and writes is not known"),
+        ("reconstruct, reconstruct --mode imu", "two commands write motion"),
+        ("reconstruct --mode 'imu", "No closing quotation"),
+    ],
+)
 def test_a_wrong_chain_is_refused(text: str, named: str) -> None:
     with pytest.raises(InvalidInputError, match=named):
         read_chain(text, COMMANDS)

@@ -14,16 +14,8 @@ from rtof_kin.batch import index
 from rtof_kin.batch.rows import Row
 
 ROWS = [
-    Row(
-        "s1/a & <b>",
-        "error",
-        step="reconstruct",
-        error="<script>alert(1)</script>",
-        log="log/reconstruct.txt",
-    ),
-    Row(
-        "s 2/'c'#", "fail", "it fails", frames=60, duration_s=1.0, report="report.html", log="log/report.txt"
-    ),
+    Row("s1/a & <b>", "error", step="reconstruct", error="<script>alert(1)</script>", log="log/reconstruct.txt"),
+    Row("s 2/'c'#", "fail", "it fails", frames=60, duration_s=1.0, report="report.html", log="log/report.txt"),
     Row("d", "weakly observed", "x" * 300, report="report.html"),
     Row("e", "pass", "checked", report="report.html"),
     Row("f", "done"),
@@ -46,9 +38,9 @@ def test_very_many_rows_have_pages_and_old_pages_go(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(index, "ROWS_PER_PAGE", 2)
     index.write_index(tmp_path, ROWS, 5, "takes")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["index-2.html", "index-3.html", "index.html"]
-    assert '<a href="index.html">1</a> <b>2</b> <a href="index-3.html">3</a>' in (
-        tmp_path / "index-2.html"
-    ).read_text(encoding="utf-8")
+    assert '<a href="index.html">1</a> <b>2</b> <a href="index-3.html">3</a>' in (tmp_path / "index-2.html").read_text(
+        encoding="utf-8"
+    )
     index.write_index(tmp_path, ROWS[:2], 5, "takes")
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
     index.write_index(tmp_path, [], 5, "takes")
@@ -64,8 +56,7 @@ def test_ten_thousand_rows_fit_every_width(tmp_path: Path) -> None:
         for width in WIDTHS:
             page.resize(width, 900)
             found = page.value(
-                "[document.documentElement.scrollWidth - innerWidth, "
-                "document.querySelectorAll('tbody tr').length]"
+                "[document.documentElement.scrollWidth - innerWidth, document.querySelectorAll('tbody tr').length]"
             )
             assert found[0] <= 0
             assert found[1] == 9995

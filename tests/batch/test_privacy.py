@@ -62,9 +62,7 @@ def test_texts_inside_files_are_found_with_their_place(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('name = "x"\n# of Jane\n')
     (tmp_path / "a.json").write_text(json.dumps({"deep": [{"roe": 1}]}))
     with zipfile.ZipFile(tmp_path / "a.pt", "w") as weights:
-        weights.writestr(
-            "a/data.pkl", b"\x80\x02" + b"/home/jane/corpus.npz" + bytes(9) + b"weights/of/layer"
-        )
+        weights.writestr("a/data.pkl", b"\x80\x02" + b"/home/jane/corpus.npz" + bytes(9) + b"weights/of/layer")
         weights.writestr("a/data/0", b"Jane")
     found = {path.name: [str(one) for one in SEARCH.in_file(path.name, path)] for path in tmp_path.iterdir()}
     since = "times that count from a date, not from the recording's start"

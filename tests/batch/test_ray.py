@@ -47,9 +47,7 @@ def test_a_node_that_is_killed_costs_no_recording(cluster: Any, tmp_path: Path, 
         if done == 3:
             cluster.remove_node(node, allow_graceful=False)
 
-    rows = run_batch(
-        batch_of(root, out), obey, RayCluster(cluster.address, memory_per_job=1e8), progress=kill
-    )
+    rows = run_batch(batch_of(root, out), obey, RayCluster(cluster.address, memory_per_job=1e8), progress=kill)
     assert facts(rows) == {"bad": "error", **dict.fromkeys(names, "pass")}
     assert all((out / name / "report.html").is_file() for name in names)
     repeated = [name for name in names if calls(log)[f"{name} reconstruct"] > 1]

@@ -40,21 +40,24 @@ def test_a_manifest_names_recordings_and_options_of_each(tmp_path: Path) -> None
     ]
 
 
-@pytest.mark.parametrize("text, named", [
-    ("", "empty"),
-    ("folder\na\n", "line 1.*named recording"),
-    ("recording,name,name\n", "line 1.*stands once"),
-    ("recording,name\na\n", "line 2: 1 cells"),
-    ("recording,name\n,x\n", "line 2: no recording"),
-    ("recording,reconstruct\na,--x 'y\n", "line 2: options: No closing quotation"),
-    ('recording\n"a\n', "not a readable CSV"),
-    ("recording\n", "no recordings"),
-    ("recording,name\na,x\nb,x\n", "two recordings are named x"),
-    ("recording,name\na,x\nb,x/y\n", "x/y would lie in the output of x"),
-    ("recording,name\na,../x\n", "no name of an output folder"),
-    ("recording,name\na,.batch\n", "no name of an output folder"),
-    ("recording,name\na,/x\n", "no name of an output folder"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "text, named",
+    [
+        ("", "empty"),
+        ("folder\na\n", "line 1.*named recording"),
+        ("recording,name,name\n", "line 1.*stands once"),
+        ("recording,name\na\n", "line 2: 1 cells"),
+        ("recording,name\n,x\n", "line 2: no recording"),
+        ("recording,reconstruct\na,--x 'y\n", "line 2: options: No closing quotation"),
+        ('recording\n"a\n', "not a readable CSV"),
+        ("recording\n", "no recordings"),
+        ("recording,name\na,x\nb,x\n", "two recordings are named x"),
+        ("recording,name\na,x\nb,x/y\n", "x/y would lie in the output of x"),
+        ("recording,name\na,../x\n", "no name of an output folder"),
+        ("recording,name\na,.batch\n", "no name of an output folder"),
+        ("recording,name\na,/x\n", "no name of an output folder"),
+    ],
+)
 def test_a_wrong_manifest_is_an_error_with_its_line(text: str, named: str, tmp_path: Path) -> None:
     (tmp_path / "list.csv").write_text(text)
     with pytest.raises((FileFormatError, InvalidInputError), match=rf"list\.csv.*{named}"):

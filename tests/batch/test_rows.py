@@ -18,11 +18,18 @@ def test_rows_come_back_as_they_were(tmp_path: Path) -> None:
     assert read_rows([rows.path]) == {row.recording: (1, row) for row in kept}
 
 
-@pytest.mark.parametrize("line", [
-    b'{"run": 9, "row": {"recording": "a", "verd', b"\x00\xff\n", b"[]\n", b'{"run": "x", "row": {}}\n',
-    b'{"run": 9, "row": {"recording": 3}}\n', b'{"run": 9, "row": {"recording": "a", "frames": "many"}}\n',
-    b'{"run": 9, "row": {"recording": "a", "seconds": NaN}}\n',
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"run": 9, "row": {"recording": "a", "verd',
+        b"\x00\xff\n",
+        b"[]\n",
+        b'{"run": "x", "row": {}}\n',
+        b'{"run": 9, "row": {"recording": 3}}\n',
+        b'{"run": 9, "row": {"recording": "a", "frames": "many"}}\n',
+        b'{"run": 9, "row": {"recording": "a", "seconds": NaN}}\n',
+    ],
+)
 def test_damaged_lines_are_ignored_and_left_out_by_the_next_run(line: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     RowFile(path, 1, {}).add(Row("a", "pass"))
@@ -42,6 +49,4 @@ def test_the_latest_run_counts_in_whatever_file(tmp_path: Path) -> None:
     files[1].add(Row("a", "fail"))
     files[2].add(Row("b", "fail"))
     for order in (files, files[::-1]):
-        assert {n: r.verdict for n, (_, r) in read_rows(f.path for f in order).items()} == {
-            "a": "pass", "b": "fail",
-        }  # fmt: skip
+        assert {n: r.verdict for n, (_, r) in read_rows(f.path for f in order).items()} == {"a": "pass", "b": "fail"}

@@ -142,9 +142,7 @@ def test_a_file_that_an_option_names_counts_by_its_content(root: Path, out: Path
         assert calls(log)["a reconstruct"] == times
 
 
-def test_a_temporary_folder_of_a_killed_run_is_removed_although_all_is_done(
-    root: Path, out: Path, log: Path
-) -> None:
+def test_a_temporary_folder_of_a_killed_run_is_removed_although_all_is_done(root: Path, out: Path, log: Path) -> None:
     one = write_recordings(root.parent / "one", a="pass")
     run(batch_of(one, out))
     with temporary_folder(out / "a") as folder:
@@ -157,9 +155,7 @@ def test_a_temporary_folder_of_a_killed_run_is_removed_although_all_is_done(
     assert calls(log) == before
 
 
-def test_overwriting_does_everything_again_even_where_it_was_interrupted(
-    root: Path, out: Path, log: Path
-) -> None:
+def test_overwriting_does_everything_again_even_where_it_was_interrupted(root: Path, out: Path, log: Path) -> None:
     two = write_recordings(root.parent / "two", a="pass", b="pass")
     run(batch_of(two, out))
 
@@ -258,11 +254,7 @@ def test_a_killed_driver_is_resumed_and_its_table_is_that_of_an_undisturbed_run(
     environment = {**os.environ, "PYTHONPATH": path}
     driver = subprocess.Popen(command, env=environment)
     try:
-        until(
-            lambda: (
-                (log / "endless").is_file() and (log / "endless").read_text() and calls(log)["s1/b report"]
-            )
-        )
+        until(lambda: (log / "endless").is_file() and (log / "endless").read_text() and calls(log)["s1/b report"])
         driver.send_signal(signal.SIGKILL)
         driver.wait()
     finally:
@@ -280,8 +272,9 @@ def test_a_killed_driver_is_resumed_and_its_table_is_that_of_an_undisturbed_run(
     monkeypatch.setenv("BATCH_OUT", str(alone))
     run(batch_of(root, alone))
     varying = ("seconds", "cpu_seconds", "peak_memory_mb", "output_mb")
-    first, second = ([{k: v for k, v in row.items() if k not in varying} for row in table(place).values()]
-                     for place in (out, alone))  # fmt: skip
+    first, second = (
+        [{k: v for k, v in row.items() if k not in varying} for row in table(place).values()] for place in (out, alone)
+    )
     assert first == second
     assert results_of(out) == results_of(alone)
     assert not list(out.rglob(".rtof_kin-*"))
@@ -315,9 +308,7 @@ def test_a_run_that_was_killed_while_it_wrote_goes_on(step: str, root: Path, out
     assert calls(log)["a reconstruct"] == (2 if step in ("motion", "batch.json") else 1)
 
 
-def test_a_full_disk_is_an_error_in_the_table_and_leaves_nothing_half(
-    root: Path, out: Path, log: Path
-) -> None:
+def test_a_full_disk_is_an_error_in_the_table_and_leaves_nothing_half(root: Path, out: Path, log: Path) -> None:
     two = write_recordings(root.parent / "two", a="pass", b="pass " + "x" * 400)
     with full_disk(30_000):
         rows = {row.recording: row for row in run(batch_of(two, out))}
@@ -329,9 +320,7 @@ def test_a_full_disk_is_an_error_in_the_table_and_leaves_nothing_half(
     assert calls(log)["a reconstruct"] == 1
 
 
-def test_a_driver_on_a_full_disk_stops_with_one_error_and_goes_on_later(
-    root: Path, out: Path, log: Path
-) -> None:
+def test_a_driver_on_a_full_disk_stops_with_one_error_and_goes_on_later(root: Path, out: Path, log: Path) -> None:
     run(batch_of(write_recordings(root.parent / "one", a="pass"), out))
     file = out / ".batch/shard-1-of-1.jsonl"
     before, kept = table(out), file.read_bytes()
@@ -356,9 +345,7 @@ def test_an_unreadable_recording_is_an_error_in_the_table(root: Path, out: Path,
 
 def test_two_drivers_do_not_share_a_folder(root: Path, out: Path, log: Path) -> None:
     with claim(out, root, Shard(), False):
-        with pytest.raises(
-            OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"
-        ):
+        with pytest.raises(OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"):
             run(batch_of(root, out))
         with pytest.raises(OutputExistsError, match="divide by the same number"):
             run(batch_of(root, out, shard="1/2"))

@@ -59,12 +59,19 @@ def arrays(recording: Recording) -> dict[str, Any]:
     """Everything that the solver sees."""
     camera, imus, own = recording.keypoints.camera, sensors(recording), calibration(recording)
     return {
-        "times": recording.keypoints.times, "uv": recording.keypoints.uv_px,
-        "confidence": recording.keypoints.confidence, "K": camera.K, "R": camera.R_camera_world,
-        "t": camera.t_camera_world, "imu times": imus.times, "orientation": imus.R_inertial_sensor,
-        "force": imus.f_sensor, "heading": own.R_world_inertial,
-        "mounting": own.R_sensor_bone, "offsets": recording.joint_offsets,
-    }  # fmt: skip
+        "times": recording.keypoints.times,
+        "uv": recording.keypoints.uv_px,
+        "confidence": recording.keypoints.confidence,
+        "K": camera.K,
+        "R": camera.R_camera_world,
+        "t": camera.t_camera_world,
+        "imu times": imus.times,
+        "orientation": imus.R_inertial_sensor,
+        "force": imus.f_sensor,
+        "heading": own.R_world_inertial,
+        "mounting": own.R_sensor_bone,
+        "offsets": recording.joint_offsets,
+    }
 
 
 def changed(recording: Recording) -> set[str]:
@@ -247,10 +254,19 @@ def test_scores_are_those_of_the_pipeline(lifter: planted.PlantedLifter, as_give
 def row(motion: str, mode: str, seconds: list[float], **fields: Any) -> dict[str, Any]:
     """A row with the same value in all figures, the mean of its seconds."""
     base: dict[str, Any] = {
-        "motion": motion, "source": motion.split("/")[0], "camera": 0, "keypoints": "white",
-        "sensors": "8", "case": NOMINAL, "mode": mode, "frames": 60 * len(seconds), "coverage": 1.0,
-        "converged": 1.0, "found": [], "seconds_rr_mm": [[60, value] for value in seconds],
-    }  # fmt: skip
+        "motion": motion,
+        "source": motion.split("/")[0],
+        "camera": 0,
+        "keypoints": "white",
+        "sensors": "8",
+        "case": NOMINAL,
+        "mode": mode,
+        "frames": 60 * len(seconds),
+        "coverage": 1.0,
+        "converged": 1.0,
+        "found": [],
+        "seconds_rr_mm": [[60, value] for value in seconds],
+    }
     phases = {n: [[60, 1.0, 2.0]] * 3 for n, f in FAULTS.items() if f.window is not None}
     figures = dict.fromkeys(FIGURES, float(np.mean(seconds)))
     return {**base, **figures, "phases": phases, **fields}
@@ -261,9 +277,7 @@ def test_errors_are_split_before_in_and_after_the_window() -> None:
     fault = Fault(FAULTS[NOMINAL].apply, MIDDLE_SECOND, ("LeftHand",))
     error = np.zeros((181, 21))
     error[60:120, SKELETON.index("LeftHand")[0]] = 42.0
-    assert scoring.around(error, times, fault, SKELETON) == [
-        [60, 0.0, 0.0], [60, 42.0, 2.0], [61, 0.0, 0.0],
-    ]  # fmt: skip
+    assert scoring.around(error, times, fault, SKELETON) == [[60, 0.0, 0.0], [60, 42.0, 2.0], [61, 0.0, 0.0]]
     short = scoring.around(error[:45], times[:45], fault, SKELETON)
     assert [frames for frames, *_ in short] == [0, 45, 0]
 
@@ -281,11 +295,15 @@ def test_costs_are_paired_by_source_motion() -> None:
 
 def test_the_comparison_with_sf2_finds_significantly_worse_motions() -> None:
     rows = [
-        row("worse", "sf2", [20.0, 21.0, 19.0]), row("worse", "rtof", [25.0, 26.0, 25.0]),
-        row("noisy", "sf2", [20.0, 20.0, 20.0]), row("noisy", "rtof", [10.0, 15.0, 40.0]),
-        row("better", "sf2", [20.0, 20.0, 20.0]), row("better", "rtof", [12.0, 11.0, 13.0]),
-        row("better", "rto", [99.0] * 3, sensors="0"), row("better", "sf2", [90.0] * 3, sensors="0"),
-    ]  # fmt: skip
+        row("worse", "sf2", [20.0, 21.0, 19.0]),
+        row("worse", "rtof", [25.0, 26.0, 25.0]),
+        row("noisy", "sf2", [20.0, 20.0, 20.0]),
+        row("noisy", "rtof", [10.0, 15.0, 40.0]),
+        row("better", "sf2", [20.0, 20.0, 20.0]),
+        row("better", "rtof", [12.0, 11.0, 13.0]),
+        row("better", "rto", [99.0] * 3, sensors="0"),
+        row("better", "sf2", [90.0] * 3, sensors="0"),
+    ]
     found = {(d["motion"], d["sensors"]): d for d in tables.against_sf2(rows)}
     assert found["worse", "8"]["difference"] == pytest.approx(16 / 3)
     assert found["worse", "8"]["interval"][0] > 0
@@ -294,9 +312,7 @@ def test_the_comparison_with_sf2_finds_significantly_worse_motions() -> None:
     assert found["better", "0"]["difference"] == pytest.approx(9.0)
     _, check, exceptions = tables.sensors_tables(rows)
     assert [line[2:] for line in check.rows] == [("3", "2", "1"), ("1", "1", "1")]
-    assert [(line[2], line[-1]) for line in exceptions.rows] == [
-        ("worse", "yes"), ("noisy", "no"), ("better", "yes"),
-    ]  # fmt: skip
+    assert [(line[2], line[-1]) for line in exceptions.rows] == [("worse", "yes"), ("noisy", "no"), ("better", "yes")]
 
 
 # --- tables --------------------------------------------------------------------------------------
@@ -306,9 +322,7 @@ def all_rows(table: str) -> Iterator[dict[str, Any]]:
     """Planted rows of two motions for every case; a case's error is its place in the table."""
     for i, case in enumerate(cases(table)):
         for motion in ("a", "b"):
-            about: dict[str, Any] = {
-                "keypoints": case.keypoints, "sensors": case.sensors, "case": case.name
-            }  # fmt: skip
+            about: dict[str, Any] = {"keypoints": case.keypoints, "sensors": case.sensors, "case": case.name}
             for mode in ("zero motion", "lift", "sf2"):
                 yield row(motion, mode, [100.0], **about)
             yield row(motion, "rto" if case.sensors == "0" else "rtof", [10.0 + i], **about)
@@ -354,8 +368,9 @@ def test_jobs_of_tables_use_all_cameras_or_one_in_turn() -> None:
     motions = [replace(CLIP, name=name) for name in "abcdef"]
     options = command._parser().parse_args(["--corpus", "x", "--motions", "b,f"])
     assert [j.key for j in command.jobs("sensors", motions, options)] == [
-        *(f"b {c}" for c in range(4)), *(f"f {c}" for c in range(4)),
-    ]  # fmt: skip
+        *(f"b {c}" for c in range(4)),
+        *(f"f {c}" for c in range(4)),
+    ]
     assert [j.key for j in command.jobs("ablation", motions, options)] == ["b 1", "f 1"]
 
 

@@ -10,10 +10,18 @@ from benchmarks.assignment import tables
 def row(sensor: int, found: str, probability: float, doubt: bool) -> dict[str, Any]:
     """A sensor of the left shank in a recording of four sensors."""
     return {
-        "recording": f"walk {sensor // 4}", "rig": "rig", "walk": False, "seconds": 10, "sensors": 4,
-        "image": True, "told": False, "truth": "LeftLeg", "found": found, "probability": probability,
+        "recording": f"walk {sensor // 4}",
+        "rig": "rig",
+        "walk": False,
+        "seconds": 10,
+        "sensors": 4,
+        "image": True,
+        "told": False,
+        "truth": "LeftLeg",
+        "found": found,
+        "probability": probability,
         "doubt": doubt,
-    }  # fmt: skip
+    }
 
 
 def test_shares_and_reliability_are_those_planted() -> None:
@@ -28,7 +36,5 @@ def test_shares_and_reliability_are_those_planted() -> None:
 def test_planted_errors_are_counted_by_fault() -> None:
     about = {"recording": "walk", "image": True, "doubt": False}
     rows = [row(0, "LeftLeg", 0.9, True)]
-    rows += [
-        {**about, "fault": "forearms exchanged", "named": True, "right": right} for right in (True, False)
-    ]
+    rows += [{**about, "fault": "forearms exchanged", "named": True, "right": right} for right in (True, False)]
     assert "| forearms exchanged | yes | 2 | 100.0 | 50.0 | 0.0 |" in tables(rows)

@@ -92,11 +92,26 @@ def test_half_of_the_motions_are_not_walking() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "accuracy", "calibration", "calibration.optimum", "calibration.planted", "calibration_by_pose",
-        "confidence", "detectors", "harness", "inertial_only", "lifter", "lifter_speed", "mounting",
-        "planted", "scale", "solvers", "total_capture_standin", "unchanged", "verdicts",
+        "accuracy",
+        "calibration",
+        "calibration.optimum",
+        "calibration.planted",
+        "calibration_by_pose",
+        "confidence",
+        "detectors",
+        "harness",
+        "inertial_only",
+        "lifter",
+        "lifter_speed",
+        "mounting",
+        "planted",
+        "scale",
+        "solvers",
+        "total_capture_standin",
+        "unchanged",
+        "verdicts",
     ],
-)  # fmt: skip
+)
 def test_every_command_has_a_help_text(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -10,14 +10,7 @@ import planted as synthetic
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.calibration import (
-    excerpt_length,
-    optimum,
-    planted_figure,
-    planted_rows,
-    planted_tables,
-    planting,
-)
+from benchmarks.calibration import excerpt_length, optimum, planted_figure, planted_rows, planted_tables, planting
 from benchmarks.calibration.planted_rows import ALL, BUT, GOOD, KNOWN, PLAIN, Job, Row
 from benchmarks.calibration.planting import ERRORS, Wrong
 from lifting.predict import Lifter
@@ -60,9 +53,7 @@ def test_the_true_calibration_removes_planted_errors(chosen: tuple[str, ...]) ->
     np.testing.assert_allclose(seen.times, right.video.times, atol=2e-3 if drift else 1e-9)
     np.testing.assert_allclose(seen.uv_px, right.video.uv_px, atol=3.0 if "place" in chosen else 1e-6)
     np.testing.assert_allclose(back.video.camera.K, right.video.camera.K, rtol=1e-12)
-    np.testing.assert_allclose(
-        back.video.camera.R_camera_world, right.video.camera.R_camera_world, atol=1e-12
-    )
+    np.testing.assert_allclose(back.video.camera.R_camera_world, right.video.camera.R_camera_world, atol=1e-12)
     np.testing.assert_allclose(back.joint_offsets, right.joint_offsets, atol=1e-12)
     assert right.imus is not None
     ours, theirs = back.bone_imus(times=seen.times), right.bone_imus(times=right.video.times)
@@ -122,14 +113,18 @@ def test_what_drifts_is_compared_at_the_time_for_which_it_is_given() -> None:
 
 def row(case: str, after: float = 20.0, **more: object) -> Row:
     """A row in which ten headings of 10 degrees were found to 1 degree, and said to be so."""
-    sizes = {name: np.radians([value] * 10).tolist() for name, value in
-             {"truth": 10.0, "value": 11.0, "sigma": 0.75, "prior": 10.0}.items()}  # fmt: skip
+    sizes = {
+        name: np.radians([value] * 10).tolist()
+        for name, value in {"truth": 10.0, "value": 11.0, "sigma": 0.75, "prior": 10.0}.items()
+    }
     heading = {"item": ["LeftArm"] * 10, "verdict": ["observed"] * 10, **sizes}
     detector = {"sigma": [5.0], "claimed": [5.0], "memory": [0.5], "claimed_memory": [0.25]}
     calibrated = {
-        "after": dict.fromkeys(planted_rows.FIGURES, after), "found": {"heading": heading},
-        "detector": detector, "converged": True,
-    }  # fmt: skip
+        "after": dict.fromkeys(planted_rows.FIGURES, after),
+        "found": {"heading": heading},
+        "detector": detector,
+        "converged": True,
+    }
     job = Job("planted", "walking", case)
     before = dict.fromkeys(planted_rows.FIGURES, 10.0 if case == KNOWN else 40.0)
     return {**vars(job), "frames": 100, "before": before, **({} if case == KNOWN else calibrated), **more}
@@ -180,11 +175,7 @@ def of_setting(setting: float | None, camera: int, rr: float) -> Row:
 
 
 def test_settings_are_compared_on_the_same_recordings() -> None:
-    rows = [
-        of_setting(s, c, 10.0 * c + (30.0 if s is None else 60 / s))
-        for c in (1, 2)
-        for s in (None, 10.0, 30.0)
-    ]
+    rows = [of_setting(s, c, 10.0 * c + (30.0 if s is None else 60 / s)) for c in (1, 2) for s in (None, 10.0, 30.0)]
     rows += [of_setting(60.0, 2, 20.0)]  # of the other, 30 s were all
     lines = excerpt_length.report(rows).splitlines()
     assert lines[0] == "2 recordings of 20 s:"

@@ -65,9 +65,9 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
 
 
 def as_stated() -> CovarianceInflation:
-    return CovarianceInflation({
-        who: {kind: {OTHER: Widening(1.0, 0.0)} for kind in kinds} for who, kinds in SEEN.items()
-    })  # fmt: skip
+    return CovarianceInflation(
+        {who: {kind: {OTHER: Widening(1.0, 0.0)} for kind in kinds} for who, kinds in SEEN.items()}
+    )
 
 
 def test_exact_bands_have_their_coverage() -> None:
@@ -89,8 +89,13 @@ def test_the_fit_recovers_the_inflation() -> None:
     hips = found.widenings["fused"]["position"]["Hips"]
     assert np.hypot(hips.factor[0] * SIGMA_M / 3, hips.floor[0]) == pytest.approx(SIGMA_M, rel=0.1)
     assert set(found.widenings["sensed"]["turn"]) == {
-        "world Hips", "world UpLeg", "world Leg", "Hips UpLeg", "UpLeg Leg", OTHER
-    }  # fmt: skip
+        "world Hips",
+        "world UpLeg",
+        "world Leg",
+        "Hips UpLeg",
+        "UpLeg Leg",
+        OTHER,
+    }
 
 
 @pytest.mark.parametrize("factor, floor", [(3.0, 0.02), (1.0, 0.05), (5.0, 1e-3)])

@@ -138,12 +138,25 @@ def test_a_job_has_a_row_for_each_input_and_lifter(lifter: str) -> None:
 def row(**changes: Any) -> dict[str, Any]:
     """A planted row."""
     base = {
-        "motion": "a", "source": "a", "category": "acting", "placement": "low", "keypoints": "perfect",
-        "sensors": "0", "lifter": "x", "frames": 100, "all_frames": 100, "coverage": 1.0,
-        "mpjpe_rr_mm": 10.0, "mpjpe_mm": 20.0, "mpjae": 1.0, "mpjje": 2.0, "Hips mm": 0.0, "Head mm": 5.0,
+        "motion": "a",
+        "source": "a",
+        "category": "acting",
+        "placement": "low",
+        "keypoints": "perfect",
+        "sensors": "0",
+        "lifter": "x",
+        "frames": 100,
+        "all_frames": 100,
+        "coverage": 1.0,
+        "mpjpe_rr_mm": 10.0,
+        "mpjpe_mm": 20.0,
+        "mpjae": 1.0,
+        "mpjje": 2.0,
+        "Hips mm": 0.0,
+        "Head mm": 5.0,
         **{f"{n} {p} deg": 4.0 for n in measures.TORSO for p in measures.PARTS},
         **{f"{n} within {k}": 0.5 for n in measures.DIRECTIONS for k in measures.SIGMAS},
-    }  # fmt: skip
+    }
     return base | changes
 
 
@@ -225,9 +238,7 @@ def test_an_interrupted_run_resumes_and_writes_everything(
 def test_learning_curves_are_drawn(tmp_path: Path) -> None:
     files = []
     for seed in (0, 1):
-        history = [
-            {"windows": w, "validation": {"perfect": {"rr_mm": 50 / w, "abs_mm": 90 / w}}} for w in (1, 2)
-        ]
+        history = [{"windows": w, "validation": {"perfect": {"rr_mm": 50 / w, "abs_mm": 90 / w}}} for w in (1, 2)]
         files.append(tmp_path / f"s{seed}.pt.curves.json")
         files[-1].write_text(json.dumps({"recipe": {"seed": seed}, "history": history}))
     rows = [row(keypoints="realistic"), row(keypoints="realistic", placement="high")]

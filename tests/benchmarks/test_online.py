@@ -171,10 +171,7 @@ def test_ratios_are_pooled_by_error_and_by_motion(tmp_path: Path) -> None:
     assert cells["above batch %, pooled"] == pytest.approx(100 * 10 / 60)
     assert cells["mean of motions %"] == pytest.approx(15.0)
     assert cells["worst motion %"] == pytest.approx(20.0)
-    assert [line[1:4] for line in motions.rows] == [
-        ("a", 20.0, pytest.approx(10.0)),
-        ("b", 40.0, pytest.approx(20.0)),
-    ]
+    assert [line[1:4] for line in motions.rows] == [("a", 20.0, pytest.approx(10.0)), ("b", 40.0, pytest.approx(20.0))]
     figure.error_against_lag(rows, tmp_path / "lag.png")
     assert (tmp_path / "lag.png").stat().st_size > 10_000
 
@@ -209,9 +206,7 @@ def test_a_slow_frame_is_counted() -> None:
 
 
 @pytest.mark.usefixtures("stand_in")
-def test_poses_sink_while_the_camera_is_off_and_recover(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_poses_sink_while_the_camera_is_off_and_recover(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     loss = float(recording.video.times[0]) + 0.5
     usual = dropped._newest(recording)
     without = dropped._newest(recording, Faults(dead=((VIDEO, loss, loss + 0.8),)))

@@ -165,9 +165,7 @@ def test_other_cartesian_energies_are_refused(material: Material, settings: Cart
         ({"limits": False}, "limits=True"),
     ],
 )
-def test_unsupported_joint_space_settings_are_refused(
-    material: Material, change: dict[str, Any], what: str
-) -> None:
+def test_unsupported_joint_space_settings_are_refused(material: Material, change: dict[str, Any], what: str) -> None:
     with pytest.raises(InvalidInputError, match=what):
         JointScene(material, N, replace(JOINT, **change))
 
@@ -204,33 +202,54 @@ def result() -> dict[str, Any]:
     rows = measuring.summaries([row("start (SF2)", {0: 9.0}, 0.0), row("real time", {0: 1.0})], 25)
     answers = {"energy": 1.0, "gradient": 0.1, "violation_deg": 0.0}
     apart = {
-        "first_frame": 300, "distance_mm": 12.0, "real_time": answers,
-        "ipopt": {**answers, "energy": 0.75}, "real_time_converged": True, "ipopt_converged": False,
-    }  # fmt: skip
+        "first_frame": 300,
+        "distance_mm": 12.0,
+        "real_time": answers,
+        "ipopt": {**answers, "energy": 0.75},
+        "real_time_converged": True,
+        "ipopt_converged": False,
+    }
     common = {
-        "ceres_share_in_python": 0.66, "typical_first_frame": 0,
+        "ceres_share_in_python": 0.66,
+        "typical_first_frame": 0,
         "curves": {"real time": [(0.0, 9.0), (0.01, 1.0)], "IPOPT": [(0.0, 9.0), (0.1, 0.99)]},
-    }  # fmt: skip
+    }
     agreement = {
-        "fragments": 9, "same_minimum": 8, "largest_relative_energy_difference": 2e-9,
-        "largest_distance_mm": 0.01, "different_minima": [], "not_certified_by_both": [apart],
-    }  # fmt: skip
+        "fragments": 9,
+        "same_minimum": 8,
+        "largest_relative_energy_difference": 2e-9,
+        "largest_distance_mm": 0.01,
+        "different_minima": [],
+        "not_certified_by_both": [apart],
+    }
     return {
-        "command": "python -m benchmarks.solvers", "machine": {"threads": "1"},
-        "effort": asdict(measuring.Effort()), "cartesian": {"rows": rows, **common},
+        "command": "python -m benchmarks.solvers",
+        "machine": {"threads": "1"},
+        "effort": asdict(measuring.Effort()),
+        "cartesian": {"rows": rows, **common},
         "joint": {
-            "without_limits": rows, "with_limits": rows, "agreement": agreement, **common,
+            "without_limits": rows,
+            "with_limits": rows,
+            "agreement": agreement,
+            **common,
             "degrees_of_freedom": {"per_frame": 43, "per_fragment": 2150},
         },
         "by_length": [{"N": 20, "paper": 1256, "joint, real time": 300.0}],
         "by_settings": [
-            {"settings": "joint space", "frames_per_second": 600.0, "iterations_per_fragment": 5.6,
-             "converged": 5, "fragments": 5, "build_seconds": 0.1}
+            {
+                "settings": "joint space",
+                "frames_per_second": 600.0,
+                "iterations_per_fragment": 5.6,
+                "converged": 5,
+                "fragments": 5,
+                "build_seconds": 0.1,
+            }
         ],
         "build_seconds": {"interpreted": 0.7},
-        "by_duration": [{"recording_seconds": 10, "seconds": 1.0, "seconds_per_second": 0.1,
-                         "resident_growth_mb": 0.5}],
-    }  # fmt: skip
+        "by_duration": [
+            {"recording_seconds": 10, "seconds": 1.0, "seconds_per_second": 0.1, "resident_growth_mb": 0.5}
+        ],
+    }
 
 
 def test_the_report_has_every_table() -> None:

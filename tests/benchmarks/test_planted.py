@@ -51,22 +51,33 @@ def test_larger_sizes_are_larger_faults() -> None:
     ("line", "name", "named"),
     [
         ("fail: the clocks are off: Check them (the sensors: delay 0.4 s, above 0.1)", "sensors late", True),
-        ("fail: the bones are too long: Or the clock (the person: size 1.2 times, above 1.1)",
-         "sensors late", False),
-        ("warn: LeftLeg: acceleration residual 7 m/s2 (above 4 m/s2) at 3 s: synchronisation",
-         "sensors late", False),
-        ("warn: LeftLeg: share of frames unseen 30 % (above 10 %): occluded; more warns in image",
-         "legs of the keypoints exchanged", False),
-        ("pass for the angles; position in the room fails: the focal length is too short: Measure it (the "
-         "feet: walk 1.3 times, above 1.2 times); checked, no problem found",
-         "focal length wrong", True),
-        ("pass for the angles; position in the room uncertain: the focal length is not known; checked",
-         "focal length wrong", False),
-        ("warn: LeftLeg: share unseen 3 % (above 2 %); more warns in body; position in the room fails: the "
-         "floor is wrong: Look (the person: ankle 0.4 m, above 0.2 m)", "floor too high or low", True),
+        ("fail: the bones are too long: Or the clock (the person: size 1.2 times, above 1.1)", "sensors late", False),
+        ("warn: LeftLeg: acceleration residual 7 m/s2 (above 4 m/s2) at 3 s: synchronisation", "sensors late", False),
+        (
+            "warn: LeftLeg: share of frames unseen 30 % (above 10 %): occluded; more warns in image",
+            "legs of the keypoints exchanged",
+            False,
+        ),
+        (
+            "pass for the angles; position in the room fails: the focal length is too short: Measure it (the "
+            "feet: walk 1.3 times, above 1.2 times); checked, no problem found",
+            "focal length wrong",
+            True,
+        ),
+        (
+            "pass for the angles; position in the room uncertain: the focal length is not known; checked",
+            "focal length wrong",
+            False,
+        ),
+        (
+            "warn: LeftLeg: share unseen 3 % (above 2 %); more warns in body; position in the room fails: the "
+            "floor is wrong: Look (the person: ankle 0.4 m, above 0.2 m)",
+            "floor too high or low",
+            True,
+        ),
         ("pass: checked, no problem found; not checked: the focal length", "focal length wrong", False),
     ],
-)  # fmt: skip
+)
 def test_a_fault_is_named_by_the_cause_and_not_by_advice_or_a_list(line: str, name: str, named: bool) -> None:
     assert (name in matching(cause(line))) is named
 
@@ -74,19 +85,31 @@ def test_a_fault_is_named_by_the_cause_and_not_by_advice_or_a_list(line: str, na
 def row(fault: str, **fields: Any) -> dict[str, Any]:
     """One row of results."""
     known: dict[str, Any] = {
-        "motion": "m", "person": "p", "sensors": "8", "fault": fault, "line": "pass: fine", "grade": "pass",
-        "causes": [], "named": False, "inside": {"world": 0.95, "relative": 0.5, "angles": 0.5},
-        "mpjpe_rr_mm": 20.0, "mpjpe_mm": 50.0, "flexion_deg": 3.0,
+        "motion": "m",
+        "person": "p",
+        "sensors": "8",
+        "fault": fault,
+        "line": "pass: fine",
+        "grade": "pass",
+        "causes": [],
+        "named": False,
+        "inside": {"world": 0.95, "relative": 0.5, "angles": 0.5},
+        "mpjpe_rr_mm": 20.0,
+        "mpjpe_mm": 50.0,
+        "flexion_deg": 3.0,
         "size": "0" if fault in RIGHT else f"{FAULTS[fault].sizes[0]:g}",
-    }  # fmt: skip
+    }
     return known | fields
 
 
 def test_totals_count_named_and_silent_faults_and_false_alarms() -> None:
     rows = [
-        row("right"), row("right", grade="fail", line="fail: the floor is wrong"),
-        row("focal length wrong"), row("sensors late"), row("sensors late", named=True, grade="fail"),
-    ]  # fmt: skip
+        row("right"),
+        row("right", grade="fail", line="fail: the floor is wrong"),
+        row("focal length wrong"),
+        row("sensors late"),
+        row("sensors late", named=True, grade="fail"),
+    ]
     assert [false_alarm(one) for one in rows[:2]] == [False, True]
     assert [silent(one) for one in rows[2:]] == [False, True, False]
     found = totals(rows)

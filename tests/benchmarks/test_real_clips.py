@@ -17,8 +17,7 @@ LAYOUT = "mediapipe33"
 MOTION = walking()
 SKELETON, POSES = MOTION.skeleton, MOTION.poses[:20]
 CAMERAS = tuple(
-    Camera.looking_at([4 * np.cos(a), 4 * np.sin(a), 1.3], [0, 0, 1.0], 1250.0)
-    for a in np.radians([10, 100, 190, 280])
+    Camera.looking_at([4 * np.cos(a), 4 * np.sin(a), 1.3], [0, 0, 1.0], 1250.0) for a in np.radians([10, 100, 190, 280])
 )
 
 
@@ -53,12 +52,7 @@ def test_a_clip_of_caliscope_is_read(tmp_path: Path) -> None:
         for k in (0, 1)
     )
     (tmp_path / "config.toml").write_text(cameras)
-    rows = [
-        f"{t},{k},{t},0.0,{i},{300 + 9 * i},{200 + 9 * i},,"
-        for t in (0, 1)
-        for k in (0, 1)
-        for i in range(33)
-    ]
+    rows = [f"{t},{k},{t},0.0,{i},{300 + 9 * i},{200 + 9 * i},," for t in (0, 1) for k in (0, 1) for i in range(33)]
     (tmp_path / "xy_HOLISTIC.csv").write_text("\n".join(["header", *rows, "1,0,1,0.0,104,5,5,,"]))
     trial = caliscope(tmp_path)
     assert [view.name for view in trial.views] == ["cam_0", "cam_1"]

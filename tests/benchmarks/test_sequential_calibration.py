@@ -20,10 +20,12 @@ def row(how: str, rr_mm: float, **more: Any) -> dict[str, Any]:
 
 def test_errors_are_those_of_what_is_applied() -> None:
     one = np.ones(1)
-    found = SelfCalibration((
-        Quantity("heading", "LeftArm", 0.2 * one, 0.1 * one, one, 0.99),
-        Quantity("heading", "RightArm", 0.2 * one, 0.1 * one, one, 0.1),
-    ))  # fmt: skip
+    found = SelfCalibration(
+        (
+            Quantity("heading", "LeftArm", 0.2 * one, 0.1 * one, one, 0.99),
+            Quantity("heading", "RightArm", 0.2 * one, 0.1 * one, one, 0.1),
+        )
+    )
     truth = {"heading": {"LeftArm": 0.3 * one, "RightArm": 0.0 * one}}
     before, remaining, stated = errors(found, truth)["heading"]
     assert before == pytest.approx(0.3 / np.sqrt(2), rel=1e-3)

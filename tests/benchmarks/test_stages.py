@@ -54,9 +54,7 @@ def test_sf2_is_no_worse_than_the_lift(rig: str) -> None:
             assert degrees < 1.0, (kind, sensors, change)
 
 
-@pytest.mark.parametrize(
-    "rig, most", [("cmu_bvh", 8.0), ("cmu_hanging_arms", 8.0), ("total_capture_like", 0.0)]
-)
+@pytest.mark.parametrize("rig, most", [("cmu_bvh", 8.0), ("cmu_hanging_arms", 8.0), ("total_capture_like", 0.0)])
 def test_the_optimiser_is_no_worse_than_sf2(rig: str, most: float) -> None:
     # CMU's trunks bend at two joints of four; the prior's even spine costs some millimetres there.
     lifter, change = Lifter.load(), []

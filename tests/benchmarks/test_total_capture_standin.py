@@ -15,11 +15,20 @@ from benchmarks import total_capture_standin as standin
 from rtof_kin.core.errors import OutputExistsError
 
 SEGMENT = {
-    "Head": "Head", "Sternum": "Spine3", "Pelvis": "Hips", "L_UpArm": "LeftArm", "R_UpArm": "RightArm",
-    "L_LowArm": "LeftForeArm", "R_LowArm": "RightForeArm", "L_UpLeg": "LeftUpLeg",
-    "R_UpLeg": "RightUpLeg", "L_LowLeg": "LeftLeg", "R_LowLeg": "RightLeg", "L_Foot": "LeftFoot",
+    "Head": "Head",
+    "Sternum": "Spine3",
+    "Pelvis": "Hips",
+    "L_UpArm": "LeftArm",
+    "R_UpArm": "RightArm",
+    "L_LowArm": "LeftForeArm",
+    "R_LowArm": "RightForeArm",
+    "L_UpLeg": "LeftUpLeg",
+    "R_UpLeg": "RightUpLeg",
+    "L_LowLeg": "LeftLeg",
+    "R_LowLeg": "RightLeg",
+    "L_Foot": "LeftFoot",
     "R_Foot": "RightFoot",
-}  # fmt: skip
+}
 MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap"
 
 
@@ -145,9 +154,7 @@ def test_detections_follow_the_truth_late_and_camera_2_is_off(tmp_path: Path) ->
 # --- which clips, and the command ----------------------------------------------------------------
 
 
-def test_the_command_refuses_wrong_folders_and_options(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_refuses_wrong_folders_and_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         standin.main(["--help"])
     assert "NOT Total Capture" in capsys.readouterr().out

@@ -63,10 +63,7 @@ def test_calibration_error_of_exact_and_doubled_sigmas() -> None:
 
 def clips() -> list[tuple[str, MocapClip]]:
     poses = planted.moving(BODY, 60, 1).poses
-    return [
-        ("people", MocapClip(f"m{i}", poses, BODY.joint_offsets, subject="s1", category="walk"))
-        for i in range(2)
-    ]
+    return [("people", MocapClip(f"m{i}", poses, BODY.joint_offsets, subject="s1", category="walk")) for i in range(2)]
 
 
 SAMPLER = """
@@ -96,9 +93,10 @@ def result(apart: float) -> Any:
     """As `reconstruct` returns it: all places off by `apart` m along x, stated 10 mm per axis."""
     truth = planted.moving(BODY, 30, 4).poses
     poses = replace(
-        truth, p_world_joint=truth.p_world_joint + np.array([apart, 0.0, 0.0]),
+        truth,
+        p_world_joint=truth.p_world_joint + np.array([apart, 0.0, 0.0]),
         orientation_observed=np.ones(len(BODY.names), dtype=np.bool_),
-    )  # fmt: skip
+    )
     pairs, J = segment_pairs(BODY), len(BODY.names)
     unit = np.tile(np.eye(3), (30, J, 1, 1))
     turn = np.tile(np.radians(2.0) ** 2 * np.eye(3), (30, len(pairs), 1, 1))
@@ -131,11 +129,14 @@ def rows(count: int, seed: int = 0) -> list[dict[str, Any]]:
     rng, found = np.random.default_rng(seed), []
     for i in range(count):
         row: dict[str, Any] = {
-            "group": ("people", "rigs")[i % 2], "person": f"p{i % 3}", "motion": f"m{i}",
-            "keypoints": "realistic", "sensors": ("0", "8")[i % 2],
+            "group": ("people", "rigs")[i % 2],
+            "person": f"p{i % 3}",
+            "motion": f"m{i}",
+            "keypoints": "realistic",
+            "sensors": ("0", "8")[i % 2],
             "fault": ("ordinary", "slipped")[i % 2],
             "verdict": {"grades": float(i), "excess": float(i)},
-        }  # fmt: skip
+        }
         for quantity in ("position", "relative", "orientation", "angle"):
             usual = 40.0 if quantity in ("position", "relative") else 8.0
             sigma = usual * (1 + i) / count * np.exp(rng.normal(size=(5, 40)))
@@ -143,9 +144,12 @@ def rows(count: int, seed: int = 0) -> list[dict[str, Any]]:
             one = np.ones(sigma.shape)
             sigma[0, 0] = np.nan
             row[quantity] = {
-                "names": ["a"] * 5, "error": error.tolist(), "sigma": sigma.tolist(),
-                "freedom": one.tolist(), "flags": (0 * one).tolist(),
-            }  # fmt: skip
+                "names": ["a"] * 5,
+                "error": error.tolist(),
+                "sigma": sigma.tolist(),
+                "freedom": one.tolist(),
+                "flags": (0 * one).tolist(),
+            }
         found.append(row)
     return found
 
@@ -163,8 +167,9 @@ def test_exact_sigmas_score_well_and_tables_are_complete(tmp_path: Path) -> None
     assert verdict["auc_flags"] == 0.5
     low, high = numbers["intervals"]["clinical angles > 10 deg"]["auc"]
     assert low < high
-    text = command.write([*found, {"motion": "x", "fault": "y", "failed": "lost"}], tmp_path / "v.json",
-                         {"how": "Here."})  # fmt: skip
+    text = command.write(
+        [*found, {"motion": "x", "fault": "y", "failed": "lost"}], tmp_path / "v.json", {"how": "Here."}
+    )
     assert len(shown) == 3
     for words in ("Here.", "x, y: lost", "with a fault", "realistic, 8 sensors"):
         assert words in text

@@ -15,9 +15,8 @@ from rtof_kin.vision.layouts import detector_table, mirrored, own
 
 Array = NDArray[np.float64]
 STILL = ViewSettings(
-    distance=(4.0, 4.0), height=(1.0, 1.0), roll=0.0, tilt_share=0.0, bone_scale=0.0, place=0.0,
-    mirror=False,
-)  # fmt: skip
+    distance=(4.0, 4.0), height=(1.0, 1.0), roll=0.0, tilt_share=0.0, bone_scale=0.0, place=0.0, mirror=False
+)
 FRAMES = (0, 20, 40)
 
 
@@ -30,9 +29,7 @@ def seen(settings: ViewSettings, seed: int = 0) -> tuple[Views, Array, Array]:
 def joints(views: Views, flipped: bool = False) -> Array:
     """(T, 21, 3) joints of the walk, or of its mirror image."""
     poses, skeleton = walking().poses, views.skeleton
-    p = kinematics.positions(
-        skeleton.parents, skeleton.joint_offsets, poses.p_world_joint[:, 0], poses.R_world_bone
-    )
+    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, poses.p_world_joint[:, 0], poses.R_world_bone)
     if not flipped:
         return p
     return np.asarray(p[:, [skeleton.names.index(mirrored(n)) for n in skeleton.names]] @ MIRROR)
@@ -78,8 +75,12 @@ def test_people_are_upright_and_seen_from_all_directions() -> None:
 def test_detector_points_are_near_their_landmarks() -> None:
     views, points, _ = seen(STILL)
     at = {name: points[:, i] for i, name in enumerate(views.names)}
-    for point, landmark in (("RightElbow", "RightForeArm"), ("Nose", "Nose"),
-                            ("RightAnkle", "RightFoot"), ("LeftBigToe", "LeftToe")):  # fmt: skip
+    for point, landmark in (
+        ("RightElbow", "RightForeArm"),
+        ("Nose", "Nose"),
+        ("RightAnkle", "RightFoot"),
+        ("LeftBigToe", "LeftToe"),
+    ):
         far = np.linalg.norm(at[point] - at[own(landmark)], axis=-1) * 4
         assert np.all(far < 0.08)  # m, as seen from 4 m
         assert far.max() > 0.005

@@ -77,10 +77,13 @@ def test_truth_has_no_error_and_a_constant_shift_only_an_absolute_one(truth: Pos
             assert figures[name] == pytest.approx(0.0, abs=1e-5), name
 
 
-@pytest.mark.parametrize("joint, absolute, relative", [
-    ("Head", 1 / J, 1 / J),
-    ("Hips", 1 / J, (J - 1) / J),  # the root counts as zero, and all others are off relative to it
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "joint, absolute, relative",
+    [
+        ("Head", 1 / J, 1 / J),
+        ("Hips", 1 / J, (J - 1) / J),  # the root counts as zero, and all others are off relative to it
+    ],
+)
 def test_error_of_one_joint_is_averaged_over_all(
     truth: PoseSequence, joint: str, absolute: float, relative: float
 ) -> None:
@@ -136,10 +139,13 @@ def test_flexion_is_the_angle_between_adjacent_bones_and_averaged_over_four_hing
     assert "flexion_deg" not in figures.per_joint["Head"]
 
 
-@pytest.mark.parametrize("name, expected", [
-    ("total_capture", {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}),
-    ("human36m", {"LKnee", "RKnee", "LElbow", "RElbow"}),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, expected",
+    [
+        ("total_capture", {"LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"}),
+        ("human36m", {"LKnee", "RKnee", "LElbow", "RElbow"}),
+    ],
+)
 def test_hinges_are_knees_and_elbows(name: str, expected: set[str]) -> None:
     skeleton = SkeletonModel.named(name)
     assert {skeleton.names[j] for j in metrics.hinges(skeleton)} == expected
@@ -187,9 +193,7 @@ def test_procrustes_never_mirrors() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(
-    rotvec=st.tuples(*[st.floats(-3, 3)] * 3),
-    translation=st.tuples(*[st.floats(-5, 5)] * 3),
-    scale=st.floats(0.3, 3.0),
+    rotvec=st.tuples(*[st.floats(-3, 3)] * 3), translation=st.tuples(*[st.floats(-5, 5)] * 3), scale=st.floats(0.3, 3.0)
 )
 def test_aligned_error_is_invariant_to_similarity_transforms(
     rotvec: tuple[float, ...], translation: tuple[float, ...], scale: float
@@ -255,9 +259,17 @@ def test_metrics_are_a_mapping_with_joints_and_frames(truth: PoseSequence) -> No
     figures = evaluate(shifted(truth, 0.01 * DIRECTION), truth)
     assert isinstance(figures, Mapping)
     assert list(figures) == [
-        "mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "mpjae_frame_mm",
-        "mpjje_frame_mm", "angle_deg", "flexion_deg", "coverage",
-    ]  # fmt: skip
+        "mpjpe_mm",
+        "mpjpe_rr_mm",
+        "mpjpe_pa_mm",
+        "mpjae",
+        "mpjje",
+        "mpjae_frame_mm",
+        "mpjje_frame_mm",
+        "angle_deg",
+        "flexion_deg",
+        "coverage",
+    ]
     assert tuple(figures.per_joint) == BODY.names
     assert figures.over_time["mpjpe_rr_mm"].shape == (T,)
     mean = np.mean([figures.per_joint[name]["mpjpe_mm"] for name in BODY.names])

@@ -30,9 +30,12 @@ def motion() -> MotionSequence:
     p, R = BODY.forward_kinematics(q)
     turned = np.array([name != "LeftHand" for name in BODY.names])
     poses = replace(
-        motion.poses, p_world_joint=p, R_world_bone=R, orientation_observed=turned,
+        motion.poses,
+        p_world_joint=p,
+        R_world_bone=R,
+        orientation_observed=turned,
         provenance=np.where(turned, Provenance.IMU, Provenance.PRIOR)[None].repeat(T, axis=0),
-    )  # fmt: skip
+    )
     return replace(motion, q=q, poses=poses)
 
 
@@ -43,9 +46,7 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("short_blocks")
 @pytest.mark.parametrize("margin", [0, 1, 9])
-def test_blocks_are_the_motion_and_their_margin_is_what_is_beside_them(
-    motion: MotionSequence, margin: int
-) -> None:
+def test_blocks_are_the_motion_and_their_margin_is_what_is_beside_them(motion: MotionSequence, margin: int) -> None:
     covered = []
     for block in MotionSource.of(motion).blocks(margin):
         first, last = max(block.start - margin, 0), min(block.stop + margin, T)

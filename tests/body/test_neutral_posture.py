@@ -53,9 +53,7 @@ def test_the_first_still_t_pose_gives_the_posture() -> None:
 
 def test_hanging_arms_and_short_or_moving_t_poses_are_none() -> None:
     assert posture_from_t_pose(bent(HANGING, 90), BODY.parents) is None
-    assert (
-        posture_from_t_pose(joined(bent(HANGING, 40), bent(OWN, 8), bent(HANGING, 40)), BODY.parents) is None
-    )
+    assert posture_from_t_pose(joined(bent(HANGING, 40), bent(OWN, 8), bent(HANGING, 40)), BODY.parents) is None
     swaying = [bent({"Spine": (0.0, 2.0 * t, 0.0)}, 1) for t in range(20)]
     assert posture_from_t_pose(joined(*swaying), BODY.parents) is None
 
@@ -64,19 +62,14 @@ def test_the_prior_of_a_person_has_the_spine_of_the_posture_and_lowered_clavicle
     posture = NeutralPosture.of(bent(OWN, 3), BODY.parents)
     population, own = shipped_prior(BODY.names), BODY.with_posture(posture).table.prior
     means = {n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(own.mean_quat_wxyz), strict=True)}
-    before = {
-        n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(population.mean_quat_wxyz), strict=True)
-    }
+    before = {n: R for n, R in zip(BODY.names[1:], so3.from_quat_wxyz(population.mean_quat_wxyz), strict=True)}
     for joint in SPINE:
         np.testing.assert_allclose(so3.log(means[joint]), np.radians(OWN.get(joint, (0, 0, 0))), atol=1e-9)
     for joint in HIPS:
         np.testing.assert_allclose(
             means[joint] @ before[joint].T, so3.exp(np.radians(OWN.get(joint, (0.0, 0, 0)))), atol=1e-9
         )
-    lowered = {
-        j: np.degrees(so3.log(so3.exp(np.radians(OWN.get(j, (0.0, 0, 0)))).T @ means[j]))[0]
-        for j in CLAVICLES
-    }
+    lowered = {j: np.degrees(so3.log(so3.exp(np.radians(OWN.get(j, (0.0, 0, 0)))).T @ means[j]))[0] for j in CLAVICLES}
     assert -20 < lowered["LeftShoulder"] < -12
     assert 12 < lowered["RightShoulder"] < 20
     assert {n for n in means if not np.allclose(means[n], before[n])} <= set(JOINTS)

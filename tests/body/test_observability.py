@@ -29,9 +29,8 @@ from rtof_kin.data.poses import Provenance
 BODY = SkeletonModel.default()
 T = 12
 ELBOWS_AND_KNEES = {
-    f"{side}{axes}" for side in ("Left", "Right")
-    for axes in ("ForeArm_y", "ForeArm_x", "Leg_x", "Leg_z")
-}  # fmt: skip
+    f"{side}{axes}" for side in ("Left", "Right") for axes in ("ForeArm_y", "ForeArm_x", "Leg_x", "Leg_z")
+}
 LEAVES = ("Head", "LeftHand", "RightHand", "LeftFoot", "RightFoot")
 ENDS = {f"{leaf}_{axis}" for leaf in LEAVES for axis in "xyz"}
 HAND = {"RightHand_x", "RightHand_y", "RightHand_z"}

@@ -23,9 +23,12 @@ def arrays(**changes: Any) -> dict[str, Any]:
     """Of a small prior of three joints."""
     root = np.random.default_rng(0).normal(size=(6, 6))
     return {
-        "mean_quat_wxyz": np.tile([1.0, 0, 0, 0], (2, 1)), "covariance": root @ root.T / 50,
-        "sigma_jerk": np.array([300.0, 400.0, 500.0]), "sigma_root_jerk": np.array(50.0), **changes,
-    }  # fmt: skip
+        "mean_quat_wxyz": np.tile([1.0, 0, 0, 0], (2, 1)),
+        "covariance": root @ root.T / 50,
+        "sigma_jerk": np.array([300.0, 400.0, 500.0]),
+        "sigma_root_jerk": np.array(50.0),
+        **changes,
+    }
 
 
 def saved(folder: Path, **changes: Any) -> Path:
@@ -88,20 +91,21 @@ def test_prior_of_another_skeleton_or_a_damaged_file_is_refused(tmp_path: Path) 
         PosePrior.load(BODY.names, path)
 
 
-@pytest.mark.parametrize("change, message", [
-    ({"covariance": None}, "covariance"),
-    ({"sigma_jerk": np.ones(2)}, r"prior sigma_jerk: expected shape \(3\)"),
-    ({"sigma_root_jerk": np.ones(2)}, "sigma_root_jerk"),
-    ({"covariance": -np.eye(6)}, "not symmetric and positive semidefinite"),
-    ({"covariance": np.triu(np.ones((6, 6))) + 5 * np.eye(6)}, "not symmetric"),
-    ({"covariance": np.full((6, 6), np.nan)}, "not symmetric"),
-    ({"mean_quat_wxyz": np.zeros((2, 4))}, "not unit quaternions"),
-    ({"sigma_jerk": np.array([300.0, 0.0, 1.0])}, "jerk must be positive and finite"),
-    ({"sigma_root_jerk": np.array(np.nan)}, "jerk must be positive and finite"),
-])  # fmt: skip
-def test_invalid_prior_is_refused_with_its_field(
-    tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"covariance": None}, "covariance"),
+        ({"sigma_jerk": np.ones(2)}, r"prior sigma_jerk: expected shape \(3\)"),
+        ({"sigma_root_jerk": np.ones(2)}, "sigma_root_jerk"),
+        ({"covariance": -np.eye(6)}, "not symmetric and positive semidefinite"),
+        ({"covariance": np.triu(np.ones((6, 6))) + 5 * np.eye(6)}, "not symmetric"),
+        ({"covariance": np.full((6, 6), np.nan)}, "not symmetric"),
+        ({"mean_quat_wxyz": np.zeros((2, 4))}, "not unit quaternions"),
+        ({"sigma_jerk": np.array([300.0, 0.0, 1.0])}, "jerk must be positive and finite"),
+        ({"sigma_root_jerk": np.array(np.nan)}, "jerk must be positive and finite"),
+    ],
+)
+def test_invalid_prior_is_refused_with_its_field(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     path = saved(tmp_path, **change)
     with pytest.raises(FileFormatError, match=rf"prior\.npz.*no pose prior of 3 joints.*{message}"):
         PosePrior.load(("a", "b", "c"), path)

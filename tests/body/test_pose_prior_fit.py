@@ -73,9 +73,7 @@ def test_the_spread_about_postures_is_that_within_persons() -> None:
     assert fitted.covariance_about_posture is not None
     index = rows(*SPINE, *HIPS)
     block = np.ix_(index, index)
-    np.testing.assert_allclose(
-        fitted.covariance_about_posture[block], covariance[block], atol=0.03 * covariance.max()
-    )
+    np.testing.assert_allclose(fitted.covariance_about_posture[block], covariance[block], atol=0.03 * covariance.max())
     between = np.trace(fitted.covariance[block]) - np.trace(covariance[block])
     assert between == pytest.approx(6 * np.var(np.radians([-12.0, -4.0, 4.0, 12.0])), rel=0.05)
     own_prior = fitted.about(postures["a"])

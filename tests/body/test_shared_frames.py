@@ -30,9 +30,7 @@ def test_a_pelvis_frame_that_is_turned_against_the_joints_gives_the_same_body() 
     old, new = (shared_frames(NAMES, offsets) for offsets in (BODY.joint_offsets, turned))
     np.testing.assert_allclose(R_old_new @ new[0], old[0], atol=1e-12)
     np.testing.assert_allclose(
-        to_shared(new, PARENTS, turned)[of_pelvis],
-        to_shared(old, PARENTS, BODY.joint_offsets)[of_pelvis],
-        atol=1e-12,
+        to_shared(new, PARENTS, turned)[of_pelvis], to_shared(old, PARENTS, BODY.joint_offsets)[of_pelvis], atol=1e-12
     )
 
 

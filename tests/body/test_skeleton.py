@@ -193,9 +193,7 @@ def test_ten_thousand_frames_take_less_than_three_seconds() -> None:
         ("Spine_y", 30, "Head", None),
     ],
 )
-def test_signs_of_knee_hip_elbow_and_trunk(
-    dof: str, degrees: float, joint: str, moved: list[float] | None
-) -> None:
+def test_signs_of_knee_hip_elbow_and_trunk(dof: str, degrees: float, joint: str, moved: list[float] | None) -> None:
     q = DEFAULT.t_pose()
     before = DEFAULT.forward_kinematics(q[None])[0][0]
     q[7 + DEFAULT.dof_names.index(dof)] = np.radians(degrees)
@@ -231,11 +229,9 @@ def test_mass_and_sex_change_the_segment_masses() -> None:
     assert pin.computeTotalMass(heavy.model) == pytest.approx(100.04)
     assert pin.computeTotalMass(DEFAULT.model) == pytest.approx(75 * 0.99995 + 0.04)
     thighs = [
-        DEFAULT.with_mass(60.0, sex).model.inertias[
-            DEFAULT.model.getJointId("LeftUpLeg_z")
-        ].mass
+        DEFAULT.with_mass(60.0, sex).model.inertias[DEFAULT.model.getJointId("LeftUpLeg_z")].mass
         for sex in ("male", "female")
-    ]  # fmt: skip
+    ]
     assert thighs == pytest.approx([60 * 0.1416, 60 * 0.1478])
 
 
@@ -466,9 +462,7 @@ def test_orientations_are_observed_by_several_children_or_a_sensor() -> None:
     seen = DEFAULT.orientation_observed()
     assert [n for n, o in zip(DEFAULT.names, seen, strict=True) if o] == ["Hips", "Spine3"]
     seen = DEFAULT.orientation_observed(("LeftForeArm", "Head"))
-    assert [n for n, o in zip(DEFAULT.names, seen, strict=True) if o] == [
-        "Hips", "Spine3", "Head", "LeftForeArm",
-    ]  # fmt: skip
+    assert [n for n, o in zip(DEFAULT.names, seen, strict=True) if o] == ["Hips", "Spine3", "Head", "LeftForeArm"]
     human36m = SkeletonModel.human36m()
     seen = human36m.orientation_observed()
     assert [n for n, o in zip(human36m.names, seen, strict=True) if o] == ["Hip", "Thorax"]
@@ -499,8 +493,9 @@ def test_limit_violations_are_reported_and_nothing_is_clipped() -> None:
     report = DEFAULT.check(q)
     assert_close(report.limit_excess[:, knee - 7], np.radians([2.0, 0, 0, 5.0]))
     assert report.violations == {
-        "LeftLeg_y": pytest.approx(np.radians(5)), "RightUpLeg_y": pytest.approx(np.radians(1)),
-    }  # fmt: skip
+        "LeftLeg_y": pytest.approx(np.radians(5)),
+        "RightUpLeg_y": pytest.approx(np.radians(1)),
+    }
     assert report.dof_names == DEFAULT.dof_names
     found = DEFAULT.inverse_kinematics(*DEFAULT.forward_kinematics(q))
     assert_close(found, q)

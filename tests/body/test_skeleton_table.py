@@ -18,18 +18,48 @@ from rtof_kin.core.resources import model_path
 Array = NDArray[np.float64]
 TABLES = {name: read_skeleton_table(model_path(f"{name}.toml")) for name in ("skeleton", "human36m")}
 TOTAL_CAPTURE = (
-    "Hips", "Spine", "Spine1", "Spine2", "Spine3", "Neck", "Head",
-    "RightShoulder", "RightArm", "RightForeArm", "RightHand",
-    "LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand",
-    "RightUpLeg", "RightLeg", "RightFoot", "LeftUpLeg", "LeftLeg", "LeftFoot",
-)  # fmt: skip
-TOTAL_CAPTURE_PARENTS = (
-    -1, 0, 1, 2, 3, 4, 5, 4, 7, 8, 9, 4, 11, 12, 13, 0, 15, 16, 0, 18, 19,
-)  # fmt: skip
+    "Hips",
+    "Spine",
+    "Spine1",
+    "Spine2",
+    "Spine3",
+    "Neck",
+    "Head",
+    "RightShoulder",
+    "RightArm",
+    "RightForeArm",
+    "RightHand",
+    "LeftShoulder",
+    "LeftArm",
+    "LeftForeArm",
+    "LeftHand",
+    "RightUpLeg",
+    "RightLeg",
+    "RightFoot",
+    "LeftUpLeg",
+    "LeftLeg",
+    "LeftFoot",
+)
+TOTAL_CAPTURE_PARENTS = (-1, 0, 1, 2, 3, 4, 5, 4, 7, 8, 9, 4, 11, 12, 13, 0, 15, 16, 0, 18, 19)
 HUMAN36M = (
-    "Hip", "RHip", "RKnee", "RFoot", "LHip", "LKnee", "LFoot", "Spine", "Thorax", "Neck", "Head",
-    "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist",
-)  # fmt: skip
+    "Hip",
+    "RHip",
+    "RKnee",
+    "RFoot",
+    "LHip",
+    "LKnee",
+    "LFoot",
+    "Spine",
+    "Thorax",
+    "Neck",
+    "Head",
+    "LShoulder",
+    "LElbow",
+    "LWrist",
+    "RShoulder",
+    "RElbow",
+    "RWrist",
+)
 GOOD = """
 name = "stick"
 mass_kg = 70
@@ -126,10 +156,8 @@ def test_table_is_read_in_metres_and_radians(tmp_path: Path) -> None:
         ('name = "S1"\njoint = "Rod"', 'name = "S1"\njoint = "X"', "sensor S1: there is no joint X"),
         ("Rod_y = 90", "Rod_w = 90", "n_pose_deg: there is no revolute Rod_w"),
     ],
-)  # fmt: skip
-def test_invalid_table_is_refused_with_file_and_joint(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+)
+def test_invalid_table_is_refused_with_file_and_joint(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(FileFormatError, match=f"table.toml: {message}"):
         read(tmp_path, (old, new))
 
@@ -180,8 +208,7 @@ def test_scaling_there_and_back_gives_the_same_table() -> None:
         for a, b in zip(back.joints, table.joints, strict=True):
             np.testing.assert_allclose(np.linalg.norm(a.end), np.linalg.norm(b.end), rtol=1e-12)
             assert a.radius == pytest.approx(b.radius)
-        for p, q in zip((*back.landmarks, *back.sensors), (*table.landmarks, *table.sensors),
-                        strict=True):  # fmt: skip
+        for p, q in zip((*back.landmarks, *back.sensors), (*table.landmarks, *table.sensors), strict=True):
             np.testing.assert_allclose(p.offset, q.offset, atol=1e-12)
 
 
@@ -230,18 +257,14 @@ def test_left_and_right_are_mirror_images(table: SkeletonTable) -> None:
         twin = by_name[mirrored_name(joint.name)]
         np.testing.assert_allclose(joint.offset, mirror * twin.offset, atol=1e-12)
         np.testing.assert_allclose(joint.end, mirror * twin.end, atol=1e-12)
-        assert (joint.axes, joint.mass_shares, joint.radius) == (
-            twin.axes, twin.mass_shares, twin.radius
-        )  # fmt: skip
+        assert (joint.axes, joint.mass_shares, joint.radius) == (twin.axes, twin.mass_shares, twin.radius)
         assert joint.offset[1] * side_of(joint.name) >= 0
         # A mirror keeps turns about y and reverses those about x and z.
         for axis, mine, its in zip(joint.axes, joint.limits, twin.limits, strict=True):
             np.testing.assert_allclose(mine, its if axis == "y" else -its[::-1])
     points = {point.name: point for point in table.landmarks}
     for point in table.landmarks:
-        np.testing.assert_allclose(
-            point.offset, mirror * points[mirrored_name(point.name)].offset, atol=1e-12
-        )
+        np.testing.assert_allclose(point.offset, mirror * points[mirrored_name(point.name)].offset, atol=1e-12)
 
 
 FORWARD, BACK, LEFT, UP, DOWN = np.array([[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, 0, -1.0]])

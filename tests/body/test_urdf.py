@@ -72,16 +72,17 @@ def test_committed_urdf_equals_that_of_the_table(name: str) -> None:
 def test_build_script_checks_from_the_command_line() -> None:
     done = subprocess.run(
         [sys.executable, str(MODELS / "build_urdf.py"), "--check"],
-        capture_output=True, text=True, cwd=MODELS.parent, check=False,
+        capture_output=True,
+        text=True,
+        cwd=MODELS.parent,
+        check=False,
         env={"PYTHONPATH": str(MODELS.parent)},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("agrees with its table") == 2
 
 
-def test_build_script_reports_a_stale_file_and_writes_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_build_script_reports_a_stale_file_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in NAMES:
         shutil.copy(MODELS / f"{name}.toml", tmp_path)
         shutil.copy(MODELS / f"{name}.urdf", tmp_path)
@@ -150,8 +151,22 @@ def test_limits_are_those_of_the_table(table: SkeletonTable) -> None:
 def test_numbers_have_no_rounding_noise(table: SkeletonTable) -> None:
     """No rounding noise (1e-19, -0) that another processor would round otherwise."""
     for element in ET.fromstring(to_urdf(table)).iter():
-        for key in set(element.attrib) & {"xyz", "rpy", "lower", "upper", "radius", "length", "mass",
-                                          "value", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"}:  # fmt: skip
+        for key in set(element.attrib) & {
+            "xyz",
+            "rpy",
+            "lower",
+            "upper",
+            "radius",
+            "length",
+            "mass",
+            "value",
+            "ixx",
+            "ixy",
+            "ixz",
+            "iyy",
+            "iyz",
+            "izz",
+        }:
             for word in element.attrib[key].split():
                 assert word != "-0"
                 assert float(word) == 0 or abs(float(word)) > 1e-7

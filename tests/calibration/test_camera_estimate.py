@@ -136,9 +136,7 @@ def test_deviations_have_the_covariance_that_remains() -> None:
     def unknowns(camera: Camera) -> Array:
         R = camera.R_camera_world @ LEVEL.R_camera_world.T
         tilt = 0.5 * np.array([R[2, 1] - R[1, 2], R[1, 0] - R[0, 1]])
-        return np.array(
-            [camera.K[0, 0] / 1200 - 1, *tilt, camera.center_world[2] - 1.4, camera.distortion[0]]
-        )
+        return np.array([camera.K[0, 0] / 1200 - 1, *tilt, camera.center_world[2] - 1.4, camera.distortion[0]])
 
     steps = np.array([unknowns(camera) for camera in estimate.deviations()])
     np.testing.assert_allclose(steps.T @ steps, estimate.covariance, atol=3e-4 * prior_sigma(LEVEL).max())

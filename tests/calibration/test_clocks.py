@@ -97,9 +97,7 @@ def test_sensors_that_do_not_move_are_named_as_such() -> None:
 def test_no_overlap_within_reach_says_so() -> None:
     motion, log, calibration = session()
     with pytest.raises(CalibrationError, match="search further"):
-        find_clock(
-            *filmed(motion, 30.0, 10.0), shifted(log, 5000.0), skeleton(), joints(calibration), reach=60.0
-        )
+        find_clock(*filmed(motion, 30.0, 10.0), shifted(log, 5000.0), skeleton(), joints(calibration), reach=60.0)
 
 
 def test_a_person_seen_for_a_moment_is_too_short() -> None:

@@ -179,9 +179,7 @@ def test_unobserved_video_is_refused() -> None:
         found(replace(recorded(), keypoints=blind), CalibrationPriors())
 
 
-@pytest.mark.parametrize("wrong", [
-    {"sigma_delay": 0.0}, {"sigma_twist": -1.0}, {"rounds": 0}, {"overcount": np.nan},
-])  # fmt: skip
+@pytest.mark.parametrize("wrong", [{"sigma_delay": 0.0}, {"sigma_twist": -1.0}, {"rounds": 0}, {"overcount": np.nan}])
 def test_invalid_priors_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InvalidInputError, match=f"{next(iter(wrong))} is .*positive, finite"):
         CalibrationPriors(**wrong)

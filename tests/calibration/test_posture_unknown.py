@@ -61,9 +61,7 @@ def test_moved_means_are_those_about_the_moved_posture(joints: tuple[str, ...]) 
 def test_a_calibration_moves_the_means_of_a_recording() -> None:
     recording = planted.recording(cs.motion(12))
     sigma = np.full(3, 0.01)
-    found = SelfCalibration(
-        tuple(Quantity("posture", j, turn, sigma, 10 * sigma, 0.99) for j, turn in TURNS.items())
-    )
+    found = SelfCalibration(tuple(Quantity("posture", j, turn, sigma, 10 * sigma, 0.99) for j, turn in TURNS.items()))
     expected = so3.from_quat_wxyz(PRIOR.moved(TURNS).mean_quat_wxyz)
 
     def mean(given: object) -> np.ndarray:

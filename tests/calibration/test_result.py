@@ -36,9 +36,7 @@ def applied(*quantities: Quantity, middle: float = 0.0) -> Recording:
     return SelfCalibration(quantities, middle=middle).apply(recording())
 
 
-@pytest.mark.parametrize("known, verdict", [
-    (0.9, Verdict.OBSERVED), (0.5, Verdict.WEAKLY), (0.05, Verdict.PRIOR),
-])  # fmt: skip
+@pytest.mark.parametrize("known, verdict", [(0.9, Verdict.OBSERVED), (0.5, Verdict.WEAKLY), (0.05, Verdict.PRIOR)])
 def test_verdict_depends_on_the_known_share(known: float, verdict: Verdict) -> None:
     assert quantity("delay", "video", 0.01, known=known).verdict is verdict
 
@@ -46,9 +44,10 @@ def test_verdict_depends_on_the_known_share(known: float, verdict: Verdict) -> N
 def test_unobserved_quantities_are_not_applied() -> None:
     before = recording()
     after = applied(
-        quantity("delay", "video", 0.01, known=0.0), quantity("image bias", "Head", 3.0, 4.0, known=0.0),
+        quantity("delay", "video", 0.01, known=0.0),
+        quantity("image bias", "Head", 3.0, 4.0, known=0.0),
         quantity("mounting", "LeftArm", 0.1, 0.0, 0.0, known=0.0),
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(after.keypoints.times, before.keypoints.times)
     np.testing.assert_array_equal(after.keypoints.uv_px, before.keypoints.uv_px)
     assert after.calibration is not None
@@ -123,9 +122,11 @@ def test_a_drifting_heading_turns_more_and_more() -> None:
 def test_bones_lever_arms_and_camera_are_changed() -> None:
     before = recording()
     after = applied(
-        quantity("bones", "thighs", 0.1), quantity("lever arm", "LeftArm", 0.01, 0.02, 0.03),
-        quantity("focal length", "camera", 0.02), quantity("camera tilt", "camera", 0.01, 0.0, 0.0),
-    )  # fmt: skip
+        quantity("bones", "thighs", 0.1),
+        quantity("lever arm", "LeftArm", 0.01, 0.02, 0.03),
+        quantity("focal length", "camera", 0.02),
+        quantity("camera tilt", "camera", 0.01, 0.0, 0.0),
+    )
     ratio = after.skeleton.bone_lengths["LeftLeg"] / before.skeleton.bone_lengths["LeftLeg"]
     assert ratio == pytest.approx(1.1)
     assert after.skeleton.bone_lengths["Neck"] == pytest.approx(before.skeleton.bone_lengths["Neck"])
@@ -154,10 +155,9 @@ def test_places_move_keypoints_as_the_landmark_would_move() -> None:
 
 
 def test_only_body_and_detector_apply_to_another_recording() -> None:
-    found = SelfCalibration((
-        quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1),
-        quantity("ankle height", "feet", 0.02),
-    ))  # fmt: skip
+    found = SelfCalibration(
+        (quantity("bones", "thighs", 0.1), quantity("delay", "video", 0.1), quantity("ankle height", "feet", 0.02))
+    )
     kept = found.for_another_recording()
     assert [q.kind for q in kept.quantities] == ["bones", "ankle height"]
     assert kept.ankle_height == 0.02
@@ -174,9 +174,7 @@ def test_later_calibration_takes_precedence() -> None:
 
 
 def test_table_has_display_units() -> None:
-    table = SelfCalibration((
-        quantity("delay", "video", 0.05), quantity("mounting", "LeftArm", 0.1, 0.1, 0.1),
-    )).table()  # fmt: skip
+    table = SelfCalibration((quantity("delay", "video", 0.05), quantity("mounting", "LeftArm", 0.1, 0.1, 0.1))).table()
     assert table[0] == ("delay", "video", "50 ms", "100", "500", "observed")
     assert table[1] == ("mounting", "LeftArm", "5.73 deg", "5.73", "28.6", "observed")
 
@@ -189,23 +187,31 @@ def test_groups_of_bones_hold_every_joint_but_the_root_once() -> None:
         bone_groups(cs.BODY, ("tail",))
 
 
-@pytest.mark.parametrize("wrong, message", [
-    ({"kind": "colour"}, "unknown kind of quantity 'colour'"),
-    ({"value": np.array([np.nan])}, "value must be finite"),
-    ({"sigma": np.array([0.0])}, "must be positive"),
-    ({"sigma": np.ones(2)}, "as many as values"),
-    ({"known": 1.5}, "known is 1.5"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "wrong, message",
+    [
+        ({"kind": "colour"}, "unknown kind of quantity 'colour'"),
+        ({"value": np.array([np.nan])}, "value must be finite"),
+        ({"sigma": np.array([0.0])}, "must be positive"),
+        ({"sigma": np.ones(2)}, "as many as values"),
+        ({"known": 1.5}, "known is 1.5"),
+    ],
+)
 def test_invalid_quantities_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises((InvalidInputError, UnknownNameError), match=message):
         replace(quantity("delay", "video", 0.1), **wrong)
 
 
 WHOLE = SelfCalibration(
-    (quantity("image bias", "Head", 1 / 3, 2.0), quantity("image bias", "Neck", 1.0, 0.1),
-     quantity("mounting", "LeftArm", 0.1, 0.2, 0.3, known=0.4)),
-    (Detector("Head", 5.1, 0.4),), 1.25, False,
-)  # fmt: skip
+    (
+        quantity("image bias", "Head", 1 / 3, 2.0),
+        quantity("image bias", "Neck", 1.0, 0.1),
+        quantity("mounting", "LeftArm", 0.1, 0.2, 0.3, known=0.4),
+    ),
+    (Detector("Head", 5.1, 0.4),),
+    1.25,
+    False,
+)
 
 
 def test_file_round_trip(tmp_path: Path) -> None:
@@ -235,14 +241,17 @@ def test_other_toml_files_are_refused(tmp_path: Path) -> None:
         read_self_calibration_toml(tmp_path / "take" / "recording.toml")
 
 
-@pytest.mark.parametrize("old, new, message", [
-    ("schema_version = 1", "schema_version = 9", "9 is not 1"),
-    ("known = 0.4", "known = 4.0", "no share of 1"),
-    ("known = 0.4", "knwon = 0.4", "known: missing"),
-    ("[quantities.mounting.LeftArm]", "[quantities.mouning.LeftArm]", "unknown kind"),
-    ("sigma_px = 5.1", 'sigma_px = "much"', "not a finite number"),
-    ("middle_s = 1.25", "middle_s = 1.25\nwhat = 1", "unknown field"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("schema_version = 1", "schema_version = 9", "9 is not 1"),
+        ("known = 0.4", "known = 4.0", "no share of 1"),
+        ("known = 0.4", "knwon = 0.4", "known: missing"),
+        ("[quantities.mounting.LeftArm]", "[quantities.mouning.LeftArm]", "unknown kind"),
+        ("sigma_px = 5.1", 'sigma_px = "much"', "not a finite number"),
+        ("middle_s = 1.25", "middle_s = 1.25\nwhat = 1", "unknown field"),
+    ],
+)
 def test_invalid_files_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "calibration.toml"
     write_self_calibration_toml(path, WHOLE)

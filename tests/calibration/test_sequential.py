@@ -36,17 +36,13 @@ def observations(recording: Recording, motion: MotionSequence) -> Observations:
     return Observations(recording.skeleton, N, SETTINGS, guess, recording.video, imus)
 
 
-def window(
-    data: Observations, recording: Recording, motion: MotionSequence, first: int
-) -> WindowObservations:
+def window(data: Observations, recording: Recording, motion: MotionSequence, first: int) -> WindowObservations:
     """N frames with the true states."""
     part = slice(first, first + N)
     times = recording.video.times
     rows = {name: values[part] for name, values in data.rows.items()}
     rows["w_visual"] = data.confidence[part] / 2.0**2
-    given = CalibrationObservations(
-        times[part], rows, data.constant, data.a_world[part], data.w_acceleration[part]
-    )
+    given = CalibrationObservations(times[part], rows, data.constant, data.a_world[part], data.w_acceleration[part])
     poses = motion.poses
     x = data.space.from_poses(poses.p_world_joint[part, 0], poses.R_world_bone[part])
     slow = low_passed(even_noise(recording.bone_imus()), SETTINGS)
@@ -141,9 +137,7 @@ def test_a_saved_calibration_is_applied_at_once_and_goes_on(tmp_path: Path) -> N
     first = passed(recording, motion, priors).as_self_calibration()
     write_self_calibration_toml(tmp_path / "found.toml", first)
     data = observations(recording, motion)
-    found = SequentialCalibration(
-        data.problem, SETTINGS, priors, read_self_calibration_toml(tmp_path / "found.toml")
-    )
+    found = SequentialCalibration(data.problem, SETTINGS, priors, read_self_calibration_toml(tmp_path / "found.toml"))
     begun = found.corrections(0.0)
     assert begun.delay == pytest.approx(first["delay", "video"].value[0])
     assert begun.heading == {j: pytest.approx(v[0]) for j, v in first.of_kind("heading").items()}

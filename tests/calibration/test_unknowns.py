@@ -32,10 +32,9 @@ def energy(shared: SharedFragments, y: Array, first: int, x: Array) -> float:
 
 def by_differences(shared: SharedFragments, y: Array, first: int, x: Array) -> Array:
     step = 1e-3 * np.sqrt(np.diag(np.linalg.inv(shared.prior)))
-    return np.array([
-        (energy(shared, y + e, first, x) - energy(shared, y - e, first, x)) / (2 * e.sum())
-        for e in np.diag(step)
-    ])  # fmt: skip
+    return np.array(
+        [(energy(shared, y + e, first, x) - energy(shared, y - e, first, x)) / (2 * e.sum()) for e in np.diag(step)]
+    )
 
 
 @pytest.mark.parametrize("kind", [k for k in cs.OPEN if k != "delay"])

@@ -70,16 +70,19 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
     assert (out / "s1/good/motion/motion.npz").stat().st_ino == inode
 
 
-@pytest.mark.parametrize("arguments, named", [
-    (["--chain", "reconstruct --framez 3"], "s1/good, reconstruct: unrecognized arguments: --framez 3"),
-    (["--chain", "reconstruct --help"], "asks for help"),
-    (["--chain", "batch"], "batch is no command"),
-    (["--chain", "view"], "what view reads and writes is not known"),
-    (["--address", "host:6379"], "add --engine ray"),
-    (["--shard", "2/1"], "shard 2/1"),
-    (["--workers", "0"], "workers: 0"),
-    (["--memory-per-job", "100000"], "this machine has"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, named",
+    [
+        (["--chain", "reconstruct --framez 3"], "s1/good, reconstruct: unrecognized arguments: --framez 3"),
+        (["--chain", "reconstruct --help"], "asks for help"),
+        (["--chain", "batch"], "batch is no command"),
+        (["--chain", "view"], "what view reads and writes is not known"),
+        (["--address", "host:6379"], "add --engine ray"),
+        (["--shard", "2/1"], "shard 2/1"),
+        (["--workers", "0"], "workers: 0"),
+        (["--memory-per-job", "100000"], "this machine has"),
+    ],
+)
 def test_wrong_options_are_refused_before_anything_is_written(
     arguments: list[str], named: str, cli: Any, short: Path, tmp_path: Path
 ) -> None:
@@ -118,8 +121,6 @@ def test_the_driver_loads_no_torch(short: Path, tmp_path: Path) -> None:
         f"main(['batch', {str(short)!r}, '-o', {str(tmp_path / 'out')!r}, '--chain', 'inspect']); "
         "print('LOADED', *[m for m in ('torch', 'matplotlib', 'casadi', 'pinocchio') if m in sys.modules])"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
     assert done.stdout.splitlines()[-1].strip() == "LOADED"
     assert table(tmp_path / "out")["short"]["verdict"] == "done"

@@ -33,12 +33,7 @@ def named(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of a second with every label, beside a video."""
     folder = tmp_path_factory.mktemp("Roe_Jane") / "take 7"
     two = Recording.load(short)
-    labels = {
-        "name": "Roe, left knee",
-        "session": SESSION,
-        "notes": "Jane limps",
-        "acknowledgement": "by Ms Roe",
-    }
+    labels = {"name": "Roe, left knee", "session": SESSION, "notes": "Jane limps", "acknowledgement": "by Ms Roe"}
     replace(two, keypoints=two.video[:60], **labels).save(folder)  # type: ignore[arg-type]
     (folder / "jane.mp4").write_bytes(b"\0\0\0\x18ftypmp42 GPS +52.5+13.4 Jane")
     return folder
@@ -111,15 +106,11 @@ def test_bundle_is_the_same_bytes_and_reproduces_bit_by_bit_in_another_process(
     assert "kept S01-1: lengths of the body, keypoints of 1 camera" in done.out
     other = {**os.environ, "PYTHONHASHSEED": "5", "PYTHONPATH": str(ROOT)}
     line = ("reproduce", "again.rtof", "-o", "unpacked", "--threads", "2")
-    done = subprocess.run(
-        [sys.executable, "-m", "rtof_kin.cli", *line], capture_output=True, text=True, env=other
-    )
+    done = subprocess.run([sys.executable, "-m", "rtof_kin.cli", *line], capture_output=True, text=True, env=other)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("reproduced bit by bit\nagain.rtof: intact, 8 members as bundled")
     assert "-> 2\n" in done.stdout  # threads
-    first, again = (
-        Path("unpacked", name, "motion.npz").read_bytes() for name in ("results/1", "reproduced/1")
-    )
+    first, again = (Path("unpacked", name, "motion.npz").read_bytes() for name in ("results/1", "reproduced/1"))
     assert first == again == (result / "motion.npz").read_bytes()
     for command in (
         ("report", "unpacked/results/1", "-o", "page.html"),
@@ -157,9 +148,7 @@ def test_planted_leak_is_refused_with_its_place(cli: Any, named: Path, result: P
     assert kept["audit"] == summary["audit"]
 
 
-def test_labels_are_kept_on_request_and_searched_for_names(
-    cli: Any, named: Path, result: Path, tmp_path: Path
-) -> None:
+def test_labels_are_kept_on_request_and_searched_for_names(cli: Any, named: Path, result: Path, tmp_path: Path) -> None:
     given = ("bundle", result, "--recording", named, "-o", tmp_path / "b.rtof")
     done = cli(*given, "--keep", "notes")
     assert done.code == 2
@@ -174,9 +163,7 @@ def test_labels_are_kept_on_request_and_searched_for_names(
     assert done.code == 2
 
 
-def test_name_of_a_sensor_and_wall_clock_times_are_refused(
-    cli: Any, named: Path, result: Path, tmp_path: Path
-) -> None:
+def test_name_of_a_sensor_and_wall_clock_times_are_refused(cli: Any, named: Path, result: Path, tmp_path: Path) -> None:
     recording = Recording.load(named)
     assert recording.imus is not None
     assert recording.calibration is not None
@@ -227,8 +214,9 @@ def test_own_calibration_and_settings_travel_with_the_bundle(cli: Any, named: Pa
     run = json.loads(members(tmp_path / "b.rtof")[MANIFEST])["runs"][0]
     assert run["run"]["options"]["guards"] == []
     assert {use: name[:6] + name[22:] for use, name in run["files"].items()} == {
-        "calibration": "files/.toml", "model": "files/.pt",
-    }  # fmt: skip
+        "calibration": "files/.toml",
+        "model": "files/.pt",
+    }
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["settings"]["lifter"] == "own.pt"  # not its folder
 
@@ -293,9 +281,7 @@ def test_hostile_archives_are_not_unpacked(
     assert [p.name for p in tmp_path.rglob("*")] == ["in", "hostile.rtof"]
 
 
-def test_member_that_no_bundle_has_and_hostile_settings_are_refused(
-    cli: Any, bundle: Path, tmp_path: Path
-) -> None:
+def test_member_that_no_bundle_has_and_hostile_settings_are_refused(cli: Any, bundle: Path, tmp_path: Path) -> None:
     contents = members(bundle)
     path = sealed(tmp_path / "video.rtof", contents | {"recordings/S01-1/jane.mp4": b"film"})
     assert "is nothing that a bundle has" in cli("reproduce", path).err
@@ -318,10 +304,7 @@ def test_member_that_no_bundle_has_and_hostile_settings_are_refused(
 
 @pytest.mark.parametrize(
     ("by", "code", "said"),
-    [
-        (2e-4, 3, "reproduced, not bit by bit: joints differ by up to 0.35 mm"),
-        (0.1, 1, "NOT reproduced: joints"),
-    ],
+    [(2e-4, 3, "reproduced, not bit by bit: joints differ by up to 0.35 mm"), (0.1, 1, "NOT reproduced: joints")],
 )
 def test_other_numbers_are_measured_and_other_versions_named(
     cli: Any, bundle: Path, tmp_path: Path, by: float, code: int, said: str
@@ -336,10 +319,13 @@ def test_other_numbers_are_measured_and_other_versions_named(
     assert "differs: motion.npz q" in done.out
 
 
-@pytest.mark.parametrize(("file", "old", "new", "said"), [
-    ("skeleton.urdf", b"<mass value", b"<mass  value", "skeleton.urdf"),
-    ("summary.json", b'"grade": "', b'"grade": "x', "summary.json"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("skeleton.urdf", b"<mass value", b"<mass  value", "skeleton.urdf"),
+        ("summary.json", b'"grade": "', b'"grade": "x', "summary.json"),
+    ],
+)
 def test_a_forged_text_beside_the_same_motion_is_named(
     cli: Any, bundle: Path, tmp_path: Path, file: str, old: bytes, new: bytes, said: str
 ) -> None:
@@ -360,16 +346,7 @@ def test_several_people_and_results_get_ids_and_the_worst_verdict_comes_first(
     claimed(result, tmp_path / "takes" / "b", tmp_path / "b_out")
     assert cli("reconstruct", named, "-o", tmp_path / "lift", "--mode", "lift", "--no-figures").code == 0
     outs = (result, tmp_path / "b_out", tmp_path / "lift")
-    given = (
-        "bundle",
-        *outs,
-        "--recording",
-        tmp_path / "takes",
-        "--recording",
-        named,
-        "-o",
-        tmp_path / "b.rtof",
-    )
+    given = ("bundle", *outs, "--recording", tmp_path / "takes", "--recording", named, "-o", tmp_path / "b.rtof")
     assert "--id: 1 given for 2 people" in cli(*given, "--id", "A").err
     assert "3 results" in cli(*given, "--id", "A", "--id", "B").out
     runs = json.loads(members(tmp_path / "b.rtof")[MANIFEST])["runs"]
@@ -377,9 +354,7 @@ def test_several_people_and_results_get_ids_and_the_worst_verdict_comes_first(
     assert [run["run"]["options"]["mode"] for run in runs] == ["sf2", "sf2", "lift"]
     done = cli("reproduce", tmp_path / "b.rtof")
     assert done.code == 1
-    assert done.out.startswith(
-        "NOT reproduced: numbers or flags of frames differ, though code, libraries and"
-    )
+    assert done.out.startswith("NOT reproduced: numbers or flags of frames differ, though code, libraries and")
     assert "results/1 of recordings/A-1, mode sf2, 60 frames: reproduced bit by bit" in done.out
     assert "results/2 of recordings/B-1, mode sf2, 35 frames: NOT reproduced" in done.out
     assert "results/3 of recordings/A-1, mode lift, 60 frames: reproduced bit by bit" in done.out

@@ -24,9 +24,23 @@ from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.recording import Recording
 
 COMMANDS = (
-    "demo", "reconstruct", "inspect", "calibrate", "analyse", "evaluate", "simulate", "train", "export",
-    "report", "study", "live", "compare", "batch", "bundle", "reproduce",
-)  # fmt: skip
+    "demo",
+    "reconstruct",
+    "inspect",
+    "calibrate",
+    "analyse",
+    "evaluate",
+    "simulate",
+    "train",
+    "export",
+    "report",
+    "study",
+    "live",
+    "compare",
+    "batch",
+    "bundle",
+    "reproduce",
+)
 MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 OWN = ("notes.txt", "report.html", "clinical/angles.csv")
 INTERRUPTED = """
@@ -80,37 +94,38 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
-@pytest.mark.parametrize("command, named", [
-    ("reconstruct {wrong}/none -o {out}", "recording.toml"),
-    ("reconstruct {wrong}/in_g -o {out}", "m/s^2"),
-    ("reconstruct {wrong}/camera_only -o {out} --mode rtof", "'rto'"),
-    ("reconstruct {wrong}/sensors_only -o {out} --mode rtof", "'imu'"),
-    ("reconstruct {short} -o {out} --model {wrong}/broken.pt", "broken.pt"),
-    ("reconstruct {short} -o {out} --threads 0", "1 or more"),
-    ("reconstruct {short} -o {out} --paper --space joint", "leave out --space joint"),
-    ("reconstruct {short} -o {out} --space cartesian --mode imu", "leave out --space cartesian"),
-    ("reconstruct {short} -o {out} --paper --mode imu", "leave out --paper"),
-    ("reconstruct {short} -o {out} --backend ipopt --mode sf2", "leave out --space, --backend"),
-    ("calibrate {short} -o {out} --space cartesian", "leave out --space cartesian"),
-    ("calibrate {short} -o {out} --paper", "leave out --paper"),
-    ("study {short} -o {out} --paper --space joint", "leave out --space joint"),
-    ("study {short} -o {out} --frames 7", "even"),
-    ("study {wrong}/camera_only -o {out}", "no IMUs"),
-    ("evaluate {wrong}/motion.npz --truth {short}", "motion.npz"),
-    ("simulate {mocap} -o {out} --sensors L_LowrArm", "'L_LowArm'"),
-    ("export {motion} {out} --to fbx", "'fbx'"),
-    ("export {motion} {out} -o {out}", "-o OUT"),
-    ("export {motion} --to mot", "required: OUT"),
-    ("report {wrong}/none -o {out}", "no such file"),
-    ("report {motion} -o {out} --date 31.1.2026", "31.1.2026"),
-    ("report {motion} -o {out} --weight -3", "-3 kg"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "command, named",
+    [
+        ("reconstruct {wrong}/none -o {out}", "recording.toml"),
+        ("reconstruct {wrong}/in_g -o {out}", "m/s^2"),
+        ("reconstruct {wrong}/camera_only -o {out} --mode rtof", "'rto'"),
+        ("reconstruct {wrong}/sensors_only -o {out} --mode rtof", "'imu'"),
+        ("reconstruct {short} -o {out} --model {wrong}/broken.pt", "broken.pt"),
+        ("reconstruct {short} -o {out} --threads 0", "1 or more"),
+        ("reconstruct {short} -o {out} --paper --space joint", "leave out --space joint"),
+        ("reconstruct {short} -o {out} --space cartesian --mode imu", "leave out --space cartesian"),
+        ("reconstruct {short} -o {out} --paper --mode imu", "leave out --paper"),
+        ("reconstruct {short} -o {out} --backend ipopt --mode sf2", "leave out --space, --backend"),
+        ("calibrate {short} -o {out} --space cartesian", "leave out --space cartesian"),
+        ("calibrate {short} -o {out} --paper", "leave out --paper"),
+        ("study {short} -o {out} --paper --space joint", "leave out --space joint"),
+        ("study {short} -o {out} --frames 7", "even"),
+        ("study {wrong}/camera_only -o {out}", "no IMUs"),
+        ("evaluate {wrong}/motion.npz --truth {short}", "motion.npz"),
+        ("simulate {mocap} -o {out} --sensors L_LowrArm", "'L_LowArm'"),
+        ("export {motion} {out} --to fbx", "'fbx'"),
+        ("export {motion} {out} -o {out}", "-o OUT"),
+        ("export {motion} --to mot", "required: OUT"),
+        ("report {wrong}/none -o {out}", "no such file"),
+        ("report {motion} -o {out} --date 31.1.2026", "31.1.2026"),
+        ("report {motion} -o {out} --weight -3", "-3 kg"),
+    ],
+)
 def test_wrong_input_is_refused_in_one_line(
     short: Path, reconstructed: Path, wrong: Path, tmp_path: Path, cli: Any, command: str, named: str
 ) -> None:
-    paths = {
-        "short": short, "motion": reconstructed, "wrong": wrong, "mocap": MOCAP, "out": tmp_path / "out"
-    }  # fmt: skip
+    paths = {"short": short, "motion": reconstructed, "wrong": wrong, "mocap": MOCAP, "out": tmp_path / "out"}
     done = cli(*(word.format(**paths) for word in command.split()))
     assert done.code == 2
     assert done.err.count("error: ") == 1
@@ -129,12 +144,15 @@ def test_unwritable_output_is_refused_before_the_work(
     assert "broken.pt" in done.err
 
 
-@pytest.mark.parametrize("command, own, named", [
-    ("reconstruct {short} -o {out}", (), "--overwrite"),
-    ("export {out} {out} --to bvh --overwrite", (), "motion.npz"),
-    ("export {out} {out} --to bvh --overwrite", OWN, "clinical/, notes.txt, report.html"),
-    ("demo -o {out} --overwrite", OWN, "clinical/, notes.txt, report.html"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "command, own, named",
+    [
+        ("reconstruct {short} -o {out}", (), "--overwrite"),
+        ("export {out} {out} --to bvh --overwrite", (), "motion.npz"),
+        ("export {out} {out} --to bvh --overwrite", OWN, "clinical/, notes.txt, report.html"),
+        ("demo -o {out} --overwrite", OWN, "clinical/, notes.txt, report.html"),
+    ],
+)
 def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
     short: Path, reconstructed: Path, tmp_path: Path, cli: Any, command: str, own: tuple[str, ...], named: str
 ) -> None:
@@ -151,10 +169,18 @@ def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
 
 def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert names_in(reconstructed) == {
-        "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
-        "ros_joint_trajectory.json", "ros_base_trajectory.json", "motion.csv", "files.json", "summary.json",
-        "measurements.npz", MANIFEST,
-    }  # fmt: skip
+        "motion.npz",
+        "skeleton.urdf",
+        "joint_trajectory.csv",
+        "joint_trajectory.json",
+        "ros_joint_trajectory.json",
+        "ros_base_trajectory.json",
+        "motion.csv",
+        "files.json",
+        "summary.json",
+        "measurements.npz",
+        MANIFEST,
+    }
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert summary["mode"] == "rtof"
     assert set(summary["metrics"]) == {"lift", "sf2", "rtof"}
@@ -164,9 +190,7 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert sum(sizes) / 120 * 3600 <= 4e6  # bytes a minute at 60 Hz; docs/output.md has those of a longer one
 
 
-def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(
-    short: Path, tmp_path: Path, cli: Any
-) -> None:
+def test_calibrate_prints_a_table_and_writes_what_reconstruct_takes(short: Path, tmp_path: Path, cli: Any) -> None:
     found, fixed = tmp_path / "found.toml", tmp_path / "fixed"
     command = ("calibrate", short, "-o", found, "--recording-output", fixed)
     done = cli(*command)
@@ -191,9 +215,7 @@ def test_reconstruct_takes_the_mode_of_what_was_recorded(short: Path, tmp_path: 
 def test_a_mistyped_choice_is_one_line_with_what_was_meant(cli: Any) -> None:
     done = cli("recnstruct")
     assert done.code == 2
-    assert done.err.startswith(
-        "error: argument COMMAND: invalid choice: 'recnstruct'; did you mean reconstruct?"
-    )
+    assert done.err.startswith("error: argument COMMAND: invalid choice: 'recnstruct'; did you mean reconstruct?")
 
 
 def test_modes_lift_and_imu_need_one_stream(wrong: Path, tmp_path: Path, cli: Any) -> None:
@@ -223,8 +245,12 @@ def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: 
     ros, every = tmp_path / "ros", tmp_path / "all"
     assert cli("export", reconstructed, "-o", ros, "--to", "ros").code == 0
     assert names_in(ros) == {
-        "skeleton.urdf", "files.json", "ros_joint_trajectory.json", "ros_base_trajectory.json", MANIFEST,
-    }  # fmt: skip
+        "skeleton.urdf",
+        "files.json",
+        "ros_joint_trajectory.json",
+        "ros_base_trajectory.json",
+        MANIFEST,
+    }
     export = ("export", reconstructed / "motion.npz", every, "--to")
     done = cli(*export, "mot, trc,osim,c3d,bvh,csv,parquet")
     assert done.code == 0
@@ -254,11 +280,17 @@ def test_paths_longer_than_the_system_takes_are_one_sentence(cli, tmp_path: Path
     name, path = "x" * 300, "/".join(["y" * 200] * 25)
     for long in (name, path):
         for arguments in (
-            ("reconstruct", long, "-o", tmp_path / "out"), ("reconstruct", tmp_path, "-o", tmp_path / long),
-            ("report", long), ("inspect", long), ("batch", long, "-o", tmp_path / "out"),
-            ("batch", tmp_path, "-o", tmp_path / long), ("live", long, "--imus", long), ("view", long),
-            ("live", "--finish", long), ("export", long, "--to", "osim", tmp_path / "a"),
-        ):  # fmt: skip
+            ("reconstruct", long, "-o", tmp_path / "out"),
+            ("reconstruct", tmp_path, "-o", tmp_path / long),
+            ("report", long),
+            ("inspect", long),
+            ("batch", long, "-o", tmp_path / "out"),
+            ("batch", tmp_path, "-o", tmp_path / long),
+            ("live", long, "--imus", long),
+            ("view", long),
+            ("live", "--finish", long),
+            ("export", long, "--to", "osim", tmp_path / "a"),
+        ):
             done = cli(*arguments)
             assert (done.code, done.err.count("error: ")) == (2, 1), (arguments, done.err)
             assert "Traceback" not in done.err

@@ -41,9 +41,7 @@ def test_two_recordings_are_compared_by_cycle_and_the_change_is_named(cli: Any, 
     assert "over the gait cycle" in done.out
     assert "Chosen because both are walking, with complete gait cycles" in done.out
     assert "right knee flexion (range) by +" in done.out or "right knee flexion (mean) by +" in done.out
-    assert {p.name for p in (outputs / "out").iterdir()} >= {
-        "comparison.html", "comparison.csv", "comparison.json"
-    }  # fmt: skip
+    assert {p.name for p in (outputs / "out").iterdir()} >= {"comparison.html", "comparison.csv", "comparison.json"}
     data = json.loads((outputs / "out" / "comparison.json").read_text())
     assert data["by"] == "cycle"
     changed = {row["angle"] for row in data["angles"] if row["verdict"] == "changed"}
@@ -100,9 +98,7 @@ def test_align_states_the_shift(cli: Any, outputs: Path) -> None:
     done = cli("compare", outputs / "before", outputs / "late", "--align", "--angles", "right_knee_flexion")
     assert done.code == 0, done.err
     assert "with B shifted by -2.500 s" in done.out
-    given = cli(
-        "compare", outputs / "before", outputs / "late", "--shift", "-2.5", "--angles", "right_hip_flexion"
-    )
+    given = cli("compare", outputs / "before", outputs / "late", "--shift", "-2.5", "--angles", "right_hip_flexion")
     assert "with B shifted by -2.500 s" in given.out
     refused = cli("compare", outputs / "before", outputs / "late", "--by", "cycle", "--align")
     assert refused.code == 2

@@ -23,11 +23,7 @@ def test_the_change_is_printed_and_written(cli: Any, visits: Path, tmp_path: Pat
     assert done.out.startswith("2 visits with their trials: 2026-01-10 (2), 2026-02-14 (2).")
     assert "gait speed improved (+0.4" in done.out
     assert "gait speed [m/s]" in done.out
-    assert {path.name for path in (tmp_path / "out").iterdir()} >= {
-        "follow.html",
-        "follow.csv",
-        "follow.json",
-    }
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"follow.html", "follow.csv", "follow.json"}
     data = json.loads((tmp_path / "out" / "follow.json").read_text())
     outcomes = {row["measure"]: row["outcome"] for row in data["rows"] if row["visit"] == "2026-02-14"}
     assert outcomes["gait_speed"] == "improved"

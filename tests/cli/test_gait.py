@@ -60,9 +60,7 @@ def test_a_reference_says_who_is_in_it_and_who_is_not(cli: Any, healthy: Path, t
     assert cli("gait-reference", healthy, "-o", tmp_path / "own.json", *TERMS).code == 2
 
 
-def test_scores_of_a_person_of_the_reference(
-    cli: Any, healthy: Path, reference: Path, tmp_path: Path
-) -> None:
+def test_scores_of_a_person_of_the_reference(cli: Any, healthy: Path, reference: Path, tmp_path: Path) -> None:
     done = cli("gait-scores", healthy / "r3", "--reference", reference, "-o", tmp_path / "out")
     assert done.code == 0, done.err
     assert done.out.startswith("r3: GPS")
@@ -97,9 +95,7 @@ def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Pat
     level[..., feet] = False
     blind = replace(motion, poses=replace(motion.poses, orientation_observed=level))
     folder_of(blind, tmp_path / "motion")
-    done = cli(
-        "gait-scores", tmp_path / "motion", "--reference", tmp_path / "other.json", "-o", tmp_path / "out"
-    )
+    done = cli("gait-scores", tmp_path / "motion", "--reference", tmp_path / "other.json", "-o", tmp_path / "out")
     assert done.code == 0, done.err
     assert done.out.startswith("The reference is of another system (Plug-in Gait; zero: static trial)")
     assert "GPS not computed" in done.out

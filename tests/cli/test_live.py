@@ -227,8 +227,14 @@ def test_a_terminal_shows_streams_angles_and_the_last_messages() -> None:
     display = LiveDisplay(console, demo().skeleton, lambda: now[0])
     truth = demo().truth
     assert truth is not None
-    row = {"name": "L_UpArm", "state": "lost", "rate_hz": 60.0, "loss_percent": 12.0, "latency_ms": 3.0,
-           "sentence": "no sample for 0.5 s"}  # fmt: skip
+    row = {
+        "name": "L_UpArm",
+        "state": "lost",
+        "rate_hz": 60.0,
+        "loss_percent": 12.0,
+        "latency_ms": 3.0,
+        "sentence": "no sample for 0.5 s",
+    }
     status = {"sensors": [row], "camera": row | {"name": "video", "state": "ok"}, "rate_hz": 60.0}
     with display:
         assert not display.due()

@@ -26,9 +26,7 @@ def video(out: Path) -> Path:
     return write_film(out.parent / "v.mp4", [numbered(320, 240, i) for i in range(12)], times)
 
 
-def test_a_film_is_written_and_described(
-    cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path
-) -> None:
+def test_a_film_is_written_and_described(cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path) -> None:
     path = tmp_path / "o.mp4"
     done = cli("overlay", out, video, "-o", path, "--bands", "--points", "--blur-face")
     assert done.code == 0, done.err
@@ -42,9 +40,7 @@ def test_a_film_is_written_and_described(
     assert cli("overlay", out, "--no-video", "-o", path, "--overwrite", "--angles", "none").code == 0
 
 
-def test_video_or_no_video_must_be_said(
-    cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path
-) -> None:
+def test_video_or_no_video_must_be_said(cli: Callable[..., Any], out: Path, video: Path, tmp_path: Path) -> None:
     neither = cli("overlay", out, "-o", tmp_path / "o.mp4")
     assert (neither.code, "--no-video" in neither.err) == (2, True)
     both = cli("overlay", out, video, "--no-video", "-o", tmp_path / "o.mp4")
@@ -58,9 +54,7 @@ def test_unknown_angles_and_films_are_named(cli: Callable[..., Any], out: Path, 
     film = cli("overlay", out, tmp_path / "none.mp4", "-o", tmp_path / "o.mp4")
     assert film.code == 2
     assert "no such video" in film.err
-    assert "interval" in cli(
-        "overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--from", "3", "--to", "1"
-    ).err  # fmt: skip
+    assert "interval" in cli("overlay", out, "--no-video", "-o", tmp_path / "o.mp4", "--from", "3", "--to", "1").err
     assert not list(tmp_path.iterdir())
 
 

@@ -44,8 +44,15 @@ def test_report_goes_beside_the_motion_and_overwrites_only_if_asked(
 def test_summary_has_the_audit(reconstructed: Path) -> None:
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert {result["section"] for result in summary["audit"]} >= {
-        "inputs", "streams", "image", "sensors", "body", "calibration", "solver", "confidence"
-    }  # fmt: skip
+        "inputs",
+        "streams",
+        "image",
+        "sensors",
+        "body",
+        "calibration",
+        "solver",
+        "confidence",
+    }
     assert [sensor["segment"] for sensor in summary["inputs"]["sensors"]] == summary["sensors"]
 
 

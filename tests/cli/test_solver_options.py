@@ -36,10 +36,17 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     settings, verdict = summary["settings"], summary["verdict"]
     assert settings.pop("fragment")["jerk"] == 2.5
     assert settings == {
-        "space": "joint", "backend": "realtime", "energy": "default", "frames": 16,
-        "guards": ",".join(GUARDS), "lift_with_sensors": True, "lifter": "detections", "calibrate": "no",
-        "known_of_another_recording": False, "threads": threads(),
-    }  # fmt: skip
+        "space": "joint",
+        "backend": "realtime",
+        "energy": "default",
+        "frames": 16,
+        "guards": ",".join(GUARDS),
+        "lift_with_sensors": True,
+        "lifter": "detections",
+        "calibrate": "no",
+        "known_of_another_recording": False,
+        "threads": threads(),
+    }
     words = ("recording ", "accuracy ", "caution ", verdict["headline"], "files ", "next ", "section verdict")
     places = [text.index(word) for word in words]
     assert places == sorted(places)
@@ -49,9 +56,7 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
     assert "repeated" not in caplog.text
     assert cli("report", tmp_path / "out").code == 0
     page = unescape((tmp_path / "out" / "report.html").read_text())
-    cause = plain_words(
-        verdict["headline"].partition("; more")[0], angle_table(SkeletonModel.default().table)
-    )
+    cause = plain_words(verdict["headline"].partition("; more")[0], angle_table(SkeletonModel.default().table))
     assert f"{cause[:1].upper()}{cause[1:]}." in page
     assert "joint space, realtime, energy: default; 16 frames" in page
 
@@ -67,35 +72,39 @@ def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: An
     assert "stream_faults" not in summary
 
 
-def test_calibrated_recording_keeps_its_energy_with_another_backend(
-    stuck: Path, tmp_path: Path, cli: Any
-) -> None:
-    summary, _ = summary_after(
-        cli, stuck, tmp_path / "out", *["--calibrate", "--backend", "ipopt", "--space", "joint"]
-    )
+def test_calibrated_recording_keeps_its_energy_with_another_backend(stuck: Path, tmp_path: Path, cli: Any) -> None:
+    summary, _ = summary_after(cli, stuck, tmp_path / "out", *["--calibrate", "--backend", "ipopt", "--space", "joint"])
     found = summary["settings"]
     assert (found["space"], found["backend"]) == ("joint", "ipopt")
     assert (found["calibrate"], found["energy"]) == ("yes", "default")
 
 
-@pytest.mark.parametrize("options, expected", [
-    ("", JointSpaceSettings()),
-    ("--space joint --backend ipopt", JointSpaceSettings(backend="ipopt")),
-    ("--space cartesian", CartesianSettings()),
-    ("--space cartesian --backend realtime", CartesianSettings(backend="realtime")),
-    ("--paper", CartesianSettings.paper()),
-    ("--paper --backend realtime", CartesianSettings.paper("realtime")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "options, expected",
+    [
+        ("", JointSpaceSettings()),
+        ("--space joint --backend ipopt", JointSpaceSettings(backend="ipopt")),
+        ("--space cartesian", CartesianSettings()),
+        ("--space cartesian --backend realtime", CartesianSettings(backend="realtime")),
+        ("--paper", CartesianSettings.paper()),
+        ("--paper --backend realtime", CartesianSettings.paper("realtime")),
+    ],
+)
 def test_options_choose_space_and_backend(options: str, expected: object) -> None:
     parser = argparse.ArgumentParser()
     add_solver_options(parser)
     assert settings_of(parser.parse_args(options.split())).solver(SkeletonModel.default()) == expected
 
 
-@pytest.mark.parametrize("settings, name", [
-    (JointSpaceSettings(backend="ipopt", floor_height=0.1), "default"), (JointSpaceSettings(jerk=7.0), "own"),
-    (CartesianSettings(), "default"), (CartesianSettings.paper("realtime"), "as printed"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "settings, name",
+    [
+        (JointSpaceSettings(backend="ipopt", floor_height=0.1), "default"),
+        (JointSpaceSettings(jerk=7.0), "own"),
+        (CartesianSettings(), "default"),
+        (CartesianSettings.paper("realtime"), "as printed"),
+    ],
+)
 def test_energy_is_named(settings: JointSpaceSettings | CartesianSettings, name: str) -> None:
     assert _energy_name(settings) == name
 

@@ -45,13 +45,7 @@ def written(folder: Path) -> dict[str, int]:
 
 
 def test_one_command_makes_recording_motion_angles_and_report(cli: Any, walk: Path, done: Path) -> None:
-    assert {path.name for path in done.iterdir()} == {
-        "recording",
-        "motion",
-        "angles",
-        "report.html",
-        MANIFEST,
-    }
+    assert {path.name for path in done.iterdir()} == {"recording", "motion", "angles", "report.html", MANIFEST}
     before = written(done)
     again = cli(*options(walk, done))
     assert again.code == 0
@@ -66,7 +60,7 @@ def test_one_command_makes_recording_motion_angles_and_report(cli: Any, walk: Pa
         "caution",
         f"report {done}/report.html",
     ):
-        assert part in again.out  # fmt: skip
+        assert part in again.out
 
 
 def test_a_run_that_was_stopped_goes_on(cli: Any, walk: Path, tmp_path: Path, done: Path) -> None:
@@ -80,9 +74,7 @@ def test_a_run_that_was_stopped_goes_on(cli: Any, walk: Path, tmp_path: Path, do
     assert written(tmp_path / "out" / "motion") == before
 
 
-def test_a_corrected_recording_is_used_and_never_replaced(
-    cli: Any, walk: Path, tmp_path: Path, done: Path
-) -> None:
+def test_a_corrected_recording_is_used_and_never_replaced(cli: Any, walk: Path, tmp_path: Path, done: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(done, out)
     text = (out / "recording" / "recording.toml").read_text()
@@ -111,9 +103,7 @@ def test_results_of_one_person_are_not_replaced_by_those_of_another(
     assert cli(*options(walk, out), "--person", 1).code == 0
 
 
-def test_a_folder_of_other_files_or_of_the_user_is_refused(
-    cli: Any, walk: Path, tmp_path: Path, done: Path
-) -> None:
+def test_a_folder_of_other_files_or_of_the_user_is_refused(cli: Any, walk: Path, tmp_path: Path, done: Path) -> None:
     other = write_keypoints(tmp_path / "other.npz", beside(walker(), 0.9, (50.0, 50.0)))
     refused = cli(*options(other, done))
     assert refused.code == 2
@@ -124,9 +114,7 @@ def test_a_folder_of_other_files_or_of_the_user_is_refused(
     assert [path.name for path in (tmp_path / "mine").rglob("*.*")] == ["notes.txt"]
 
 
-def test_init_writes_the_recording_alone_and_says_what_comes_next(
-    cli: Any, walk: Path, tmp_path: Path
-) -> None:
+def test_init_writes_the_recording_alone_and_says_what_comes_next(cli: Any, walk: Path, tmp_path: Path) -> None:
     found = cli("init", walk, "--size", SIZE, "-o", tmp_path / "rec")
     assert found.code == 0
     assert f"rtof-kin reconstruct {tmp_path}/rec -o OUT" in found.out
@@ -134,8 +122,12 @@ def test_init_writes_the_recording_alone_and_says_what_comes_next(
     table = tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())
     assert table["name"] == "rec"
     assert {path.name for path in (tmp_path / "rec").iterdir()} == {
-        "recording.toml", "keypoints.npz", "frames.png", "findings.json", MANIFEST
-    }  # fmt: skip
+        "recording.toml",
+        "keypoints.npz",
+        "frames.png",
+        "findings.json",
+        MANIFEST,
+    }
 
 
 def test_two_people_are_chosen_without_detecting_again(
@@ -147,22 +139,23 @@ def test_two_people_are_chosen_without_detecting_again(
     assert ask.code == 2
     assert f"look at {tmp_path}/rec/frames.png and choose one with --person 1 or --person 2" in ask.err
     before = written(tmp_path / "rec")["keypoints.npz"]
-    assert (
-        cli("init", given, "--size", SIZE, "--height", 1.7, "--person", 2, "-o", tmp_path / "rec").code == 0
-    )
+    assert cli("init", given, "--size", SIZE, "--height", 1.7, "--person", 2, "-o", tmp_path / "rec").code == 0
     assert written(tmp_path / "rec")["keypoints.npz"] >= before
     assert tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())["keypoints"]["person_number"] == 2
 
 
-@pytest.mark.parametrize("arguments, sentence", [
-    (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
-    (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
-    (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
-    (("init", "WALK"), "give the video beside them, its calibration by --camera, or --size 1920x1080"),
-    (("init", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),
-    (("init", "WALK", "--size", SIZE, "--height", 172), "is no human height in metres; give"),
-    (("init", "WALK", "--size", "100x100", "--height", 1.7), "give the camera that belongs to this video"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "arguments, sentence",
+    [
+        (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
+        (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
+        (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
+        (("init", "WALK"), "give the video beside them, its calibration by --camera, or --size 1920x1080"),
+        (("init", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),
+        (("init", "WALK", "--size", SIZE, "--height", 172), "is no human height in metres; give"),
+        (("init", "WALK", "--size", "100x100", "--height", 1.7), "give the camera that belongs to this video"),
+    ],
+)
 def test_bad_input_is_one_sentence_that_says_what_to_do(
     cli: Any, walk: Path, tmp_path: Path, arguments: tuple[object, ...], sentence: str
 ) -> None:

@@ -38,8 +38,12 @@ def test_page_is_there_soon_and_ctrl_c_ends_cleanly(out: Path) -> None:
     used = [0.0]
     process = subprocess.Popen(
         [sys.executable, "-m", "rtof_kin.cli", "view", str(out), "--no-browser"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=ROOT,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        cwd=ROOT,
+    )
     assert process.stdout is not None
     lines: list[str] = []
     try:
@@ -67,8 +71,12 @@ def test_live_estimates_are_shown_until_ctrl_c() -> None:
     source = WebSocketServer(walking(2).skeleton)
     process = subprocess.Popen(
         [sys.executable, "-m", "rtof_kin.cli", "view", "--live", source.url, "--no-browser"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, cwd=ROOT,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=ENVIRONMENT,
+        cwd=ROOT,
+    )
     assert process.stdout is not None
     try:
         lines = [process.stdout.readline(), process.stdout.readline()]
@@ -107,7 +115,7 @@ def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) ->
         ((out, "--no-browser", "--video", "a", "--video", "b"), "2 videos, but the motion has 1 camera"),
         ((out, "--no-browser", "--port", 99999), "a port is a number"),
         ((out, "--html", tmp_path / "a.html", "--from", 50), "the motion is from 2 to"),
-    ):  # fmt: skip
+    ):
         done = cli("view", *arguments)
         assert done.code == 2, arguments
         assert words in done.err, arguments

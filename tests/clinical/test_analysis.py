@@ -30,9 +30,15 @@ from rtof_kin.report.clinical_figures import SHOWN, angles_over_time, gait_cycle
 BODY = SkeletonModel.default()
 REACTION = {"ground_reaction.csv", "ground_reaction.json"}
 ALWAYS = {
-    "angles.csv", "angles.json", "angles_provenance.csv", "angles_trusted.csv", "range_of_motion.csv",
-    "gait.json", "notes.json", "travel.json",
-}  # fmt: skip
+    "angles.csv",
+    "angles.json",
+    "angles_provenance.csv",
+    "angles_trusted.csv",
+    "range_of_motion.csv",
+    "gait.json",
+    "notes.json",
+    "travel.json",
+}
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +77,7 @@ def test_low_frame_rates_disable_only_gait_events(step: int) -> None:
     assert analysis.torques is not None
 
 
-def test_angles_are_written_in_degrees_with_gaps_as_empty_cells(
-    analysis: MotionAnalysis, folder: Path
-) -> None:
+def test_angles_are_written_in_degrees_with_gaps_as_empty_cells(analysis: MotionAnalysis, folder: Path) -> None:
     columns = read_csv(folder / "angles.csv")
     assert list(columns) == ["time", *(f"{name}_deg" for name in analysis.angles.names)]
     back = np.radians(np.stack(list(columns.values())[1:], axis=-1))
@@ -98,8 +102,12 @@ def test_sidecar_describes_each_angle(analysis: MotionAnalysis, folder: Path) ->
 
 def test_gait_torques_and_repetitions_are_written(analysis: MotionAnalysis, folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == ALWAYS | {
-        "gait_cycles.csv", "repetitions.json", "torques.csv", "torques.json", *REACTION,
-    }  # fmt: skip
+        "gait_cycles.csv",
+        "repetitions.json",
+        "torques.csv",
+        "torques.json",
+        *REACTION,
+    }
     gait = read(folder / "gait.json")
     cadence = gait["summary"]["right"]["cadence_steps_per_min"]
     assert cadence["mean"] == pytest.approx(analysis.gait.summary["right"]["cadence"][0])
@@ -209,8 +217,9 @@ def test_an_unobserved_motion_has_no_values(tmp_path: Path) -> None:
         motion.poses,
         p_world_joint=np.full_like(motion.poses.p_world_joint, np.nan),
         R_world_bone=np.full_like(motion.poses.R_world_bone, np.nan),
-        provenance=None, valid=None,
-    )  # fmt: skip
+        provenance=None,
+        valid=None,
+    )
     unseen = replace(motion, q=np.full_like(motion.q, np.nan), poses=nothing)
     analysis = analyse_motion(unseen, weight_kg=70.0, repetitions="squat")
     write_analysis(analysis, tmp_path)
@@ -271,9 +280,7 @@ def test_command_replaces_a_folder_only_with_overwrite(
     assert (out / "torques.csv").exists()
 
 
-def test_command_uses_the_weight_of_the_recording_unless_one_is_given(
-    motion_file: Path, tmp_path: Path
-) -> None:
+def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "motion"
     folder.mkdir()
     motion = Path(shutil.copy(motion_file, folder))

@@ -57,10 +57,16 @@ def test_sigmas_equal_the_spread_of_perturbed_rotations(parent: str, child: str)
     c = BODY.names.index(child)
     R[:, c] = R[:, c] @ so3.exp(errors)
     many = replace(
-        poses, times=np.arange(draws) / 60, p_world_joint=np.repeat(poses.p_world_joint, draws, axis=0),
-        R_world_bone=R, provenance=None, valid=None, orientation_observed=np.ones(21, dtype=bool),
-        direction_observed=None, sigma_rad=None,
-    )  # fmt: skip
+        poses,
+        times=np.arange(draws) / 60,
+        p_world_joint=np.repeat(poses.p_world_joint, draws, axis=0),
+        R_world_bone=R,
+        provenance=None,
+        valid=None,
+        orientation_observed=np.ones(21, dtype=bool),
+        direction_observed=None,
+        sigma_rad=None,
+    )
     scattered = clinical_angles(many, BODY)
     assert expected.sigma is not None
     rows = [i for i, pair in enumerate(PAIRS) if pair == (parent, child)]
@@ -108,8 +114,14 @@ def test_segment_pairs_without_covariance_have_no_sigma() -> None:
 def test_negative_or_infinite_sigmas_are_rejected(value: float) -> None:
     rows = angle_table(BODY.table).rows[:1]
     with pytest.raises(InvalidInputError, match="angle sigma"):
-        ClinicalAngles(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.uint8), np.zeros((1, 1), bool),
-                       rows, sigma=np.full((1, 1), value))  # fmt: skip
+        ClinicalAngles(
+            np.zeros(1),
+            np.zeros((1, 1)),
+            np.zeros((1, 1), np.uint8),
+            np.zeros((1, 1), bool),
+            rows,
+            sigma=np.full((1, 1), value),
+        )
 
 
 def test_files_and_figures_have_the_bands(tmp_path: Path) -> None:

@@ -48,9 +48,15 @@ def test_every_metric_is_the_closed_form_of_its_pooled_samples() -> None:
 def test_rows_are_everything_then_classes_then_angles() -> None:
     labels = [(one.angle, one.movement) for one in error_rows(DIFFERENCES, ["walk", "squat", "arms"])]
     assert labels == [
-        (ALL, ALL), (ALL, "walk"), (ALL, "squat"), ("knee_flexion", ALL), ("knee_flexion", "walk"),
-        ("knee_flexion", "squat"), ("spine_flexion", ALL), ("spine_flexion", "squat"),
-    ]  # fmt: skip
+        (ALL, ALL),
+        (ALL, "walk"),
+        (ALL, "squat"),
+        ("knee_flexion", ALL),
+        ("knee_flexion", "walk"),
+        ("knee_flexion", "squat"),
+        ("spine_flexion", ALL),
+        ("spine_flexion", "squat"),
+    ]
 
 
 def test_one_curve_has_the_standard_deviation_without_its_offset() -> None:
@@ -84,9 +90,15 @@ def test_what_cannot_be_compared_is_left_out_with_its_reason() -> None:
     moving = 10 * np.sin(times)
     estimate = angles_of(times, {"left_knee_flexion": moving, "spine_flexion": moving, "pelvis_tilt": moving})
     reference = angles_of(
-        times, {"left_knee_flexion": moving, "spine_flexion": 0.0, "pelvis_opensim_rotation": moving,
-                "right_knee_flexion": moving, "left_hip_flexion": np.nan},
-    )  # fmt: skip
+        times,
+        {
+            "left_knee_flexion": moving,
+            "spine_flexion": 0.0,
+            "pelvis_opensim_rotation": moving,
+            "right_knee_flexion": moving,
+            "left_hip_flexion": np.nan,
+        },
+    )
     found, left_out = angle_differences(estimate, reference, "walk", "a")
     assert [one.angle for one in found] == ["left_knee_flexion"]
     assert left_out == {

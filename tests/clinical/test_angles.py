@@ -59,44 +59,30 @@ POSTURES = {
     "leg swung back, straight": (both(LEG, turn(y=20)), {"hip_flexion": -20}),
     "heels at the buttocks": (both(("shank", "foot"), turn(y=120)), {"knee_flexion": 120}),
     "legs spread": (either_side(turn(x=-25), turn(x=25), *LEG), {"hip_adduction": -25}),
-    "legs turned inwards": (
-        either_side(turn(z=15), turn(z=-15), *LEG),
-        {"hip_internal_rotation": 15},
-    ),
+    "legs turned inwards": (either_side(turn(z=15), turn(z=-15), *LEG), {"hip_internal_rotation": 15}),
     "standing on the heels": (both(("foot",), turn(y=-20)), {"ankle_dorsiflexion": 20}),
     "standing on tiptoe": (both(("foot",), turn(y=40)), {"ankle_dorsiflexion": -40}),
-    "soles facing each other": (
-        either_side(turn(x=15), turn(x=-15), "foot"),
-        {"ankle_inversion": 15},
-    ),
+    "soles facing each other": (either_side(turn(x=15), turn(x=-15), "foot"), {"ankle_inversion": 15}),
     "arms forward, palms up": (
         both(ARM, turn(y=-90)),
-        {"shoulder_elevation": 90, "shoulder_plane_of_elevation": 90, "shoulder_axial_rotation": -90,
-         "shoulder_xzy_flexion": 90},
+        {
+            "shoulder_elevation": 90,
+            "shoulder_plane_of_elevation": 90,
+            "shoulder_axial_rotation": -90,
+            "shoulder_xzy_flexion": 90,
+        },
     ),
     "arms sideways, palms forward": (
         either_side(turn(x=-90), turn(x=90), *ARM),
         {"shoulder_elevation": 90, "shoulder_xzy_abduction": 90},
     ),
     "forearms forward, palms up": (both(("forearm", "hand"), turn(y=-90)), {"elbow_flexion": 90}),
-    "thumbs forward": (
-        either_side(turn(z=90), turn(z=-90), "forearm", "hand"),
-        {"elbow_pronation": 90},
-    ),
-    "palms back": (
-        either_side(turn(z=170), turn(z=-170), "forearm", "hand"),
-        {"elbow_pronation": 170},
-    ),
+    "thumbs forward": (either_side(turn(z=90), turn(z=-90), "forearm", "hand"), {"elbow_pronation": 90}),
+    "palms back": (either_side(turn(z=170), turn(z=-170), "forearm", "hand"), {"elbow_pronation": 170}),
     "hands bent forward": (both(("hand",), turn(y=-60)), {"wrist_flexion": 60}),
-    "hands bent to the thighs": (
-        either_side(turn(x=20), turn(x=-20), "hand"),
-        {"wrist_ulnar_deviation": 20},
-    ),
-    "forearms spread": (
-        either_side(turn(x=-10), turn(x=10), "forearm", "hand"),
-        {"elbow_carrying_angle": 10},
-    ),
-}  # fmt: skip
+    "hands bent to the thighs": (either_side(turn(x=20), turn(x=-20), "hand"), {"wrist_ulnar_deviation": 20}),
+    "forearms spread": (either_side(turn(x=-10), turn(x=10), "forearm", "hand"), {"elbow_carrying_angle": 10}),
+}
 
 
 @pytest.mark.parametrize("name", POSTURES)
@@ -261,9 +247,7 @@ def test_arm_elevation_is_continuous_up_to_overhead(axis: str, name: str) -> Non
     np.testing.assert_allclose(np.degrees(angles["right_shoulder_elevation"]), raised, atol=1e-6)
 
 
-def seen_by(
-    poses: PoseSequence, sensors: tuple[str, ...], who: Provenance, alone: bool = False
-) -> PoseSequence:
+def seen_by(poses: PoseSequence, sensors: tuple[str, ...], who: Provenance, alone: bool = False) -> PoseSequence:
     """Poses with one provenance, and segments with sensors; `alone` without landmarks."""
     observed = np.isin(BODY.names, sensors) if alone else BODY.orientation_observed(sensors)
     provenance = np.full(poses.valid.shape, who, dtype=np.uint8)
@@ -282,9 +266,11 @@ def test_angles_that_a_camera_cannot_observe_are_nan(moving: PoseSequence) -> No
     assert {"right_hip_flexion", "right_hip_adduction", "left_knee_flexion"} <= known
     assert {"left_shoulder_elevation", "right_elbow_flexion", "pelvis_tilt", "spine_flexion"} <= known
     assert not known & {
-        "right_hip_internal_rotation", "left_knee_adduction", "left_shoulder_axial_rotation",
+        "right_hip_internal_rotation",
+        "left_knee_adduction",
+        "left_shoulder_axial_rotation",
         "right_elbow_pronation",
-    }  # fmt: skip
+    }
     sources = dict(zip(angles.names, angles.provenance.T, strict=True))
     assert np.all(sources["right_ankle_dorsiflexion"] == Provenance.PRIOR)
     assert np.all(sources["right_hip_flexion"] == Provenance.CAMERA)
@@ -351,8 +337,14 @@ def test_sensors_alone_observe_only_the_angles_between_them() -> None:
     moving = planted.moving(BODY, 40).poses
     poses = seen_by(moving, planted.LIMBS, Provenance.PRIOR, alone=True)
     angles = clinical_angles(poses, BODY)
-    names = ("knee_flexion", "knee_adduction", "knee_internal_rotation",
-             "elbow_flexion", "elbow_carrying_angle", "elbow_pronation")  # fmt: skip
+    names = (
+        "knee_flexion",
+        "knee_adduction",
+        "knee_internal_rotation",
+        "elbow_flexion",
+        "elbow_carrying_angle",
+        "elbow_pronation",
+    )
     assert known_names(angles) == {f"{side}_{name}" for side in ("right", "left") for name in names}
     expected = clinical_angles(all_observed(poses), BODY)
     np.testing.assert_array_equal(angles.values[angles.known], expected.values[angles.known])

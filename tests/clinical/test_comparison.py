@@ -89,9 +89,7 @@ def test_whole_turns_do_not_count(turns: int, offset: float) -> None:
 def test_more_frames_do_not_make_a_mean_more_certain() -> None:
     few, many = np.arange(20) / 60, np.arange(2000) / 60
     sigmas = [
-        of(compare(one("a", t, {KNEE: 20.0}, 3.0), one("b", t, {KNEE: 21.0}, 4.0), "time"), KNEE)
-        .changes[0]
-        .sigma
+        of(compare(one("a", t, {KNEE: 20.0}, 3.0), one("b", t, {KNEE: 21.0}, 4.0), "time"), KNEE).changes[0].sigma
         for t in (few, many)
     ]
     assert np.degrees(sigmas) == pytest.approx([5.0, 5.0])
@@ -151,9 +149,7 @@ def test_another_rate_is_interpolated_but_no_gap_is() -> None:
 
 
 def test_without_bands_of_one_the_other_alone_counts() -> None:
-    mean = of(
-        compare(one("a", TIMES, {KNEE: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE
-    ).changes[0]
+    mean = of(compare(one("a", TIMES, {KNEE: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE).changes[0]
     assert np.degrees(mean.sigma) == pytest.approx(2.0)
     neither = of(compare(one("a", TIMES, {KNEE: WAVE}), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE)
     assert neither.verdict is Verdict.NOT_TESTED
@@ -170,9 +166,7 @@ def test_range_of_a_part_of_the_frames_is_not_tested() -> None:
 
 
 def test_sides_are_not_compared_through_the_uncertain_deepest_frames() -> None:
-    right = one(
-        "a", TIMES, {KNEE: WAVE, "left_knee_flexion": WAVE / 2, HIP: WAVE, "left_hip_flexion": WAVE / 2}, 2.0
-    )
+    right = one("a", TIMES, {KNEE: WAVE, "left_knee_flexion": WAVE / 2, HIP: WAVE, "left_hip_flexion": WAVE / 2}, 2.0)
     column, deepest = right.angles.names.index(KNEE), np.flatnonzero(WAVE > 49.5)
     trusted, sigma = np.ones(right.angles.values.shape, dtype=bool), np.array(right.angles.sigma)
     trusted[deepest, column], sigma[deepest, column] = False, np.radians(20)
@@ -194,9 +188,7 @@ def test_share_outside_the_band_of_the_difference() -> None:
     bump = np.where(TIMES < 1.5, 8.0, 0.0)
     found = compare(one("a", TIMES, {KNEE: WAVE}, 2.0), one("b", TIMES, {KNEE: WAVE + bump}, 2.0), "time")
     assert of(found, KNEE).outside == pytest.approx(0.3)
-    assert np.isnan(
-        of(compare(one("a", TIMES, {KNEE: WAVE}), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE).outside
-    )
+    assert np.isnan(of(compare(one("a", TIMES, {KNEE: WAVE}), one("b", TIMES, {KNEE: WAVE}), "time"), KNEE).outside)
 
 
 # --- what is compared ----------------------------------------------------------------------------
@@ -249,9 +241,7 @@ def test_changed_knee_is_found_by_cycle_and_range_on_other_clocks() -> None:
     poses = after.poses
     confidence = certain_to(2.0, after)
     later = replace(
-        after,
-        poses=replace(poses, times=poses.times + 50),
-        confidence=replace(confidence, times=poses.times + 50),
+        after, poses=replace(poses, times=poses.times + 50), confidence=replace(confidence, times=poses.times + 50)
     )
     a, b = compared("before", before, "one"), compared("after", later, "two")
     assert choose_axis(a, b, agreement(a, b)).by == "cycle"
@@ -290,9 +280,7 @@ def test_squats_of_another_depth_and_tempo_are_compared_by_repetition() -> None:
     knee = of(compare(a, b, "repetition"), KNEE)
     assert knee.repeats == (3, 4)
     mean, motion = knee.changes
-    assert np.degrees(motion.difference) == pytest.approx(
-        -21, abs=1
-    )  # of the 25, between 5 and 95 % of the rise
+    assert np.degrees(motion.difference) == pytest.approx(-21, abs=1)  # of the 25, between 5 and 95 % of the rise
     assert knee.verdict is Verdict.CHANGED
     assert mean.difference < 0
 
@@ -317,9 +305,7 @@ def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differen
 def mirror(motion: MotionSequence) -> MotionSequence:
     """The motion with left and right exchanged: reflected in the plane y = 0."""
     names, poses = motion.skeleton.names, motion.poses
-    other = [
-        names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right")) for n in names
-    ]
+    other = [names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right")) for n in names]
     reflection = np.diag([1.0, -1.0, 1.0])
     R = reflection @ poses.R_world_bone[:, other] @ reflection
     p = poses.p_world_joint[:, other] @ reflection

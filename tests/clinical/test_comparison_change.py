@@ -71,9 +71,7 @@ def test_the_same_repeats_are_tested_as_pairs() -> None:
     expected = stats.ttest_rel(depth + asymmetry, depth)
     assert (found.p, found.dof) == pytest.approx((expected.pvalue, 5))
     assert found.p < 0.01
-    assert (
-        change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="independent").p > 0.3
-    )
+    assert change("mean", Measured(depth, 0.0), Measured(depth + asymmetry, 0.0), repeats="independent").p > 0.3
 
 
 def test_without_any_stated_error_nothing_is_tested() -> None:

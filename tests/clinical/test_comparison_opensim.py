@@ -35,14 +35,14 @@ def test_exported_motion_has_the_angles_of_the_motion(write: object, name: str, 
 
 def test_signs_are_those_of_the_table() -> None:
     angles, others = opensim_angles(
-        table(
-            hip_flexion_r=30.0, lumbar_extension=-12.0, knee_angle_l=50.0, ankle_angle_r=-8.0, mtp_angle_r=3.0
-        )
+        table(hip_flexion_r=30.0, lumbar_extension=-12.0, knee_angle_l=50.0, ankle_angle_r=-8.0, mtp_angle_r=3.0)
     )
     expected = {
-        "right_hip_flexion": 30.0, "spine_flexion": 12.0, "left_knee_flexion": 50.0,
+        "right_hip_flexion": 30.0,
+        "spine_flexion": 12.0,
+        "left_knee_flexion": 50.0,
         "right_ankle_dorsiflexion": -8.0,
-    }  # fmt: skip
+    }
     known = [name for name in angles.names if np.isfinite(angles[name]).all()]
     assert {name: float(np.degrees(angles[name][0])) for name in known} == pytest.approx(expected)
     assert others == ("mtp_angle_r",)

@@ -34,9 +34,7 @@ def strides_of(name: str, curves: Array, sigma: float | None = None, late: float
     return replace(one(name, times, {KNEE: values}, sigma), strides={"right": gapless})
 
 
-def mapped(
-    a: Array, b: Array, sigma: float | None = None, late: float = 0.5
-) -> tuple[Comparison, ComparisonSpm]:
+def mapped(a: Array, b: Array, sigma: float | None = None, late: float = 0.5) -> tuple[Comparison, ComparisonSpm]:
     """SPM of B, whose strides are those of A if neither is later."""
     found = compare(strides_of("a", a, sigma), strides_of("b", b, sigma, late), "cycle")
     return found, compare_spm(found)
@@ -85,8 +83,7 @@ def test_threshold_agrees_with_a_permutation_test() -> None:
 def test_false_clusters_are_as_rare_as_stated(count: int, spread: float) -> None:
     rng = np.random.default_rng(4)
     false = sum(
-        bool(mapped(20 + smooth(rng, count), 20 + spread * smooth(rng, 8))[1].angles[0].clusters)
-        for _ in range(100)
+        bool(mapped(20 + smooth(rng, count), 20 + spread * smooth(rng, 8))[1].angles[0].clusters) for _ in range(100)
     )
     assert stats.binom.ppf(0.001, 100, 0.05) <= false <= stats.binom.ppf(0.999, 100, 0.05)
 

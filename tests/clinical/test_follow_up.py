@@ -44,9 +44,14 @@ def test_a_change_is_judged_by_the_declared_direction(better: Better | None, out
 
 @pytest.mark.parametrize(
     "after, outcome",
-    [(0.02, Outcome.IMPROVED), (-0.3, Outcome.IMPROVED), (-0.98, Outcome.CHANGED), (-2.0, Outcome.WORSE),
-     (1.0, Outcome.NOT_SHOWN)],
-)  # fmt: skip
+    [
+        (0.02, Outcome.IMPROVED),
+        (-0.3, Outcome.IMPROVED),
+        (-0.98, Outcome.CHANGED),
+        (-2.0, Outcome.WORSE),
+        (1.0, Outcome.NOT_SHOWN),
+    ],
+)
 def test_towards_zero_needs_to_show_which_is_nearer(after: float, outcome: Outcome) -> None:
     found = one(values(1.0, 1.05, 0.95), values(after - 0.05, after, after + 0.05), better="zero")
     assert found.outcome(1) is outcome
@@ -100,9 +105,7 @@ def test_one_false_verdict_in_a_family_has_at_most_the_level(band: float, shares
             always = rng.normal(0, band * np.sqrt(shares.all_visits))
             common = rng.normal(0, band * np.sqrt(shares.visit), (3, 1))
             own = rng.normal(0, np.hypot(1.0, band * np.sqrt(shares.trial)), (3, 2))
-            series[Measure(f"m{number}_range", "deg")] = [
-                Measured(row, band) for row in always + common + own
-            ]
+            series[Measure(f"m{number}_range", "deg")] = [Measured(row, band) for row in always + common + own]
         found = follow_measures(series, 0, Repeated.TRIALS, {}, shares)
         alarms += any(one.outcome(v) is Outcome.CHANGED for one in found for v in (1, 2))
     assert alarms / count <= 0.05 + 3.5 * np.sqrt(0.05 * 0.95 / count)
@@ -162,8 +165,7 @@ def test_on_a_treadmill_there_is_no_speed() -> None:
 
 def test_squats_are_measured_by_repetition() -> None:
     visits = [
-        Visit(name, (trial("s", squatting(count, depth)),))
-        for name, count, depth in (("a", 3, 0.3), ("b", 4, 0.4))
+        Visit(name, (trial("s", squatting(count, depth)),)) for name, count, depth in (("a", 3, 0.3), ("b", 4, 0.4))
     ]
     found = follow_up(visits, names=["right_knee_flexion_range"])
     assert (found.by, found.kind) == ("repetition", "squat")
@@ -224,9 +226,19 @@ def with_setup(base: Visit, name: str, setup: Setup) -> Visit:
 )
 def test_another_setup_is_a_cause(other: dict[str, object], words: str) -> None:
     setup = Setup(
-        "P1", "", "walk", "rtof", "rtof_kin 1", "lifter detections", ("LeftLeg", "RightLeg"), ("Hips",), 1,
-        1.0, 4.0, 0.0,
-    )  # fmt: skip
+        "P1",
+        "",
+        "walk",
+        "rtof",
+        "rtof_kin 1",
+        "lifter detections",
+        ("LeftLeg", "RightLeg"),
+        ("Hips",),
+        1,
+        1.0,
+        4.0,
+        0.0,
+    )
     first = with_setup(BEFORE, "a", setup)
     causes = incomparable([first, with_setup(AFTER, "b", replace(setup, **other))], 0)  # type: ignore[arg-type]
     assert causes == (f"b: {words} than a",)

@@ -63,13 +63,18 @@ def test_treadmill_walking_is_gait_on_the_spot() -> None:
 def standing_first(motion: MotionSequence, seconds: float) -> MotionSequence:
     """A motion whose first frame is held before it."""
     poses, held = motion.poses, round(60 * seconds)
-    p, R = (
-        np.concatenate([np.repeat(x[:1], held, axis=0), x]) for x in (poses.p_world_joint, poses.R_world_bone)
-    )
+    p, R = (np.concatenate([np.repeat(x[:1], held, axis=0), x]) for x in (poses.p_world_joint, poses.R_world_bone))
     longer = replace(
-        poses, times=np.arange(len(p)) / 60, p_world_joint=p, R_world_bone=R,
-        provenance=None, valid=None, orientation_observed=None, direction_observed=None, sigma_rad=None,
-    )  # fmt: skip
+        poses,
+        times=np.arange(len(p)) / 60,
+        p_world_joint=p,
+        R_world_bone=R,
+        provenance=None,
+        valid=None,
+        orientation_observed=None,
+        direction_observed=None,
+        sigma_rad=None,
+    )
     return BODY.motion(all_observed(longer))
 
 
@@ -139,9 +144,16 @@ def test_a_walk_among_other_movements_is_judged_by_its_share_of_strides() -> Non
     p = np.concatenate([walk_poses.p_world_joint, back.p_world_joint + np.array([6.6, 0, 0])])
     R = np.concatenate([walk_poses.R_world_bone, back.R_world_bone])
     both = replace(
-        walk_poses, times=np.arange(len(p)) / 60, p_world_joint=p, R_world_bone=R,
-        provenance=None, valid=None, orientation_observed=None, direction_observed=None, sigma_rad=None,
-    )  # fmt: skip
+        walk_poses,
+        times=np.arange(len(p)) / 60,
+        p_world_joint=p,
+        R_world_bone=R,
+        provenance=None,
+        valid=None,
+        orientation_observed=None,
+        direction_observed=None,
+        sigma_rad=None,
+    )
     mixed = analyse_gait(gait_events(body_paths(all_observed(both), BODY)))
     assert len(mixed.verdict.walking) >= len(gait.strides) - 1
     assert not mixed.is_gait

@@ -165,7 +165,7 @@ def test_errors_widen_the_band_of_the_index_and_an_end_may_be_open() -> None:
 
 def test_a_deviation_outside_of_the_features_is_said() -> None:
     features = gait_features(reference_of(people_curves(20, 1)))
-    odd = np.array(BOTH) + np.radians(10) * np.sin(np.arange(51) * np.pi)  # fmt: skip
+    odd = np.array(BOTH) + np.radians(10) * np.sin(np.arange(51) * np.pi)
     spiky = np.array(BOTH)
     spiky[:, :, ::2] += np.radians(10)
     spiky[:, :, 1::2] -= np.radians(10)
@@ -195,10 +195,11 @@ def test_every_person_counts_once_however_many_strides() -> None:
 def test_people_that_cannot_be_used_are_named_with_the_reason() -> None:
     good = {f"p{k}": cycles_of(one) for k, one in enumerate(people_curves(3, 1))}
     bad = {
-        "few": cycles_of(BOTH, strides=1), "blind": without(cycles_of(BOTH), "foot_progression"),
+        "few": cycles_of(BOTH, strides=1),
+        "blind": without(cycles_of(BOTH), "foot_progression"),
         "dances": GaitCycles((), np.empty((0, 9, 51)), None, np.empty(0), "This is not steady walking."),
         "hops": GaitCycles(("right",) * 4, np.tile(MEAN, (4, 1, 1)), None, np.full(4, 1.0), ""),
-    }  # fmt: skip
+    }
     reference, left_out = build_reference(good | bad, licence="x", source="y", system="rtof_kin 0")
     assert reference.people == 3
     assert set(left_out) == set(bad)

@@ -127,9 +127,7 @@ def test_walking_keeps_the_balance_of_momentum() -> None:
     data, mass = model.createData(), pin.computeTotalMass(model)
     com = np.array([pin.centerOfMass(model, data, one).copy() for one in motion.q])
     v = np.gradient(com, motion.times, axis=0)
-    impulse = np.trapezoid(
-        found.force[a : b + 1] - [0, 0, mass * STANDARD_GRAVITY], motion.times[a : b + 1], axis=0
-    )
+    impulse = np.trapezoid(found.force[a : b + 1] - [0, 0, mass * STANDARD_GRAVITY], motion.times[a : b + 1], axis=0)
     change = mass * (v[b] - v[a])
     span = found.body_weight * (motion.times[b] - motion.times[a])
     np.testing.assert_allclose(impulse, change, atol=0.02 * span)

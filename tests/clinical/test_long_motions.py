@@ -66,9 +66,7 @@ def test_analysis_by_blocks_is_that_of_the_whole(motion: MotionSequence, whole: 
     assert found.torques is not None
     assert whole.torques is not None
     for name in ("torques", "root_wrench", "unexplained"):  # blocks are filtered with two seconds beside them
-        np.testing.assert_allclose(
-            getattr(found.torques, name), getattr(whole.torques, name), rtol=0, atol=1e-8
-        )
+        np.testing.assert_allclose(getattr(found.torques, name), getattr(whole.torques, name), rtol=0, atol=1e-8)
 
 
 def test_files_by_blocks_are_those_of_the_whole(
@@ -85,10 +83,7 @@ def test_files_by_blocks_are_those_of_the_whole(
     assert {"motion_2.sto", "ros_base_trajectory.json", "angles.csv"} <= {*names}
     _, differ, missing = filecmp.cmpfiles(tmp_path / "whole", tmp_path / "blocks", names, shallow=False)
     assert not missing
-    assert {Path(name).suffix for name in differ} <= {
-        ".sto",
-        ".bvh",
-    }  # the last decimal is rounded another way
+    assert {Path(name).suffix for name in differ} <= {".sto", ".bvh"}  # the last decimal is rounded another way
     for name in differ:
         before, after = (numbers(tmp_path / part / name) for part in ("whole", "blocks"))
         assert len(before) > 100
@@ -137,8 +132,11 @@ def four_minutes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_memory_of_four_minutes(four_minutes: Path, tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", MEASURED, str(four_minutes), str(tmp_path)],
-        capture_output=True, text=True, check=True, env=os.environ | {"OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
     exporting, analysing = map(float, done.stdout.split())
     assert exporting < EXPORTING_MB
     assert analysing < ANALYSING_MB

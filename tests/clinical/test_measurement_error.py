@@ -31,9 +31,7 @@ def same_draws() -> None:
     RNG.bit_generator.state = SEEDED
 
 
-def planted(
-    trials: Sequence[int], change: float, band: float, person: float, shares: BandShares
-) -> list[Measured]:
+def planted(trials: Sequence[int], change: float, band: float, person: float, shares: BandShares) -> list[Measured]:
     """Visits of one person, the last with another true value; their bands are right."""
     always = RNG.normal(0, band * np.sqrt(shares.all_visits))
     out = []
@@ -121,9 +119,17 @@ def test_the_stated_variance_of_a_change_is_the_planted_one(shares: BandShares) 
 
 @pytest.mark.parametrize(
     "trials, person",
-    [((1, 1), 0.0), ((2, 2), 0.0), ((2, 2), 1.0), ((2, 2), 4.0), ((3, 1), 1.0), ((3, 1), 4.0),
-     ((3, 3, 3), 1.0), ((2, 5), 4.0)],
-)  # fmt: skip
+    [
+        ((1, 1), 0.0),
+        ((2, 2), 0.0),
+        ((2, 2), 1.0),
+        ((2, 2), 4.0),
+        ((3, 1), 1.0),
+        ((3, 1), 4.0),
+        ((3, 3, 3), 1.0),
+        ((2, 5), 4.0),
+    ],
+)
 def test_false_changes_are_at_most_five_per_cent(trials: tuple[int, ...], person: float) -> None:
     count = 700
     for shares, declared in ((SHARED, SHARED), (SHARED, BandShares()), (BandShares(), BandShares())):

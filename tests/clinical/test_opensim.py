@@ -39,15 +39,25 @@ CHAINS = {
 }
 """Body -> parent, coordinates, axes in order; a capital is a negative axis, as on OpenSim's left."""
 SEGMENTS = {
-    "pelvis": "pelvis", "torso": "thorax", "femur": "thigh", "tibia": "shank", "foot": "foot",
-    "humerus": "upper_arm", "forearm": "forearm", "hand": "hand",
-}  # fmt: skip
+    "pelvis": "pelvis",
+    "torso": "thorax",
+    "femur": "thigh",
+    "tibia": "shank",
+    "foot": "foot",
+    "humerus": "upper_arm",
+    "forearm": "forearm",
+    "hand": "hand",
+}
 OWN_NAMES = {
-    "knee_adduction_{}": "{}_knee_adduction", "knee_rotation_{}": "{}_knee_internal_rotation",
-    "foot_rotation_{}": "{}_ankle_internal_rotation", "hand_rotation_{}": "{}_wrist_axial_rotation",
-    "arm_plane_{}": "{}_shoulder_plane_of_elevation", "arm_elevation_{}": "-{}_shoulder_elevation",
-    "arm_rot_{}": "{}_shoulder_axial_rotation", "elbow_carry_{}": "-{}_elbow_carrying_angle",
-}  # fmt: skip
+    "knee_adduction_{}": "{}_knee_adduction",
+    "knee_rotation_{}": "{}_knee_internal_rotation",
+    "foot_rotation_{}": "{}_ankle_internal_rotation",
+    "hand_rotation_{}": "{}_wrist_axial_rotation",
+    "arm_plane_{}": "{}_shoulder_plane_of_elevation",
+    "arm_elevation_{}": "-{}_shoulder_elevation",
+    "arm_rot_{}": "{}_shoulder_axial_rotation",
+    "elbow_carry_{}": "-{}_elbow_carrying_angle",
+}
 """Coordinates that Rajagopal2016 does not have -> the clinical angle."""
 POSE = """
 import json, os, sys
@@ -98,9 +108,8 @@ os._exit(0)  # avoids a double free by Python and OpenSim
 def posed_by_opensim(poses: list[dict[str, float]]) -> list[dict[str, Any]]:
     """Body -> R_ground_body of every pose."""
     done = subprocess.run(
-        [sys.executable, "-c", POSE], input=json.dumps([CHAINS, poses]),
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", POSE], input=json.dumps([CHAINS, poses]), capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     found: list[dict[str, Any]] = json.loads(done.stdout.split("RESULT")[1])
     return found
@@ -143,12 +152,13 @@ def test_clinical_angles_equal_opensim_coordinates() -> None:
     # One by one, because continuity over time does not apply to random poses.
     each = [clinical_angles(segments[i : i + 1], BODY) for i in range(len(poses))]
     angles = replace(
-        each[0], times=segments.times,
+        each[0],
+        times=segments.times,
         values=np.concatenate([a.values for a in each]),
         provenance=np.concatenate([a.provenance for a in each]),
         singular=np.concatenate([a.singular for a in each]),
         trusted=None,
-    )  # fmt: skip
+    )
     expected = {row.opensim: row.name for row in angles.rows if row.opensim}
     for short, name in OWN_NAMES.items():
         for side in ("right", "left"):

@@ -24,9 +24,7 @@ TIMES = np.arange(T) / 60
 def swinging_knee() -> ClinicalAngles:
     """The right knee between 10 and 70 degrees, once in two seconds."""
     flexion = np.radians(40 - 30 * np.cos(np.pi * TIMES))
-    return clinical_angles(
-        posture(BODY, T, **limb("right", ("shank", "foot"), so3.about_axis("y", flexion))), BODY
-    )
+    return clinical_angles(posture(BODY, T, **limb("right", ("shank", "foot"), so3.about_axis("y", flexion))), BODY)
 
 
 def of(angles: ClinicalAngles, name: str) -> RangeOfMotion:

@@ -87,9 +87,7 @@ def test_rises_count_without_a_recorded_descent() -> None:
 
 def test_walking_and_standing_are_no_squats() -> None:
     motion = walk()
-    for poses, skeleton in (
-        (motion.poses, motion.skeleton), (planted.standing(BODY, 120).poses, BODY),
-    ):  # fmt: skip
+    for poses, skeleton in ((motion.poses, motion.skeleton), (planted.standing(BODY, 120).poses, BODY)):
         analysis = found(poses, "squat", skeleton)
         assert analysis.repetitions == ()
         assert "15 %" in analysis.notes[0]

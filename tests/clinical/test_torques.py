@@ -69,8 +69,7 @@ def test_unobserved_degrees_of_freedom_are_noted_by_clinical_name() -> None:
     provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA)
     seen = replace(motion, poses=replace(motion.poses, provenance=provenance))
     assert any(
-        "right ankle dorsiflexion/plantarflexion (RightFoot_y)" in note
-        for note in joint_torques(seen, 80.0).notes
+        "right ankle dorsiflexion/plantarflexion (RightFoot_y)" in note for note in joint_torques(seen, 80.0).notes
     )
     assert not any("RightFoot_y" in note for note in joint_torques(motion, 80.0).notes)
 

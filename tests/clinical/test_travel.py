@@ -153,9 +153,7 @@ def test_a_straight_walk_whose_heading_drifts_is_not_said_to_turn(degrees: float
 
 def test_a_turn_has_the_deviation_of_the_heading_and_is_said_beyond_its_band_only() -> None:
     share = np.clip((TIMES - 2) / 4, 0, 1)
-    quarter = stepping(
-        TIMES, {"right": STANDING, "left": STANDING}, heading=np.pi / 2 * share**2 * (3 - 2 * share)
-    )
+    quarter = stepping(TIMES, {"right": STANDING, "left": STANDING}, heading=np.pi / 2 * share**2 * (3 - 2 * share))
     certain, doubtful = (of(replace(quarter, confidence=certain_to(s, quarter))) for s in (10.0, 40.0))
     assert np.degrees(certain.turned_left_sigma) == pytest.approx(10 * np.sqrt(2), rel=0.01)
     assert certain.text.endswith("turning 90 ± 28° left")

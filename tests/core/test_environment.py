@@ -31,9 +31,7 @@ def test_environment_has_versions_and_neither_names_nor_paths(monkeypatch: pytes
     assert getpass.getuser() not in text.split()
 
 
-def test_digest_of_the_source_follows_code_and_tables(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_digest_of_the_source_follows_code_and_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("rtof_kin/core/a.py", "lifting/b.py", "models/c.toml"):
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).write_text("x = 1\n")

@@ -118,9 +118,7 @@ def test_the_page_of_report_is_the_old_or_the_new(
     assert codes.count(2) > 3
 
 
-def test_a_batch_stops_or_names_the_recording_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_batch_stops_or_names_the_recording_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, source = tmp_path / "place" / "out", write_recordings(tmp_path / "takes", a="warn")
     monkeypatch.setenv("BATCH_OUT", str(out))
     monkeypatch.setenv(CALLS, str(tmp_path / "calls"))
@@ -129,10 +127,13 @@ def test_a_batch_stops_or_names_the_recording_and_goes_on(
 
     def results_of() -> dict[str, bytes]:
         return {
-            name: data for name, data in tree(out).items()
-            if ".batch/" not in name and "log/" not in name and not name.endswith(("batch.json", "batch.csv"))
+            name: data
+            for name, data in tree(out).items()
+            if ".batch/" not in name
+            and "log/" not in name
+            and not name.endswith(("batch.json", "batch.csv"))
             and not name.startswith("index")
-        }  # fmt: skip
+        }
 
     rows: list[Row] = []
 

@@ -21,16 +21,12 @@ def installed(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: str) -> E
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: added\nVersion: 1.0\n", encoding="utf-8")
     points = "\n".join(f"{name} = {value}" for name, value in values.items())
     (info / "entry_points.txt").write_text(f"[a.group]\n{points}\n", encoding="utf-8")
-    (folder / "added_values.py").write_text(
-        "FIRST, SECOND, NUMBER = 'first', 'second', 3\n", encoding="utf-8"
-    )
+    (folder / "added_values.py").write_text("FIRST, SECOND, NUMBER = 'first', 'second', 3\n", encoding="utf-8")
     monkeypatch.syspath_prepend(folder)
     return Extensions("a.group", str, lambda text: text)
 
 
-def test_installed_and_added_are_known_in_alphabetical_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_installed_and_added_are_known_in_alphabetical_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     known = installed(tmp_path, monkeypatch, b="added_values:SECOND", a="added_values:FIRST")
     known.add("other")
     assert known.all() == ("first", "other", "second")
@@ -71,11 +67,7 @@ def test_wrong_layouts_are_named_and_not_added(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(layouts.ADDED, "_added", {})
     for error, message, wrong in (
         (InvalidInputError, "'coco17' is a shipped one", Layout.of("coco17", "", ["nose"])),
-        (
-            InvalidInputError,
-            "the point 'LeftHip' stands there twice",
-            Layout.of("own", "", ["l_hip", "LHip"]),
-        ),
+        (InvalidInputError, "the point 'LeftHip' stands there twice", Layout.of("own", "", ["l_hip", "LHip"])),
         (UnknownNameError, "LeftAntenna", Layout.of("own", "", ["l_antenna"])),
     ):
         with pytest.raises(error, match=message):

@@ -237,9 +237,7 @@ def test_failed_renaming_restores_the_old_folder(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("step", ["write_manifest", "_put_folder", "_remove_replaced"])
-def test_interrupted_export_is_complete_or_absent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
+def test_interrupted_export_is_complete_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     write(tmp_path / "out", "old")
     monkeypatch.setattr(folder_module, step, failing(KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
@@ -266,9 +264,7 @@ def test_next_run_removes_leftovers_of_killed_runs_only(tmp_path: Path) -> None:
     with new_file(tmp_path / "living") as file:
         file.write_text("whole")
         write(tmp_path / "next")
-        assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-            [mine.name, file.parent.name, "next"]
-        )
+        assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, file.parent.name, "next"])
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([mine.name, "living", "next"])
 
 
@@ -309,17 +305,12 @@ def test_failure_leaves_the_old_file(tmp_path: Path, error: BaseException) -> No
 
 
 @pytest.mark.parametrize("links", [True, False])
-def test_file_that_appeared_meanwhile_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool
-) -> None:
+def test_file_that_appeared_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
     if not links:
         monkeypatch.setattr(os, "link", failing(PermissionError(1, "Operation not permitted")))
     with new_file(tmp_path / "other") as file:
         file.write_text("whole")
-    with (
-        pytest.raises(OutputExistsError, match="page: is there already"),
-        new_file(tmp_path / "page") as file,
-    ):
+    with pytest.raises(OutputExistsError, match="page: is there already"), new_file(tmp_path / "page") as file:
         file.write_text("mine")
         (tmp_path / "page").write_text("theirs")
     assert tree(tmp_path) == {"page": "theirs", "other": "whole"}

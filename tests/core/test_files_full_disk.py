@@ -68,9 +68,7 @@ def test_truncated_c3d_file_is_an_error(share: float, motion: MotionSequence, tm
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_full_disk_is_one_error_and_leaves_the_old_file(
-    name: str, motion: MotionSequence, tmp_path: Path
-) -> None:
+def test_full_disk_is_one_error_and_leaves_the_old_file(name: str, motion: MotionSequence, tmp_path: Path) -> None:
     (tmp_path / name).write_text("old")
     with full_disk(), pytest.raises(RtofError, match=name):
         WRITERS[name](tmp_path / name, motion)

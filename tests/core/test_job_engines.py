@@ -38,9 +38,7 @@ def answers(engine: Engine, function: Any, arguments: dict[str, Any]) -> dict[st
 
 @pytest.mark.parametrize("engine", [InThisProcess(), Processes(2), Processes(1)])
 def test_every_job_has_one_answer(engine: Engine) -> None:
-    assert answers(engine, engine_jobs.square, {str(k): k for k in range(20)}) == {
-        str(k): k * k for k in range(20)
-    }
+    assert answers(engine, engine_jobs.square, {str(k): k for k in range(20)}) == {str(k): k * k for k in range(20)}
     assert answers(engine, engine_jobs.square, {}) == {}
     assert answers(engine, engine_jobs.fail, {"a": "raise"}) == {"a": "ZeroDivisionError: by nothing"}
 
@@ -91,9 +89,7 @@ def test_workers_end_with_a_killed_driver(tmp_path: Path) -> None:
     path = os.pathsep.join([str(Path(engine_jobs.__file__).parent), *sys.path])
     script = tmp_path / "driver.py"
     script.write_text(DRIVER)
-    driver = subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path)], env={**os.environ, "PYTHONPATH": path}
-    )
+    driver = subprocess.Popen([sys.executable, str(script), str(tmp_path)], env={**os.environ, "PYTHONPATH": path})
     try:
         _until(lambda: len(list(tmp_path.glob("*.pid"))) == 2)
         workers = [int(p.stem) for p in tmp_path.glob("*.pid")]
@@ -125,15 +121,11 @@ def test_no_job_starts_while_the_memory_is_promised_to_others(monkeypatch: pytes
     periods = sorted(found.values())
     assert all(end <= begin for (_, end), (begin, _) in pairwise(periods))
     monkeypatch.setattr(module, "available_memory", lambda: 4_000_000_000)
-    periods = sorted(
-        answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("ab", 3.0)).values()
-    )
+    periods = sorted(answers(Processes(3, memory_per_job=1e9), engine_jobs.period, dict.fromkeys("ab", 3.0)).values())
     assert periods[1][0] < periods[0][1]
 
 
-def test_jobs_wait_for_memory_and_say_so(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_jobs_wait_for_memory_and_say_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setattr(module, "_POLL", 0.01)
     asked: list[int] = []
 
@@ -163,9 +155,7 @@ def test_limit_of_a_control_group_is_the_memory(version: int, tmp_path: Path) ->
     (proc / "self").mkdir(parents=True)
     (proc / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable:   8000000 kB\n")
     assert available_memory(proc, groups) == 8_000_000 * 1024
-    (proc / "self" / "cgroup").write_text(
-        "0::/job/step\n" if version == 2 else "3:cpu:/\n4:memory:/job/step\n"
-    )
+    (proc / "self" / "cgroup").write_text("0::/job/step\n" if version == 2 else "3:cpu:/\n4:memory:/job/step\n")
     top = groups if version == 2 else groups / "memory"
     names = ("max", "current") if version == 2 else ("limit_in_bytes", "usage_in_bytes")
     for folder, limit in (("job", "3000000000"), ("job/step", "max" if version == 2 else str(2**63 - 4096))):

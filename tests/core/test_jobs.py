@@ -163,11 +163,7 @@ def opened(folder: Path, overwrite: bool = False, save: Path | None = None, **ch
 
 def files_of(folder: Path) -> dict[str, bytes]:
     """Every file below a folder with its content."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_a_folder_is_reused_for_equal_settings_and_overwritten_for_others(tmp_path: Path) -> None:
@@ -229,7 +225,9 @@ def test_a_job_runs_again_where_a_motion_it_measured_is_missing(tmp_path: Path, 
     there, missing = tmp_path / "there.npz", save / "missing.npz"
     there.touch()
     files: dict[str, dict[str, Path | None]] = {
-        "a": {"a": missing}, "b": {"a": there, "not measured": missing}, "c": {"a": None},
-    }  # fmt: skip
+        "a": {"a": missing},
+        "b": {"a": there, "not measured": missing},
+        "c": {"a": None},
+    }
     run_jobs(obey, jobs, open_runs(out, SETTINGS, False, save, files), workers=1)
     assert calls(log) == ["a", "a", "b", "c"]

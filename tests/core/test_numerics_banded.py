@@ -164,12 +164,8 @@ def diagonal_of_inverse(H: Array, size: int) -> Array:
     return np.array([inverse[t, :, t] for t in range(len(inverse))])
 
 
-@pytest.mark.parametrize(
-    "size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2)]
-)
-def test_inverse_diagonal_equals_that_of_the_dense_inverse(
-    solver: Solver, size: int, lags: int, frames: int
-) -> None:
+@pytest.mark.parametrize("size, lags, frames", [(1, 1, 4), (3, 1, 5), (1, 4, 9), (4, 3, 7), (5, 4, 12), (6, 4, 2)])
+def test_inverse_diagonal_equals_that_of_the_dense_inverse(solver: Solver, size: int, lags: int, frames: int) -> None:
     width = min((lags - 1) * size + 1, size * frames)
     H = system(size * frames, width)
     found = inverse_diagonal(solver(H, width).blocks(size, lags))

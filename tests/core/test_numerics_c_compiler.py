@@ -29,10 +29,7 @@ def functions(scale: float = 1.0) -> list[Any]:
     """Two small functions, one with several outputs."""
     x = ca.SX.sym("x", 3)
     y = ca.vertcat(ca.sin(scale * x[0]) * x[1], ca.exp(x[2]) / x[1])
-    return [
-        ca.Function("first", [x], [y, ca.densify(ca.jacobian(y, x))]),
-        ca.Function("second", [x], [ca.sumsqr(x)]),
-    ]
+    return [ca.Function("first", [x], [y, ca.densify(ca.jacobian(y, x))]), ca.Function("second", [x], [ca.sumsqr(x)])]
 
 
 def check_compiled(given: list[Any], made: list[Any]) -> None:

@@ -160,9 +160,7 @@ def test_limits_are_satisfied_with_the_multipliers_of_an_optimum(kind: str) -> N
 def test_inactive_limits_do_not_change_the_solution(start: Start) -> None:
     wide = Limits(start.built.space)
     wide.lower, wide.upper = wide.lower - 3.0, wide.upper + 3.0
-    one, two = (
-        LevenbergMarquardt(start.problem, limits).solve(start.x, 300, FINE) for limits in (wide, None)
-    )
+    one, two = (LevenbergMarquardt(start.problem, limits).solve(start.x, 300, FINE) for limits in (wide, None))
     assert np.all(one.multipliers == 0)
     np.testing.assert_array_equal(one.x, two.x)
 

@@ -42,11 +42,36 @@ def everything() -> FrameFunction:
     x, s = ca.SX.sym("x", 4), ca.SX.sym("s", 2)
     a, b = x[0], x[1]
     numbers = [
-        a + b, a - b, a * b, a / b, -a, a**2, 2 * a, 1 / b, a < b, a <= b, a == b, a != b,
-        ca.logic_not(x[2]), ca.logic_and(x[2], x[3]), ca.logic_or(x[2], x[3]), ca.fmin(a, b),
-        ca.fmax(a, b), ca.fabs(a), ca.sign(a), ca.sqrt(ca.fabs(a)), ca.floor(a), ca.log(ca.fabs(b)),
-        ca.sin(a), ca.cos(a), ca.atan2(a, b), ca.if_else(a < b, a, b), ca.SX(2.5), s[0] * a + s[1], b,
-    ]  # fmt: skip
+        a + b,
+        a - b,
+        a * b,
+        a / b,
+        -a,
+        a**2,
+        2 * a,
+        1 / b,
+        a < b,
+        a <= b,
+        a == b,
+        a != b,
+        ca.logic_not(x[2]),
+        ca.logic_and(x[2], x[3]),
+        ca.logic_or(x[2], x[3]),
+        ca.fmin(a, b),
+        ca.fmax(a, b),
+        ca.fabs(a),
+        ca.sign(a),
+        ca.sqrt(ca.fabs(a)),
+        ca.floor(a),
+        ca.log(ca.fabs(b)),
+        ca.sin(a),
+        ca.cos(a),
+        ca.atan2(a, b),
+        ca.if_else(a < b, a, b),
+        ca.SX(2.5),
+        s[0] * a + s[1],
+        b,
+    ]
     outputs = [ca.densify(ca.vertcat(*numbers)), ca.densify(x * s[1])]
     return FrameFunction(ca.Function("everything", [x, s], outputs), (1,))
 
@@ -118,10 +143,7 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
     given = FrameFunction(ca.Function("placed", [x], [ca.sum1(x), numbers]), placed=True)
     columns, rows = Columns(13), np.random.default_rng(0).normal(size=(13, 3))
     total, matrix, places = columns.zeros(1), np.full((13, 60), -1.0), np.array([40, 3, 21])
-    Over(
-        code_of(given)["placed"], given, 13, [columns.at(columns.given(rows))],
-        [columns.at(total), matrix], places,
-    )()  # fmt: skip
+    Over(code_of(given)["placed"], given, 13, [columns.at(columns.given(rows))], [columns.at(total), matrix], places)()
     expected = np.full((13, 60), -1.0)
     all_numbers = rows[:, np.arange(3 * GROUP) % 3] * np.arange(1, 3 * GROUP + 1)
     for g, place in enumerate(places):

@@ -87,10 +87,10 @@ def test_right_jacobian_is_the_derivative_of_exp(seed: int, angle: float) -> Non
     v, h = vector(seed, angle), 1e-6
     back = Rotation.from_rotvec(v).inv()
     columns = [
-        ((back * Rotation.from_rotvec(v + h * e)).as_rotvec()
-         - (back * Rotation.from_rotvec(v - h * e)).as_rotvec()) / (2 * h)
+        ((back * Rotation.from_rotvec(v + h * e)).as_rotvec() - (back * Rotation.from_rotvec(v - h * e)).as_rotvec())
+        / (2 * h)
         for e in np.eye(3)
-    ]  # fmt: skip
+    ]
     np.testing.assert_allclose(quat.right_jacobian(v), np.array(columns).T, atol=1e-7)
 
 

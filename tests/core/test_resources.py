@@ -9,9 +9,7 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import LIFTERS, lifter_path, model_path
 
 
-def test_installed_package_takes_precedence_over_the_checkout(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_installed_package_takes_precedence_over_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package, checkout = tmp_path / "package", tmp_path / "checkout"
     monkeypatch.setattr(resources, "PACKAGED", package)
     monkeypatch.setattr(resources, "CHECKOUT", checkout)

@@ -91,9 +91,7 @@ def test_average_integrates_irregular_samples_exactly() -> None:
     for h in (0.003, 0.02, 0.05):
         fine = np.linspace(-h, h, 200_001)
         hat = 1 - np.abs(fine) / h
-        brute = [
-            np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine) for t in at
-        ]
+        brute = [np.trapezoid(np.interp(t + fine, times, x) * hat, fine) / np.trapezoid(hat, fine) for t in at]
         assert_close(signals.hat_average(times, x, at, h), np.array(brute), 1e-7)
 
 

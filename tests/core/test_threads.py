@@ -20,9 +20,10 @@ BODY = SkeletonModel.default()
 BODIES = (BODY, BODY.with_height(1.6), BODY)
 N, FRAMES = 8, 12
 SETTINGS: dict[str, JointSpaceSettings | CartesianSettings] = {
-    "joint": JointSpaceSettings(), "cartesian": CartesianSettings(),
+    "joint": JointSpaceSettings(),
+    "cartesian": CartesianSettings(),
     "cartesian by IPOPT": CartesianSettings(backend="ipopt"),
-}  # fmt: skip
+}
 
 
 def solve(kind: str, i: int, solver: FragmentSolver | None = None) -> Array:

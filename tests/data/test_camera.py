@@ -81,10 +81,7 @@ def test_distortion_is_the_formula_of_opencv() -> None:
     x, y = 0.3, -0.2
     r2 = x**2 + y**2
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    expected = [
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
-        y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
-    ]
+    expected = [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2), y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y]
     np.testing.assert_allclose(camera.project([2 * x, 2 * y, 2.0]), expected)
 
 

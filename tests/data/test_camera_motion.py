@@ -15,9 +15,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 
 T = 30
 TIMES = np.arange(T) / 30
-STILL = replace(
-    Camera.looking_at([4.0, 1.0, 1.5], [0, 0, 1.0], 1100.0), distortion=[0.05, -0.02, 0.001, 0, 0]
-)
+STILL = replace(Camera.looking_at([4.0, 1.0, 1.5], [0, 0, 1.0], 1100.0), distortion=[0.05, -0.02, 0.001, 0, 0])
 POINTS = np.random.default_rng(0).uniform([-0.5, -0.5, 0], [0.5, 0.5, 1.8], (T, 6, 3))
 
 
@@ -33,9 +31,10 @@ def filmed(motion: CameraMotion) -> KeypointSequence:
     for R, points in zip(motion.R_first_camera, POINTS, strict=True):
         R_still_camera = motion.R_first_still.T @ R
         turned = replace(
-            STILL, R_camera_world=R_still_camera.T @ STILL.R_camera_world,
+            STILL,
+            R_camera_world=R_still_camera.T @ STILL.R_camera_world,
             t_camera_world=R_still_camera.T @ STILL.t_camera_world,
-        )  # fmt: skip
+        )
         uv.append(turned.project(points))
     names = tuple("abcdef")
     return KeypointSequence(STILL, TIMES, np.array(uv), np.ones((T, 6)), names)
@@ -86,9 +85,7 @@ def test_measured_gravity_replaces_the_tilt_and_keeps_heading_and_place() -> Non
 
 
 def test_angles_are_from_the_mean_orientation() -> None:
-    assert np.degrees(turning(15.0).angles.max()) == pytest.approx(
-        15.0 * np.linalg.norm([0.1, 1, 0.3]), rel=0.02
-    )
+    assert np.degrees(turning(15.0).angles.max()) == pytest.approx(15.0 * np.linalg.norm([0.1, 1, 0.3]), rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -95,7 +95,7 @@ def test_records_are_frozen_and_their_arrays_read_only(make: Callable[[], Any]) 
         (poses, {"sigma_rad": np.ones((T, 2))}, r"pose sigma_rad: expected shape \(6, 3\), got \(6, 2\)"),
         (poses, {"sigma_rad": with_value(np.ones((T, J)), 2, 0.0)}, "pose sigma_rad: not positive"),
     ],
-)  # fmt: skip
+)
 def test_invalid_field_is_named(make: Callable[..., Any], changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         make(**changes)

@@ -49,15 +49,26 @@ def read(tmp_path: Path, camera: Camera) -> Any:
 @pytest.mark.parametrize(
     "name",
     [
-        "TC_S5_acting3_cam1.npz", "S5_acting3_cam1.npz", "a/b/tc_s5_Acting3_CAM1.npz",
-        "S5/acting3/cam1.npz", "deep/s5/ACTING3/Cam1.NPZ", "S5/acting3/TC_S5_acting3_cam1.npz",
+        "TC_S5_acting3_cam1.npz",
+        "S5_acting3_cam1.npz",
+        "a/b/tc_s5_Acting3_CAM1.npz",
+        "S5/acting3/cam1.npz",
+        "deep/s5/ACTING3/Cam1.NPZ",
+        "S5/acting3/TC_S5_acting3_cam1.npz",
     ],
-)  # fmt: skip
+)
 def test_every_name_is_found_at_any_depth_in_any_case(name: str, tmp_path: Path, read: Any) -> None:
     write(tmp_path / name)
-    for other in ("S5_acting3_cam11.npz", "S5_acting3_cam2.npz", "S4_acting3_cam1.npz",
-                  "S5/acting1/cam1.npz", "XS5_acting3_cam1.npz", "S5_acting3_cam1.npz.txt",
-                  "S5/acting3/._cam1.npz", "__MACOSX/S5/acting3/cam1.npz"):  # fmt: skip
+    for other in (
+        "S5_acting3_cam11.npz",
+        "S5_acting3_cam2.npz",
+        "S4_acting3_cam1.npz",
+        "S5/acting1/cam1.npz",
+        "XS5_acting3_cam1.npz",
+        "S5_acting3_cam1.npz.txt",
+        "S5/acting3/._cam1.npz",
+        "__MACOSX/S5/acting3/cam1.npz",
+    ):
         write(tmp_path / other, uv_px=values(seed=1)[0])
     found = read()
     np.testing.assert_array_equal(found.uv_px, values()[0])
@@ -147,7 +158,7 @@ def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Cam
         ({"times": np.zeros(T)}, "time does not increase"),
         ({"uv_px": np.array([{}], dtype=object)}, "pickled objects are never read"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arrays_are_refused(changed: dict[str, Any], message: str, tmp_path: Path, read: Any) -> None:
     path = write(tmp_path / "S5_acting3_cam1.npz", **changed)
     with pytest.raises((FileFormatError, UnknownNameError), match=message) as caught:

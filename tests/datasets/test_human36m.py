@@ -73,11 +73,39 @@ def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positio
 
 def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> None:
     names_of_32 = (
-        "Hip", "RHip", "RKnee", "RFoot", "RFootEnd", "RToes", "LHip", "LKnee", "LFoot", "LFootEnd",
-        "LToes", "Root2", "Spine", "Thorax", "Neck", "Head", "LClavicle", "LShoulder", "LElbow", "LWrist",
-        "LThumb", "LThumb2", "LHand", "LHand2", "RClavicle", "RShoulder", "RElbow", "RWrist", "RThumb",
-        "RThumb2", "RHand", "RHand2",
-    )  # fmt: skip
+        "Hip",
+        "RHip",
+        "RKnee",
+        "RFoot",
+        "RFootEnd",
+        "RToes",
+        "LHip",
+        "LKnee",
+        "LFoot",
+        "LFootEnd",
+        "LToes",
+        "Root2",
+        "Spine",
+        "Thorax",
+        "Neck",
+        "Head",
+        "LClavicle",
+        "LShoulder",
+        "LElbow",
+        "LWrist",
+        "LThumb",
+        "LThumb2",
+        "LHand",
+        "LHand2",
+        "RClavicle",
+        "RShoulder",
+        "RElbow",
+        "RWrist",
+        "RThumb",
+        "RThumb2",
+        "RHand",
+        "RHand2",
+    )
     assert tuple(names_of_32[i] for i in JOINTS_OF_32) == SKELETON.names
     unused = {4, 5, 9, 10, 11, 16, 20, 21, 22, 23, 24, 28, 29, 30, 31}
     assert sorted({*JOINTS_OF_32, *unused}) == list(range(32))
@@ -192,13 +220,9 @@ def test_tangential_coefficients_of_the_source_are_swapped(root: Path) -> None:
     for i, camera in read_cameras(root / "h36m_dataset.py")["S9"].items():
         points = np.array([[0.0, y, 1.0] for y in (-0.35, 0.1, 0.4)])
         p_world = (points - camera.t_camera_world) @ camera.R_camera_world
-        np.testing.assert_allclose(
-            camera.project(p_world)[:, 0], files.projected(p_world, "S9", i)[:, 0], atol=1e-9
-        )
+        np.testing.assert_allclose(camera.project(p_world)[:, 0], files.projected(p_world, "S9", i)[:, 0], atol=1e-9)
         swapped = camera.distortion[[0, 1, 3, 2, 4]]
-        other = Camera(camera.K, camera.R_camera_world, camera.t_camera_world, 1000, 1000, swapped).project(
-            p_world
-        )
+        other = Camera(camera.K, camera.R_camera_world, camera.t_camera_world, 1000, 1000, swapped).project(p_world)
         assert np.abs(other[:, 0] - files.projected(p_world, "S9", i)[:, 0]).max() > 0.05
 
 
@@ -232,18 +256,21 @@ def setter(*keys: str, value: Any) -> Callable[[dict[str, Any]], None]:
 LAST = CAMERA_IDS[3]
 
 
-@pytest.mark.parametrize("change, message", [
-    (setter("intrinsics", value=None), "intrinsics: missing"),
-    (setter("extrinsics", value=[1]), "extrinsics: missing, or not a table"),
-    (setter("extrinsics", value={}), "there is no camera of any subject"),
-    (setter("intrinsics", LAST, value=None), f"S9, camera {LAST}: intrinsics: missing"),
-    (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-    (setter("intrinsics", LAST, "calibration_matrix", value=np.zeros((3, 3)).tolist()), "singular"),
-    (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
-    (setter("extrinsics", "S9", LAST, "R", value="abc"), "R is not made of numbers"),
-    (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
-    (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (setter("intrinsics", value=None), "intrinsics: missing"),
+        (setter("extrinsics", value=[1]), "extrinsics: missing, or not a table"),
+        (setter("extrinsics", value={}), "there is no camera of any subject"),
+        (setter("intrinsics", LAST, value=None), f"S9, camera {LAST}: intrinsics: missing"),
+        (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
+        (setter("intrinsics", LAST, "calibration_matrix", value=np.zeros((3, 3)).tolist()), "singular"),
+        (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
+        (setter("extrinsics", "S9", LAST, "R", value="abc"), "R is not made of numbers"),
+        (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
+        (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
+    ],
+)
 def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
     path = tmp_path / "cameras.json"
     path.write_text(change_json(change))
@@ -258,19 +285,22 @@ def changed_source(old: str, new: str) -> str:
     return text.replace(old, new, 1)
 
 
-@pytest.mark.parametrize("old, new, message", [
-    ("h36m_cameras_intrinsic_params", "x", "there is no h36m_cameras_intrinsic_params"),
-    ("intrinsic_params = [", "intrinsic_params = [open('x'), ", "is read, never run"),
-    ("intrinsic_params = [", "intrinsic_params = [" + "-" * 100_000 + "1, ", "never run"),
-    ("intrinsic_params = [", "intrinsic_params = [" + "[" * 1000 + "]" * 1000 + ", ", "never run"),
-    ("intrinsic_params = [", "intrinsic_params = [{}, ", "not a list of four cameras"),
-    ("'54138969'", "'1'", "cameras 1, 55011271, 58860488, 60457274; expected 54138969"),
-    ("'focal_length'", "'f'", "S9, camera 0: focal_length is missing"),
-    ("'res_w': 1000", "'res_w': 0", "width_px and height_px must be positive"),
-    ("'radial_distortion': [", "'radial_distortion': [0.0, ", r"not of shape \(3,\)"),
-    ("'orientation': [", "'orientation': [0.0, ", r"not of shape \(4,\)"),
-    ("[{}, {}, {}, {}]", "[{}]", "S2 does not have four cameras"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("h36m_cameras_intrinsic_params", "x", "there is no h36m_cameras_intrinsic_params"),
+        ("intrinsic_params = [", "intrinsic_params = [open('x'), ", "is read, never run"),
+        ("intrinsic_params = [", "intrinsic_params = [" + "-" * 100_000 + "1, ", "never run"),
+        ("intrinsic_params = [", "intrinsic_params = [" + "[" * 1000 + "]" * 1000 + ", ", "never run"),
+        ("intrinsic_params = [", "intrinsic_params = [{}, ", "not a list of four cameras"),
+        ("'54138969'", "'1'", "cameras 1, 55011271, 58860488, 60457274; expected 54138969"),
+        ("'focal_length'", "'f'", "S9, camera 0: focal_length is missing"),
+        ("'res_w': 1000", "'res_w': 0", "width_px and height_px must be positive"),
+        ("'radial_distortion': [", "'radial_distortion': [0.0, ", r"not of shape \(3,\)"),
+        ("'orientation': [", "'orientation': [0.0, ", r"not of shape \(4,\)"),
+        ("[{}, {}, {}, {}]", "[{}]", "S2 does not have four cameras"),
+    ],
+)
 def test_a_wrong_source_is_refused_with_the_field(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = tmp_path / "h36m_dataset.py"
     path.write_text(changed_source(old, new))
@@ -278,11 +308,14 @@ def test_a_wrong_source_is_refused_with_the_field(tmp_path: Path, old: str, new:
         read_cameras(path)
 
 
-@pytest.mark.parametrize("field, value, error, message", [
-    ("translation", [2.1, 4.9, 1.6], UnitError, "would stand 0.00557 m from .* millimetres"),
-    ("translation", [2.1e6, 4.9e6, 1.6e6], UnitError, r"would stand 5.57e\+03 m from"),
-    ("orientation", [1.0, 1.0, 0.0, 0.0], FileFormatError, "orientation is not a unit quaternion"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "field, value, error, message",
+    [
+        ("translation", [2.1, 4.9, 1.6], UnitError, "would stand 0.00557 m from .* millimetres"),
+        ("translation", [2.1e6, 4.9e6, 1.6e6], UnitError, r"would stand 5.57e\+03 m from"),
+        ("orientation", [1.0, 1.0, 0.0, 0.0], FileFormatError, "orientation is not a unit quaternion"),
+    ],
+)
 def test_implausible_cameras(
     tmp_path: Path, field: str, value: list[float], error: type[Exception], message: str
 ) -> None:
@@ -294,15 +327,18 @@ def test_implausible_cameras(
         read_cameras(path)
 
 
-@pytest.mark.parametrize("name, content, message", [
-    ("cameras.toml", b"", "not a file of cameras; name the JSON file"),
-    ("cameras.json", b"{", "not readable as JSON"),
-    ("cameras.json", b"[]", "the file: missing, or not a table"),
-    ("cameras.json", b"\xff\xfe", "not a text file in UTF-8, so not JSON"),
-    ("cameras.py", b"def", "never run"),
-    ("cameras.py", b"", "empty; expected a list of cameras"),
-    ("cameras.py", b"#" * 5_000_000, "larger than 4 MiB"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, content, message",
+    [
+        ("cameras.toml", b"", "not a file of cameras; name the JSON file"),
+        ("cameras.json", b"{", "not readable as JSON"),
+        ("cameras.json", b"[]", "the file: missing, or not a table"),
+        ("cameras.json", b"\xff\xfe", "not a text file in UTF-8, so not JSON"),
+        ("cameras.py", b"def", "never run"),
+        ("cameras.py", b"", "empty; expected a list of cameras"),
+        ("cameras.py", b"#" * 5_000_000, "larger than 4 MiB"),
+    ],
+)
 def test_a_file_without_cameras_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(FileFormatError, match=rf"{name}.*: .*{message}"):
@@ -322,17 +358,13 @@ def spoil(root: Path, change: Callable[[dict[str, Any]], Any]) -> None:
 def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions]) -> None:
     root, _ = own
     spoil(root, lambda data: data["extrinsics"].update(S9=data["extrinsics"]["S11"]))
-    message = (
-        r"S9 Action 0, camera 1: .* more than 3: .*camera-parameters\.json .*data_2d_h36m_gt\.npz.* unit"
-    )
+    message = r"S9 Action 0, camera 1: .* more than 3: .*camera-parameters\.json .*data_2d_h36m_gt\.npz.* unit"
     with pytest.raises(CalibrationError, match=message):
         Human36M(root).recording("S9", "Action 0", 1)
     Human36M(root).recording("S11", "Action 0", 1)
 
 
-@pytest.mark.parametrize("change", [
-    lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv],
-])  # fmt: skip
+@pytest.mark.parametrize("change", [lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv]])
 def test_keypoints_of_other_cameras(own: tuple[Path, files.Positions], change: Callable[[Any], Any]) -> None:
     root, positions = own
     entries = files.keypoints(positions)
@@ -378,12 +410,15 @@ def test_unknown_names_are_refused_with_the_known_ones(root: Path, tmp_path: Pat
         Human36M(root, tmp_path / "h36m_dataset.py").recording("S11", "Action 0", 0)
 
 
-@pytest.mark.parametrize("entry, message", [
-    (np.zeros((5, 31, 3), dtype=np.float32), r"expected shape \(T, 32, 3\), got \(5, 31, 3\)"),
-    ([1, 2], "got list"),
-    (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
-    (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "entry, message",
+    [
+        (np.zeros((5, 31, 3), dtype=np.float32), r"expected shape \(T, 32, 3\), got \(5, 31, 3\)"),
+        ([1, 2], "got list"),
+        (np.full((5, 32, 3), np.nan, dtype=np.float32), "in no frame are all joints finite"),
+        (np.zeros((5, 32, 3), dtype=np.float32), "the bone that ends at RHip is 0.000 m long, but 0.1"),
+    ],
+)
 def test_corrupt_action_is_refused_alone(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
     root, positions = own
     before = Human36M(root).motion("S9", "Action 0").joint_offsets
@@ -407,12 +442,15 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
     data.motion("S11", "Action 0")
 
 
-@pytest.mark.parametrize("entry, message", [
-    ([np.zeros((12, 17, 2))] * 3, "not a list of four cameras"),
-    ([np.zeros((12, 16, 2))] * 4, r"camera 0: expected shape \(T, 17, 2\), got \(12, 16, 2\)"),
-    ([None] * 4, "camera 0: .*got NoneType"),
-    ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "entry, message",
+    [
+        ([np.zeros((12, 17, 2))] * 3, "not a list of four cameras"),
+        ([np.zeros((12, 16, 2))] * 4, r"camera 0: expected shape \(T, 17, 2\), got \(12, 16, 2\)"),
+        ([None] * 4, "camera 0: .*got NoneType"),
+        ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
+    ],
+)
 def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
     root, positions = own
     entries = files.keypoints(positions)
@@ -424,13 +462,18 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
     data.recording("S9", "Action 1", 0)
 
 
-@pytest.mark.parametrize("metadata", [
-    {**files.METADATA, "layout_name": "coco"},
-    {**files.METADATA, "num_joints": 16},
-    {"num_joints": 17, "keypoints_symmetry": [[1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]]},
-    {"num_joints": 17, "keypoints_symmetry": 5},
-    {}, [], None,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        {**files.METADATA, "layout_name": "coco"},
+        {**files.METADATA, "num_joints": 16},
+        {"num_joints": 17, "keypoints_symmetry": [[1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]]},
+        {"num_joints": 17, "keypoints_symmetry": 5},
+        {},
+        [],
+        None,
+    ],
+)
 def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Positions], metadata: Any) -> None:
     root, positions = own
     files.write_keypoints(root, files.keypoints(positions), "detectron_pt_coco", metadata)
@@ -438,10 +481,15 @@ def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Position
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
 
 
-@pytest.mark.parametrize("content, message", [
-    (None, "not a dictionary of subjects"), ([1], "not a dictionary"), ({"S9": [1, 2]}, "not a dictionary"),
-    ({"S9": None}, "not a dictionary"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content, message",
+    [
+        (None, "not a dictionary of subjects"),
+        ([1], "not a dictionary"),
+        ({"S9": [1, 2]}, "not a dictionary"),
+        ({"S9": None}, "not a dictionary"),
+    ],
+)
 def test_an_archive_of_something_else_is_refused(tmp_path: Path, content: Any, message: str) -> None:
     box = np.empty((), dtype=object)
     box[()] = content

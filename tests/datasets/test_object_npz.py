@@ -32,9 +32,7 @@ def text(value: str) -> bytes:
     return b"\x8c" + bytes([len(value.encode())]) + value.encode()
 
 
-def dtype(
-    code: str, state: bytes = b"K\x03" + text("<") + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\0"
-) -> bytes:
+def dtype(code: str, state: bytes = b"K\x03" + text("<") + b"NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\0") -> bytes:
     return b"cnumpy\ndtype\n" + text(code) + b"\x89\x88\x87R(" + state + b"tb"
 
 
@@ -129,10 +127,16 @@ class Harm:
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4, 5])
-@pytest.mark.parametrize("place", [
-    lambda harm: harm, lambda harm: {"S1": {"Walking": harm}}, lambda harm: {harm: 1},
-    lambda harm: {**DATA, "S99": (1, [harm])}, lambda harm: np.array([1, harm], dtype=object),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "place",
+    [
+        lambda harm: harm,
+        lambda harm: {"S1": {"Walking": harm}},
+        lambda harm: {harm: 1},
+        lambda harm: {**DATA, "S99": (1, [harm])},
+        lambda harm: np.array([1, harm], dtype=object),
+    ],
+)
 def test_a_command_is_refused_and_not_run(path: Path, place: Callable[[Any], Any], protocol: int) -> None:
     mark = path.parent / "it ran"
     with pytest.raises(FileFormatError, match=r"data\.npz: a: not opened: it wants to run"):
@@ -142,48 +146,64 @@ def test_a_command_is_refused_and_not_run(path: Path, place: Callable[[Any], Any
     assert mark.exists()  # an ordinary reader would have run it
 
 
-@pytest.mark.parametrize("content, name", [
-    (Harm(eval, "1/0"), r"builtins\.eval"), (Harm(getattr, "", "join"), r"builtins\.getattr"),
-    (Harm(np.load, "/etc/passwd", None, True), r"numpy.*\.load"),
-    (Harm(np.fromfile, "/etc/passwd"), r"numpy.*\.fromfile"), (Harm(pickle.loads, b"."), r"_pickle\.loads"),
-    (Harm(bytearray, 10**9), r"builtins\.bytearray"), (np.ma.masked_array([1.0], [True]), r"numpy\.ma"),
-    (np.dtype, "numpy dtype"), (np.ndarray, "numpy ndarray"), ({1, 2}, "set among"),
-    (np.datetime64("2020-01-01"), "M8"), (np.array(["a"]), "U1"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content, name",
+    [
+        (Harm(eval, "1/0"), r"builtins\.eval"),
+        (Harm(getattr, "", "join"), r"builtins\.getattr"),
+        (Harm(np.load, "/etc/passwd", None, True), r"numpy.*\.load"),
+        (Harm(np.fromfile, "/etc/passwd"), r"numpy.*\.fromfile"),
+        (Harm(pickle.loads, b"."), r"_pickle\.loads"),
+        (Harm(bytearray, 10**9), r"builtins\.bytearray"),
+        (np.ma.masked_array([1.0], [True]), r"numpy\.ma"),
+        (np.dtype, "numpy dtype"),
+        (np.ndarray, "numpy ndarray"),
+        ({1, 2}, "set among"),
+        (np.datetime64("2020-01-01"), "M8"),
+        (np.array(["a"]), "U1"),
+    ],
+)
 def test_only_plain_data_and_numeric_arrays_are_made(path: Path, content: Any, name: str) -> None:
     with pytest.raises(FileFormatError, match=rf"a: not opened: .*{name}"):
         read(path, pickled_array({"S1": [content]}))
 
 
-@pytest.mark.parametrize("content, message", [
-    (b"cos\nsystem\n", r"os\.system"),
-    (text("numpy") + text("dtype.type") + b"\x93", r"numpy\.dtype\.type"),
-    (b"(inumpy.core.multiarray\nfromstring\n", "fromstring"),
-    (b"\x82\x4d", "number 77 of the extension registry"),
-    (b"K\x01Q", "persistent"),
-    (text("print") + b")R", "not callable"),
-    (NDARRAY + b")R", "calls ndarray"),
-    (NDARRAY + b")\x81", "damaged"),
-    (NDARRAY + b"}" + text("a") + b"Nsb", "damaged"),
-    (ENCODE + text("a") + text("rot13") + b"\x86R", "calls encode"),
-    (EMPTY + b"}b", "state of an array"),
-    (EMPTY, "damaged"),
-    (filled(b"K\x01\x85", dtype("V8"), EIGHT), "of type '<V8'"),
-    (filled(b"K\x02\x85", dtype("O8"), EIGHT), "of type '<O8'"),
-    (filled(b"K\x01\x85", dtype("f8", b"K\x03" + text("<") + b"})}NNN"), EIGHT), "array of records"),
-    (filled(b"K\x03\x85", dtype("f4"), EIGHT), r"shape \(3,\) and type float32 with 8 bytes"),
-    (filled(b"J\xff\xff\xff\xff\x85", dtype("f4"), EIGHT), r"shape \(-1,\)"),
-    (filled(text("ab"), dtype("f4"), EIGHT), "tuple of at most 8 integers"),
-    (filled(b"K\x02\x85", dtype("f4"), b"]"), "not bytes"),
-    (b"}(K\x01K\x02u", "key that is not text"),
-    (b"]\x94h\x00a", "contains itself"),
-    (b"]" * 30 + b"a" * 29, "nested more than 20 deep"),
-    (b"K\x01r\xff\xff\xff\x7f", "more than 2000000 operations"),
-    (b"X\x40\x42\x0f\x00" + b"a" * 10**6 + b"q\x05" + (ENCODE + b"h\x05" + text("latin1") + b"\x86R") * 9,
-     "repeats more text"),
-    (b"\x8e" + struct.pack("<Q", 2**62) + b"abc", "damaged"),
-    (b"h\x07", "damaged"), (b"(((", "damaged"), (b"\xff", "damaged"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content, message",
+    [
+        (b"cos\nsystem\n", r"os\.system"),
+        (text("numpy") + text("dtype.type") + b"\x93", r"numpy\.dtype\.type"),
+        (b"(inumpy.core.multiarray\nfromstring\n", "fromstring"),
+        (b"\x82\x4d", "number 77 of the extension registry"),
+        (b"K\x01Q", "persistent"),
+        (text("print") + b")R", "not callable"),
+        (NDARRAY + b")R", "calls ndarray"),
+        (NDARRAY + b")\x81", "damaged"),
+        (NDARRAY + b"}" + text("a") + b"Nsb", "damaged"),
+        (ENCODE + text("a") + text("rot13") + b"\x86R", "calls encode"),
+        (EMPTY + b"}b", "state of an array"),
+        (EMPTY, "damaged"),
+        (filled(b"K\x01\x85", dtype("V8"), EIGHT), "of type '<V8'"),
+        (filled(b"K\x02\x85", dtype("O8"), EIGHT), "of type '<O8'"),
+        (filled(b"K\x01\x85", dtype("f8", b"K\x03" + text("<") + b"})}NNN"), EIGHT), "array of records"),
+        (filled(b"K\x03\x85", dtype("f4"), EIGHT), r"shape \(3,\) and type float32 with 8 bytes"),
+        (filled(b"J\xff\xff\xff\xff\x85", dtype("f4"), EIGHT), r"shape \(-1,\)"),
+        (filled(text("ab"), dtype("f4"), EIGHT), "tuple of at most 8 integers"),
+        (filled(b"K\x02\x85", dtype("f4"), b"]"), "not bytes"),
+        (b"}(K\x01K\x02u", "key that is not text"),
+        (b"]\x94h\x00a", "contains itself"),
+        (b"]" * 30 + b"a" * 29, "nested more than 20 deep"),
+        (b"K\x01r\xff\xff\xff\x7f", "more than 2000000 operations"),
+        (
+            b"X\x40\x42\x0f\x00" + b"a" * 10**6 + b"q\x05" + (ENCODE + b"h\x05" + text("latin1") + b"\x86R") * 9,
+            "repeats more text",
+        ),
+        (b"\x8e" + struct.pack("<Q", 2**62) + b"abc", "damaged"),
+        (b"h\x07", "damaged"),
+        (b"(((", "damaged"),
+        (b"\xff", "damaged"),
+    ],
+)
 def test_a_pickle_that_does_anything_else_is_refused(path: Path, content: bytes, message: str) -> None:
     copyreg.add_extension("os", "system", 77)
     try:
@@ -194,14 +214,19 @@ def test_a_pickle_that_does_anything_else_is_refused(path: Path, content: bytes,
         copyreg.remove_extension("os", "system", 77)
 
 
-@pytest.mark.parametrize("data, message", [
-    (npy(pickle.dumps(np.array([1, None]), 4), "(2,)"), r"array of objects of shape \(2,\)"),
-    (npy(b"", "()", "'<U4'"), "array of <U4"),
-    (npy(b"\0" * 8, "(2,)", "'<f8'"), "with 8 bytes"),
-    (npy(pickle.dumps(DATA, 4)), "not that of an array"),
-    (pickled_array(1) + b"more", "after the end"),
-    (pickled_array(DATA)[:-40], "damaged"), (npy(b""), "damaged"), (b"hello", "damaged"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "data, message",
+    [
+        (npy(pickle.dumps(np.array([1, None]), 4), "(2,)"), r"array of objects of shape \(2,\)"),
+        (npy(b"", "()", "'<U4'"), "array of <U4"),
+        (npy(b"\0" * 8, "(2,)", "'<f8'"), "with 8 bytes"),
+        (npy(pickle.dumps(DATA, 4)), "not that of an array"),
+        (pickled_array(1) + b"more", "after the end"),
+        (pickled_array(DATA)[:-40], "damaged"),
+        (npy(b""), "damaged"),
+        (b"hello", "damaged"),
+    ],
+)
 def test_a_truncated_or_foreign_member_is_refused(path: Path, data: bytes, message: str) -> None:
     with pytest.raises(FileFormatError, match=rf"data\.npz: a: .*{message}"):
         read(path, data)
@@ -220,9 +245,9 @@ def test_a_missing_packed_or_oversized_member_is_refused(path: Path) -> None:
         read_object_npz(path, ["a"])
 
 
-@pytest.mark.parametrize("damage", [
-    lambda data: data[: len(data) // 2], lambda data: b"", lambda data: data.replace(b"Walking", b"Talking"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: data.replace(b"Walking", b"Talking")]
+)
 def test_a_damaged_archive_is_refused(path: Path, damage: Callable[[bytes], bytes]) -> None:
     write(path, zipfile.ZIP_STORED, a=pickled_array(DATA))
     path.write_bytes(damage(path.read_bytes()))

@@ -196,9 +196,7 @@ def exchanged(paths: dict[str, Path]) -> None:
 
 
 def of_another_take(paths: dict[str, Path]) -> None:
-    files.write_imu_calibration(
-        paths["ref"], paths["bone"], support.take("S5", "freestyle1", seed=4).calibration
-    )
+    files.write_imu_calibration(paths["ref"], paths["bone"], support.take("S5", "freestyle1", seed=4).calibration)
 
 
 def scalar_last(paths: dict[str, Path]) -> None:
@@ -208,9 +206,7 @@ def scalar_last(paths: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize("spoil", [exchanged, of_another_take, scalar_last])
-def test_wrong_calibration(
-    spoil: Callable[[dict[str, Path]], None], tmp_path: Path, paths: dict[str, Path]
-) -> None:
+def test_wrong_calibration(spoil: Callable[[dict[str, Path]], None], tmp_path: Path, paths: dict[str, Path]) -> None:
     spoil(paths)
     bad = failed(check_take(TotalCapture(tmp_path).take(*ONE)))
     turned = [check for check in bad if check.unit == "deg"]
@@ -225,9 +221,7 @@ def test_a_take_that_does_not_begin_in_the_t_pose_fails_its_checks(take: Take) -
     """Turned about the vertical, and with hanging arms."""
     turn = so3.about_axis("z", np.radians(120))
     truth = take.truth
-    turned = replace(
-        truth, p_world_joint=truth.p_world_joint @ turn.T, R_world_bone=turn @ truth.R_world_bone
-    )
+    turned = replace(truth, p_world_joint=truth.p_world_joint @ turn.T, R_world_bone=turn @ truth.R_world_bone)
     bad = failed(check_take(replace(take, truth=turned, imus=None, calibration=None)))
     assert [check.subject for check in bad] == ["take"]
     assert bad[0].value == pytest.approx(120, abs=6)
@@ -282,9 +276,7 @@ def test_every_layout_and_spelling_is_the_same_dataset(layout: str, tmp_path: Pa
     assert not found.missing
 
 
-def test_foreign_files(
-    tmp_path: Path, paths: dict[str, Path], take: Take, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_foreign_files(tmp_path: Path, paths: dict[str, Path], take: Take, caplog: pytest.LogCaptureFixture) -> None:
     for path in list(paths.values()):
         path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
     (paths["bvh"].parent / "acting3_exported.bvh").write_text("HIERARCHY")
@@ -449,16 +441,19 @@ def bvh_at_120_hz(paths: dict[str, Path]) -> None:
     paths["orientations"].unlink()
 
 
-@pytest.mark.parametrize(("spoil", "message"), [
-    (too_short, r"gt_skel_gbl_ori.txt: 70 frames of positions and 90 of orientations"),
-    (scalar_first, r"gt_skel_gbl_ori.txt: .*w x y z"),
-    (another_motion, r"gt_skel_gbl_ori.txt: .*mm"),
-    (other_joint, r"gt_skel_gbl_pos.txt.*LeftFoot"),
-    (without_gravity, r"gravity|9.8"),
-    (scaled, r"ori.txt, line 9: the quaternion of Spine2 has norm 1.1"),
-    (no_orientation_of_the_root, r"ori.txt: there is no frame in which"),
-    (bvh_at_120_hz, r"ZXY_YmZ.bvh: has 120 frames a second, not 60"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (too_short, r"gt_skel_gbl_ori.txt: 70 frames of positions and 90 of orientations"),
+        (scalar_first, r"gt_skel_gbl_ori.txt: .*w x y z"),
+        (another_motion, r"gt_skel_gbl_ori.txt: .*mm"),
+        (other_joint, r"gt_skel_gbl_pos.txt.*LeftFoot"),
+        (without_gravity, r"gravity|9.8"),
+        (scaled, r"ori.txt, line 9: the quaternion of Spine2 has norm 1.1"),
+        (no_orientation_of_the_root, r"ori.txt: there is no frame in which"),
+        (bvh_at_120_hz, r"ZXY_YmZ.bvh: has 120 frames a second, not 60"),
+    ],
+)
 def test_files_that_are_damaged_or_do_not_fit_are_refused(
     spoil: Callable[[dict[str, Path]], None], message: str, tmp_path: Path, paths: dict[str, Path]
 ) -> None:
@@ -621,21 +616,20 @@ def test_bones_of_a_take_without_orientations_are_checked_by_their_length(tmp_pa
     p = files.tc_positions(support.motion().p_world_joint)
     p[::2, NAMES.index("Head")] += 1.0
     files.write_joints(paths["positions"], p)
-    assert any(
-        "bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE)))
-    )
+    assert any("bone lengths" in check.name for check in failed(check_take(TotalCapture(tmp_path).take(*ONE))))
 
 
-@pytest.mark.parametrize(("options", "error", "message"), [
-    ({"camera": 9}, UnknownNameError, r"camera '9'.*1, 2, 3"),
-    ({"sensors": ("L_Hand",)}, UnknownNameError, r"sensor.*'L_Hand'.*Head"),
-    ({"noise_px": -1.0}, InvalidInputError, "noise_px: -1"),
-    ({"noise_px": np.nan}, InvalidInputError, "noise_px: nan"),
-    ({"noise_px": 2.0, "seed": -1}, InvalidInputError, "seed: -1 is negative"),
-])  # fmt: skip
-def test_wrong_options(
-    options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path
-) -> None:
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"camera": 9}, UnknownNameError, r"camera '9'.*1, 2, 3"),
+        ({"sensors": ("L_Hand",)}, UnknownNameError, r"sensor.*'L_Hand'.*Head"),
+        ({"noise_px": -1.0}, InvalidInputError, "noise_px: -1"),
+        ({"noise_px": np.nan}, InvalidInputError, "noise_px: nan"),
+        ({"noise_px": 2.0, "seed": -1}, InvalidInputError, "seed: -1 is negative"),
+    ],
+)
+def test_wrong_options(options: dict[str, Any], error: type[Exception], message: str, take: Take, root: Path) -> None:
     with pytest.raises(error, match=message):
         take.recording(**{"camera": 1} | options)
     with pytest.raises(UnknownNameError, match="'S4 acting3'"):

@@ -45,11 +45,17 @@ def test_subject_and_take_come_from_path(path: str, take: tuple[str, str], kind:
 @pytest.mark.parametrize(
     "path",
     [
-        f"acting3/{POSITIONS}", f"S1/{POSITIONS}", f"S1-S3/walking1/{POSITIONS}",
-        f"S3/from2017/{POSITIONS}", f"S1/acting1-acting3/{POSITIONS}", f"S6/acting3/{POSITIONS}",
-        f"S1/acting13/{POSITIONS}", "Acting3_Xsens_AuxFields.sensors", f"class1/acting3/{POSITIONS}",
+        f"acting3/{POSITIONS}",
+        f"S1/{POSITIONS}",
+        f"S1-S3/walking1/{POSITIONS}",
+        f"S3/from2017/{POSITIONS}",
+        f"S1/acting1-acting3/{POSITIONS}",
+        f"S6/acting3/{POSITIONS}",
+        f"S1/acting13/{POSITIONS}",
+        "Acting3_Xsens_AuxFields.sensors",
+        f"class1/acting3/{POSITIONS}",
     ],
-)  # fmt: skip
+)
 def test_ambiguous_paths_are_not_assigned(path: str, tmp_path: Path) -> None:
     put(tmp_path, path)
     with pytest.raises(FileFormatError, match=r"subject and take of .*name the folder"):

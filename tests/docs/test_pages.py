@@ -61,9 +61,7 @@ def test_every_name_of_the_front_door_is_in_the_reference() -> None:
 
 
 def test_every_command_has_a_row() -> None:
-    rows = re.findall(
-        r"^\| `rtof-kin ([\w-]+)", (ROOT / "docs/command_line.md").read_text("utf-8"), re.MULTILINE
-    )
+    rows = re.findall(r"^\| `rtof-kin ([\w-]+)", (ROOT / "docs/command_line.md").read_text("utf-8"), re.MULTILINE)
     assert sorted(rows) == sorted(command_names())
 
 

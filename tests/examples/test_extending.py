@@ -65,17 +65,13 @@ def test_an_installed_package_adds_a_reader_to_the_commands(tmp_path: Path) -> N
     package, trial = tmp_path / "site", tmp_path / "trial.csv"
     info = package / "acme_imu-1.0.dist-info"
     info.mkdir(parents=True)
-    info.joinpath("METADATA").write_text(
-        "Metadata-Version: 2.1\nName: acme-imu\nVersion: 1.0\n", encoding="utf-8"
-    )
+    info.joinpath("METADATA").write_text("Metadata-Version: 2.1\nName: acme-imu\nVersion: 1.0\n", encoding="utf-8")
     points = "[rtof_kin.sensor_formats]\nacme = acme_imu:ACME\n"
     info.joinpath("entry_points.txt").write_text(points, encoding="utf-8")
     text = (EXAMPLES / "sensor_reader.py").read_text(encoding="utf-8")
     package.joinpath("acme_imu.py").write_text(text, encoding="utf-8")
     example("sensor_reader").write_sample(trial)
-    code = (
-        f"import sys; sys.path.insert(0, {str(package)!r}); from rtof_kin.cli import main; sys.exit(main())"
-    )
+    code = f"import sys; sys.path.insert(0, {str(package)!r}); from rtof_kin.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", code, "inspect", str(trial)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert "Acme CSV" in done.stdout, done.stdout + done.stderr
@@ -131,9 +127,7 @@ def test_distances_bring_the_root_back() -> None:
     )
     solver = FragmentSolver(recording.skeleton, 24, JointSpaceSettings(), terms=[own.RANGE])
     off = [
-        np.linalg.norm(
-            solver.solve(away, keypoints, observed=observed).poses.p_world_joint[:, 0] - root, axis=1
-        ).mean()
+        np.linalg.norm(solver.solve(away, keypoints, observed=observed).poses.p_world_joint[:, 0] - root, axis=1).mean()
         for observed in ({}, {"anchor": PointData(values, 0.05)})
     ]
     assert off[1] < 0.08 < 0.15 < off[0]

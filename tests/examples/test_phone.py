@@ -33,9 +33,7 @@ def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rtof_kin.setup.init.write_frames_picture", lambda path, *_: path.write_bytes(b""))
 
 
-def test_a_phone_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_phone_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     given = write_keypoints(tmp_path / "walk.npz", walker())
     write_camera_toml(tmp_path / "calib.toml", {"phone": watching(walking())})
     run("phone_alone.py", 1.7, tmp_path / "out", given, tmp_path / "calib.toml", monkeypatch=monkeypatch)
@@ -43,9 +41,7 @@ def test_a_phone_alone(
     assert "50 frames; open" in capsys.readouterr().out
 
 
-def test_a_phone_and_dots(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_phone_and_dots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     keypoints, log, segments = write_demo(tmp_path, 10, 12)
     (tmp_path / "map.csv").write_text("".join(f"{name};{joint}\n" for name, joint in segments.items()))
     write_camera_toml(tmp_path / "calib.toml", {"cam": Recording.load(model_path("demo")).video.camera})
@@ -65,9 +61,12 @@ def test_a_walk_of_sensors_alone(
     serials = {f"00B4{s:04}": joint for s, joint in enumerate(worn.joints.values())}
     first = slice(0, 200)
     imus = replace(
-        worn.imus, names=tuple(serials), times=worn.imus.times[first],
-        R_inertial_sensor=worn.imus.R_inertial_sensor[first], f_sensor=worn.imus.f_sensor[first],
-    )  # fmt: skip
+        worn.imus,
+        names=tuple(serials),
+        times=worn.imus.times[first],
+        R_inertial_sensor=worn.imus.R_inertial_sensor[first],
+        f_sensor=worn.imus.f_sensor[first],
+    )
     log = write_sensors(tmp_path / "sensors.csv", imus)
     (tmp_path / "map.csv").write_text("".join(f"{name}\t{joint}\n" for name, joint in serials.items()))
     run("opensense_walk.py", log, tmp_path / "map.csv", tmp_path / "out", monkeypatch=monkeypatch)

@@ -45,9 +45,7 @@ class NoisyTruth:
     def __init__(self, motion: MotionSequence):
         self.p = motion.poses.p_world_joint[:FRAMES]
 
-    def predict(
-        self, keypoints: KeypointSequence, joint_offsets: Array | None = None, **others: object
-    ) -> LiftedPoses:
+    def predict(self, keypoints: KeypointSequence, joint_offsets: Array | None = None, **others: object) -> LiftedPoses:
         shake = np.random.default_rng(0).normal(0, 0.01, self.p.shape)
         seen = np.ones(FRAMES, dtype=np.bool_)
         return lifted_positions(keypoints.times, self.p + shake + 0.03, seen, walking().skeleton.names)
@@ -82,8 +80,7 @@ def session(path: Path, motion: MotionSequence, cameras: list[Camera], calibrate
     (path / "session" / "Calibration").mkdir(parents=True)
     (path / "session" / "Config.toml").write_text(CONFIG)
     write_camera_toml(
-        path / "session" / "Calibration" / "Calib.toml",
-        {f"cam_{i + 1}": camera for i, camera in enumerate(calibrated)},
+        path / "session" / "Calibration" / "Calib.toml", {f"cam_{i + 1}": camera for i, camera in enumerate(calibrated)}
     )
     for i, camera in enumerate(cameras):
         folder = trial / "pose" / f"cam{i + 1}_json"
@@ -230,8 +227,11 @@ def test_the_example_measures_the_planted_errors(
     assert "followed participant 1 of 1 (1.72 m)" in printed
     assert "an illustration and no benchmark" in printed
     assert sorted(p.name for p in out.iterdir()) == [
-        ".rtof_kin.json", "cameras.toml", "real_camera.json", "real_camera.png"
-    ]  # fmt: skip
+        ".rtof_kin.json",
+        "cameras.toml",
+        "real_camera.json",
+        "real_camera.png",
+    ]
     assert (out / "real_camera.png").read_bytes()[:4] == b"\x89PNG"
     result = json.loads((out / "real_camera.json").read_text())
     assert set(result["scores"]) == {"cam_1", "cam_2", "cam_3"}

@@ -121,8 +121,9 @@ def test_root_channels_have_the_order_listed(read):
 
 
 def test_sliding_bone_moves_its_joint_in_its_parent(read):
-    motion = read(ASF.replace("dof ry", "dof ry ty"), AMC.replace("shank 60", "shank 60 0.5")
-                  .replace("shank 0", "shank 0 0"))  # fmt: skip
+    motion = read(
+        ASF.replace("dof ry", "dof ry ty"), AMC.replace("shank 60", "shank 60 0.5").replace("shank 0", "shank 0 0")
+    )
     p, R = motion.forward_kinematics()
     np.testing.assert_allclose(p[1, 2], p[1, 1] + R[1, 1] @ [0, -7.0, 0], atol=1e-12)
 

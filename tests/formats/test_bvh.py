@@ -60,9 +60,7 @@ def test_joints_are_chains_of_scipy_rotations(write):
 
 
 def test_position_channels_replace_the_offset(write):
-    text = TWO_JOINTS.replace(
-        "CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 3 Xposition Yposition Zrotation"
-    )
+    text = TWO_JOINTS.replace("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 3 Xposition Yposition Zrotation")
     motion = read_bvh(write(text))
     p, R = motion.forward_kinematics()
     np.testing.assert_allclose(p[1, 1], [10, 20, 30] + R[1, 0] @ [70, 15, 0], atol=1e-12)
@@ -90,14 +88,16 @@ def test_joint_with_zero_position_channels_stays_at_its_offset(write):
     [
         ("End Site", "EndSite"),
         ("End Site\n    {", "End Site {\n CHANNELS 0\n"),
-        ("OFFSET 0.0 5.0 0.0\n    CHANNELS 3 Zrotation Xrotation Yrotation",
-         "CHANNELS 3 ZROTATION xrotation Yrotation\n\tOFFSET\t0.0\t5.0\t0.0"),
+        (
+            "OFFSET 0.0 5.0 0.0\n    CHANNELS 3 Zrotation Xrotation Yrotation",
+            "CHANNELS 3 ZROTATION xrotation Yrotation\n\tOFFSET\t0.0\t5.0\t0.0",
+        ),
         ("\n", "\r"),
         ("\n", "\r\n"),
         ("HIERARCHY\nROOT Base\n{", "\ufeffHIERARCHY\nroot Base {"),
         ("Frames: 2\nFrame Time: 0.02", "FRAMES:2\nFRAME TIME:\t2.0E-2"),
     ],
-)  # fmt: skip
+)
 def test_spellings_of_other_programs(write, old, new):
     assert old in TWO_JOINTS
     plain, other = read_bvh(write(TWO_JOINTS)), read_bvh(write(TWO_JOINTS.replace(old, new)))

@@ -16,9 +16,16 @@ SPELLINGS = {
     "underscored": ["quat_w", "quat_x", "quat_y", "quat_z", "acc_x", "acc_y", "acc_z"],
     "dotted": ["Quat.W", "Quat.X", "Quat.Y", "Quat.Z", "Acc.X", "Acc.Y", "Acc.Z"],
     "numbered": ["q0", "q1", "q2", "q3", "fx", "fy", "fz"],
-    "words": ["orientation w", "orientation x", "orientation y", "orientation z",
-              "accelerometer x", "accelerometer y", "accelerometer z"],
-}  # fmt: skip
+    "words": [
+        "orientation w",
+        "orientation x",
+        "orientation y",
+        "orientation z",
+        "accelerometer x",
+        "accelerometer y",
+        "accelerometer z",
+    ],
+}
 
 
 def listed(columns: NDArray[Any] | None) -> Any:
@@ -27,8 +34,7 @@ def listed(columns: NDArray[Any] | None) -> Any:
 
 @pytest.mark.parametrize("labels", SPELLINGS.values(), ids=SPELLINGS)
 @pytest.mark.parametrize(
-    ("prefix", "name"),
-    [("", "stream"), ("pelvis_", "pelvis"), ("L_LowArm/", "L_LowArm"), ("Pelvis.", "Pelvis")],
+    ("prefix", "name"), [("", "stream"), ("pelvis_", "pelvis"), ("L_LowArm/", "L_LowArm"), ("Pelvis.", "Pelvis")]
 )
 def test_spellings_of_one_sensor(labels: list[str], prefix: str, name: str) -> None:
     channels = StreamChannels.of("stream", [prefix + label for label in labels])
@@ -39,8 +45,9 @@ def test_spellings_of_one_sensor(labels: list[str], prefix: str, name: str) -> N
 
 
 def test_readings_of_two_sensors_in_any_order_of_channels() -> None:
-    labels = [f"{sensor}_{part}" for part in ("qz", "qy", "qx", "qw", "gyr_x", "gyr_y", "gyr_z")
-              for sensor in ("a", "b")]  # fmt: skip
+    labels = [
+        f"{sensor}_{part}" for part in ("qz", "qy", "qx", "qw", "gyr_x", "gyr_y", "gyr_z") for sensor in ("a", "b")
+    ]
     channels = StreamChannels.of("two", labels)
     values = np.arange(28.0).reshape(2, 14)
     for sensor, shift in zip(channels.sensors, (0, 1), strict=True):
@@ -53,10 +60,7 @@ def test_readings_of_two_sensors_in_any_order_of_channels() -> None:
 
 def test_order_of_quaternions_is_declared_for_numbers_and_known_for_letters() -> None:
     R_half_turn_about_x = np.diag([1.0, -1.0, -1.0])
-    for labels, values in (
-        (["q0", "q1", "q2", "q3"], [1, 0, 0, 0]),
-        (["qw", "qx", "qy", "qz"], [0, 1, 0, 0]),
-    ):
+    for labels, values in ((["q0", "q1", "q2", "q3"], [1, 0, 0, 0]), (["qw", "qx", "qy", "qz"], [0, 1, 0, 0])):
         channels = StreamChannels.of("s", labels, declared={"quaternion_order": "xyzw"})
         reading = channels.sensors[0].readings(np.zeros(1), np.array([values], dtype=float))
         R = reading.stream(channels.declaration).R_inertial_sensor

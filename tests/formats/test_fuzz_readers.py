@@ -126,22 +126,31 @@ def laughs(levels: int = 12) -> str:
     return '<!DOCTYPE mvnx [<!ENTITY l0 "ha">' + "".join(lines) + f"]><mvnx>&l{levels - 1};</mvnx>"
 
 
-ALIASES = "a0: &a0 [1, 1]\n" + "".join(
-    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 20)
-)
+ALIASES = "a0: &a0 [1, 1]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 20))
 MERGES = "a: &a {x: 1}\nb: &b\n  <<: [*a, *a]\nK: *b\n"
 TEXTS: dict[str, tuple[str, ...]] = {
     ".json": ("[" * 100_000, '{"a":' * 100_000, '{"frames": ' + "[" * 100_000, "9" * 100_000),
     ".yml": (ALIASES, MERGES, "[" * 100_000, "- " * 50_000, "? " * 50_000, "&a " * 9_000, "a: " * 9_000),
-    ".toml": ("a = " + "[" * 100_000, "a = " + "{b=" * 50_000, ".".join("a" * 20_000) + " = 1",
-              "[" + ".".join("a" * 20_000) + "]", "a = " + "9" * 100_000),
-    ".mvnx": (laughs(), '<!DOCTYPE mvnx [<!ENTITY x SYSTEM "file:///etc/passwd">]><mvnx>&x;</mvnx>',
-              '<?xml version="1.0"?>' + "<mvnx>" * 100_000, "<mvnx " + "a='1' " * 100_000 + "/>"),
+    ".toml": (
+        "a = " + "[" * 100_000,
+        "a = " + "{b=" * 50_000,
+        ".".join("a" * 20_000) + " = 1",
+        "[" + ".".join("a" * 20_000) + "]",
+        "a = " + "9" * 100_000,
+    ),
+    ".mvnx": (
+        laughs(),
+        '<!DOCTYPE mvnx [<!ENTITY x SYSTEM "file:///etc/passwd">]><mvnx>&x;</mvnx>',
+        '<?xml version="1.0"?>' + "<mvnx>" * 100_000,
+        "<mvnx " + "a='1' " * 100_000 + "/>",
+    ),
     ".py": ("h36m_cameras_intrinsic_params = " + "[" * 50_000, "-" * 200_000 + "1", "x" * 200_000),
-    ".bvh": ("HIERARCHY\n" + "ROOT a { OFFSET 0 0 0\n" + "JOINT b {" * 50_000,
-             "HIERARCHY ROOT a { OFFSET 0 0 0 CHANNELS 0 } MOTION Frames: 999999999999 Frame Time: 1\n"),
+    ".bvh": (
+        "HIERARCHY\n" + "ROOT a { OFFSET 0 0 0\n" + "JOINT b {" * 50_000,
+        "HIERARCHY ROOT a { OFFSET 0 0 0 CHANNELS 0 } MOTION Frames: 999999999999 Frame Time: 1\n",
+    ),
     ".csv": ("a," * 100_000, '"' * 100_000, "a\n" + "1" * 200_000, "time\n" + "1\n" * 10_000 + "0x"),
-}  # fmt: skip
+}
 """Texts that are small and could be made to cost much, by the formats that read them."""
 ARRAYS = {
     "claims a shape of terabytes": npy("(1000000, 1000000)"),

@@ -27,18 +27,7 @@ def test_round_trip_with_and_without_people(tmp_path: Path) -> None:
         assert (read.curves is None) == (given.curves is None)
         if given.curves is not None and read.curves is not None:
             np.testing.assert_allclose(read.curves, given.curves, atol=2e-8)
-        same = (
-            "people",
-            "licence",
-            "source",
-            "system",
-            "zero",
-            "names",
-            "strides",
-            "notes",
-            "missing",
-            "is_own",
-        )
+        same = ("people", "licence", "source", "system", "zero", "names", "strides", "notes", "missing", "is_own")
         assert [getattr(read, name) for name in same] == [getattr(given, name) for name in same]
         assert read.speeds == pytest.approx(given.speeds)
         with pytest.raises(OutputExistsError):
@@ -59,23 +48,33 @@ def changed(data: dict[str, Any], where: str, to: Any) -> None:
 @pytest.mark.parametrize(
     "where, to, named",
     [
-        ("format", "other", "format"), ("version", 2, "version"), ("unit", "rad", "deg"),
-        ("licence", None, "licence"), ("licence", "  ", "licence"), ("source", "", "source"),
-        ("people", 0, "people"), ("people", 7, "each person"), ("people", 1.5, "people"),
+        ("format", "other", "format"),
+        ("version", 2, "version"),
+        ("unit", "rad", "deg"),
+        ("licence", None, "licence"),
+        ("licence", "  ", "licence"),
+        ("source", "", "source"),
+        ("people", 0, "people"),
+        ("people", 7, "each person"),
+        ("people", 1.5, "people"),
         ("variables/knee_flexion/mean/3", "4", "knee_flexion"),
         ("variables/knee_flexion/mean/3", 1e400, "mean"),
         ("variables/knee_flexion/mean/3", 999.0, "knee_flexion"),
         ("variables/knee_flexion/mean", [1.0], "51"),
-        ("variables/knee_flexion/sd/0", -1.0, "negative"), ("variables/knee_flection", {}, "knee_flexion"),
-        ("variables", {}, "no variable"), ("variables", 5, "variables"),
+        ("variables/knee_flexion/sd/0", -1.0, "negative"),
+        ("variables/knee_flection", {}, "knee_flexion"),
+        ("variables", {}, "no variable"),
+        ("variables", 5, "variables"),
         ("curves/0/right", {}, "pelvic_tilt"),
-        ("curves/0/person", "P001", "P001"), ("curves/1/strides", [1], "strides"), ("extra", 1, "extra"),
-        ("speed_m_per_s", [2.0, 1.0], "speed"), ("speed_m_per_s", "fast", "speed"), ("notes", "x", "notes"),
+        ("curves/0/person", "P001", "P001"),
+        ("curves/1/strides", [1], "strides"),
+        ("extra", 1, "extra"),
+        ("speed_m_per_s", [2.0, 1.0], "speed"),
+        ("speed_m_per_s", "fast", "speed"),
+        ("notes", "x", "notes"),
     ],
-)  # fmt: skip
-def test_a_damaged_file_is_refused_and_the_field_named(
-    tmp_path: Path, where: str, to: Any, named: str
-) -> None:
+)
+def test_a_damaged_file_is_refused_and_the_field_named(tmp_path: Path, where: str, to: Any, named: str) -> None:
     path = tmp_path / "reference.json"
     write_gait_reference(path, reference_of(people_curves(3, 1)))
     data = json.loads(path.read_text())
@@ -94,9 +93,7 @@ def test_no_reference_at_all(tmp_path: Path, text: str) -> None:
         read_gait_reference(path)
 
 
-def table(
-    path: Path, percent: Any = PERCENT, names: Any = NAMES, header: str = "variable,percent,mean,sd"
-) -> Path:
+def table(path: Path, percent: Any = PERCENT, names: Any = NAMES, header: str = "variable,percent,mean,sd") -> Path:
     lines = [header]
     for name in names:
         curve = np.interp(percent, PERCENT, np.degrees(MEAN[NAMES.index(name)]))
@@ -107,9 +104,7 @@ def table(
 
 def test_a_table_of_means_is_a_reference_without_people(tmp_path: Path) -> None:
     path = table(tmp_path / "normal.csv", names=NAMES[:-1])
-    found = read_gait_reference_table(
-        path, negated=["hip_rotation"], people=30, **(ABOUT | {"system": "Vicon"})
-    )
+    found = read_gait_reference_table(path, negated=["hip_rotation"], people=30, **(ABOUT | {"system": "Vicon"}))
     sign = np.where(np.array(NAMES[:-1]) == "hip_rotation", -1, 1)[:, None]
     np.testing.assert_allclose(found.mean[:-1], sign * MEAN[:-1], atol=1e-9)
     assert found.missing == ("foot_progression",)
@@ -126,10 +121,12 @@ def test_a_table_of_means_is_a_reference_without_people(tmp_path: Path) -> None:
         (lambda t: t.replace("knee", "nee", 1), "knee_flexion"),
         (lambda t: t.replace(",2.5", ",x", 1), "sd"),
         (lambda t: t.replace("pelvic_tilt,0,", "pelvic_tilt,1,", 1), "pelvic_tilt"),
-        (lambda t: t + "pelvic_tilt,0,1,1\n", "twice"), (lambda t: t.replace(",2.5", "", 1), "cells"),
-        (lambda t: t.split("\n")[0] + "\n", "no rows"), (lambda t: t + "pelvic_tilt,0,nan,1\n", "finite"),
+        (lambda t: t + "pelvic_tilt,0,1,1\n", "twice"),
+        (lambda t: t.replace(",2.5", "", 1), "cells"),
+        (lambda t: t.split("\n")[0] + "\n", "no rows"),
+        (lambda t: t + "pelvic_tilt,0,nan,1\n", "finite"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_table_is_refused(tmp_path: Path, change: Any, named: str) -> None:
     path = table(tmp_path / "normal.csv")
     path.write_text(change(path.read_text()))

@@ -88,7 +88,7 @@ def test_known_sensor_has_default_segment_and_position(tmp_path: Path, skeleton:
         ("sensors = 3", FileFormatError, "not a table"),
         ("= [", FileFormatError, "not readable as TOML"),
     ],
-)  # fmt: skip
+)
 def test_invalid_file_is_refused_with_the_field(
     text: str, error: type[Exception], message: str, tmp_path: Path, skeleton: SkeletonModel
 ) -> None:

@@ -51,9 +51,7 @@ def test_velocities_are_central_differences_on_the_manifold(motion: MotionSequen
     np.testing.assert_allclose(v[:, 6:], np.gradient(motion.q[:, 7:], motion.times, axis=0), atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "times, expected", [([0.0, 0.1, 0.2], [1, 2, 3]), ([0.0, 0.1, 0.4], [1, 1, 1]), ([0.0], [0])]
-)
+@pytest.mark.parametrize("times, expected", [([0.0, 0.1, 0.2], [1, 2, 3]), ([0.0, 0.1, 0.4], [1, 1, 1]), ([0.0], [0])])
 def test_velocities_use_the_times_given(times: list[float], expected: list[float]) -> None:
     q = np.tile(BODY.t_pose(), (3, 1))
     q[:, 7] = [0.0, 0.1, 0.4]
@@ -127,9 +125,11 @@ def test_unknown_frames_separate_two_trajectories(tmp_path: Path, motion: Motion
     q[8:11] = np.nan
     paths = write_ros_trajectory(tmp_path, replace(motion, q=q))
     assert [path.name for path in paths] == [
-        "ros_joint_trajectory_1.json", "ros_base_trajectory_1.json",
-        "ros_joint_trajectory_2.json", "ros_base_trajectory_2.json",
-    ]  # fmt: skip
+        "ros_joint_trajectory_1.json",
+        "ros_base_trajectory_1.json",
+        "ros_joint_trajectory_2.json",
+        "ros_base_trajectory_2.json",
+    ]
     assert all("NaN" not in path.read_text() for path in paths)
     before, after = (json.loads(path.read_text())["points"] for path in paths[::2])
     assert (len(before), len(after)) == (8, T - 11)

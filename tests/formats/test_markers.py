@@ -152,11 +152,7 @@ def test_broken_trc_is_named_with_its_line(old: str, new: str, line: int, says: 
 
 
 def test_invalid_trc_and_arguments_are_refused(markers: MarkerSequence, tmp_path: Path) -> None:
-    for content, says in (
-        (b"", "empty"),
-        (b"\xff\xfe\x00", "text"),
-        (TRC.replace("0.02", "0.0"), "increase"),
-    ):
+    for content, says in ((b"", "empty"), (b"\xff\xfe\x00", "text"), (TRC.replace("0.02", "0.0"), "increase")):
         with pytest.raises(FileFormatError, match=says):
             read_trc(written(tmp_path, content))
     with pytest.raises(InvalidInputError, match="unit: 'inch'"):
@@ -250,11 +246,7 @@ def test_c3d_of_every_storage_of_numbers(processor: int, as_integers: bool, tmp_
 
 @pytest.mark.parametrize(
     "changes, names",
-    [
-        ({"ANGLES": ["Sum"]}, ("A",)),
-        ({"LABELS": ["A"]}, ("A", "*2")),
-        ({"LABELS": [], "LABELS2": 3}, ("*1", "*2")),
-    ],
+    [({"ANGLES": ["Sum"]}, ("A",)), ({"LABELS": ["A"]}, ("A", "*2")), ({"LABELS": [], "LABELS2": 3}, ("*1", "*2"))],
 )
 def test_c3d_unlabelled_points(changes: dict[str, object], names: tuple[str, ...], tmp_path: Path) -> None:
     assert read_c3d(written(tmp_path, c3d_bytes(84, False, changes))).names == names

@@ -123,10 +123,11 @@ def test_cut_and_resampled_keypoints_keep_their_place_in_the_video(filmed):
     between = still.resample(middle)
     np.testing.assert_allclose(between.video_times, 2 * middle + 3)
     np.testing.assert_allclose(
-        between.turning.R_still_camera, motion.R_first_still.T @ so3.exp(
-            (np.linspace(-0.17, 0.17, FRAMES)[:-1] + 0.17 / (FRAMES - 1))[:, None] * np.array([0.3, 1.0, 0.1])
-        ), atol=1e-9,
-    )  # fmt: skip
+        between.turning.R_still_camera,
+        motion.R_first_still.T
+        @ so3.exp((np.linspace(-0.17, 0.17, FRAMES)[:-1] + 0.17 / (FRAMES - 1))[:, None] * np.array([0.3, 1.0, 0.1])),
+        atol=1e-9,
+    )
 
 
 def test_a_saved_recording_keeps_video_times_and_turning(filmed, tmp_path):

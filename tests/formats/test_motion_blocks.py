@@ -70,9 +70,7 @@ def test_file_does_not_depend_on_the_blocks_it_was_written_in(
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_blocks_of_a_motion_are_parts_of_the_whole(
-    motion: MotionSequence, tmp_path: Path, version: int
-) -> None:
+def test_blocks_of_a_motion_are_parts_of_the_whole(motion: MotionSequence, tmp_path: Path, version: int) -> None:
     path = tmp_path / "m.npz"
     (npz_v1.write_motion if version == 1 else write_motion_npz)(path, motion)
     whole = read_motion_npz(path)
@@ -83,9 +81,15 @@ def test_blocks_of_a_motion_are_parts_of_the_whole(
         places = [(290, 300), (0, 1), (40, 100), (140, 141), (0, 300)]
         for start, stop in places:
             part = MotionFile(
-                whole.q[start:stop], whole.poses[start:stop], whole.dof_names, whole.joint_offsets,
-                whole.first_frame, whole.mode, whole.skeleton, whole.confidence[start:stop],
-            )  # fmt: skip
+                whole.q[start:stop],
+                whole.poses[start:stop],
+                whole.dof_names,
+                whole.joint_offsets,
+                whole.first_frame,
+                whole.mode,
+                whole.skeleton,
+                whole.confidence[start:stop],
+            )
             assert_same(reader.block(start, stop), part)
             p, provenance = reader.root(start, stop)
             np.testing.assert_array_equal(p, part.poses.p_world_joint[:, 0])
@@ -121,9 +125,7 @@ def test_rounded_covariances_stay_valid_and_are_rounded_once() -> None:
     entries = matrices[..., ROWS, COLUMNS][:, None]
     once = packed(entries)
     back = np.empty((5000, 1, 3, 3))
-    back[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)] = back[..., (0, 1, 2, 1, 2, 2), (0, 1, 2, 0, 0, 1)] = (
-        once
-    )
+    back[..., (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)] = back[..., (0, 1, 2, 1, 2, 2), (0, 1, 2, 0, 0, 1)] = once
     Confidence(np.arange(5000.0), ("a",), back, back, ((WORLD, "a"),), back)  # raises if one is not
     np.testing.assert_allclose(per_axis(back[:, 0]), per_axis(matrices), rtol=0.006)
     np.testing.assert_array_equal(packed(once.astype(float)), once)
@@ -146,9 +148,7 @@ def test_nodes_do_not_depend_on_blocks(frames: int, size: int) -> None:
 
 
 @pytest.mark.parametrize("size", BLOCKS)
-def test_poses_that_do_not_follow_from_the_angles_are_kept(
-    motion: MotionSequence, tmp_path: Path, size: int
-) -> None:
+def test_poses_that_do_not_follow_from_the_angles_are_kept(motion: MotionSequence, tmp_path: Path, size: int) -> None:
     p, R = motion.poses.p_world_joint.copy(), motion.poses.R_world_bone.copy()
     p[120:130, 6] += 0.02
     R[200, 3] = so3.exp([0.1, 0.0, 0.0]) @ R[200, 3]
@@ -193,13 +193,12 @@ def test_frames_that_do_not_continue_are_refused(motion: MotionSequence, tmp_pat
         "confidence": lambda: replace(motion[200:210], confidence=None),
     }
     message = {
-        "body": "another body", "times": "do not follow", "confidence": "another confidence",
+        "body": "another body",
+        "times": "do not follow",
+        "confidence": "another confidence",
         "nothing": "at least one frame",
-    }[what]  # fmt: skip
-    with (
-        pytest.raises(InvalidInputError, match=message),
-        MotionWriter(tmp_path / "m.npz", motion.skeleton) as writer,
-    ):
+    }[what]
+    with pytest.raises(InvalidInputError, match=message), MotionWriter(tmp_path / "m.npz", motion.skeleton) as writer:
         if what != "nothing":
             writer.append(motion[:200])
             made = other[what]()
@@ -212,15 +211,16 @@ def test_frames_that_do_not_continue_are_refused(motion: MotionSequence, tmp_pat
 
 def part_of(m: Measurements, frames: slice) -> Measurements:
     return replace(
-        m, times=m.times[frames], views=tuple(view[frames] for view in m.views),
-        R_world_sensor=m.R_world_sensor[frames], truth=m.truth and m.truth[frames],
-    )  # fmt: skip
+        m,
+        times=m.times[frames],
+        views=tuple(view[frames] for view in m.views),
+        R_world_sensor=m.R_world_sensor[frames],
+        truth=m.truth and m.truth[frames],
+    )
 
 
 @pytest.mark.parametrize("size", BLOCKS)
-def test_measurements_are_written_and_read_by_blocks(
-    motion: MotionSequence, tmp_path: Path, size: int
-) -> None:
+def test_measurements_are_written_and_read_by_blocks(motion: MotionSequence, tmp_path: Path, size: int) -> None:
     given = measured(motion, cameras=2)
     write_measurements_npz(tmp_path / "whole.npz", given)
     with MeasurementsWriter(tmp_path / "m.npz") as writer:
@@ -304,8 +304,10 @@ def test_long_motions_pass_in_the_memory_of_a_block(tmp_path: Path) -> None:
     script.write_text(textwrap.dedent(LONG))
     support = Path(__file__).parents[1] / "support"
     done = subprocess.run(
-        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True,
+        [sys.executable, str(script), str(tmp_path)],
+        capture_output=True,
+        text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(support), *sys.path])},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) < 30.0  # MiB; the frames of the long one take 150

@@ -60,9 +60,8 @@ def motion() -> MotionSequence:
     turned = np.tile([name != NEVER_TURNED for name in poses.names], (T, 1))
     turned[LEG_UNSEEN, [poses.names.index(n) for n in LEG]] = False
     poses = replace(
-        poses, p_world_joint=p, R_world_bone=R, valid=valid, provenance=provenance,
-        orientation_observed=turned,
-    )  # fmt: skip
+        poses, p_world_joint=p, R_world_bone=R, valid=valid, provenance=provenance, orientation_observed=turned
+    )
     return SkeletonModel.default().with_offsets(clip.joint_offsets).motion(poses)
 
 
@@ -187,8 +186,11 @@ def test_csv_has_numbers_under_names_with_units(folder: Path, motion: MotionSequ
         rows = list(csv.DictReader(stream))
     units = [name.partition(" ")[2] for name in rows[0]]
     assert set(units) == {"[s]", "[m]", "[1]", "[rad]", ""}
-    assert_near([float(row["LeftLeg_y [rad]"] or "nan") for row in rows],
-                motion.q[:, 7 + motion.skeleton.dof_names.index("LeftLeg_y")], 0)  # fmt: skip
+    assert_near(
+        [float(row["LeftLeg_y [rad]"] or "nan") for row in rows],
+        motion.q[:, 7 + motion.skeleton.dof_names.index("LeftLeg_y")],
+        0,
+    )
     assert [row["Hips_seen_by"] for row in rows[18:22]] == ["camera"] * 2 + ["bridged"] * 2
     assert [row["RightHand_valid"] for row in rows[4:6]] == ["1", "0"]
     unknown = {name for name, cell in rows[UNKNOWN.start].items() if cell}
@@ -203,8 +205,10 @@ def test_data_frame_has_units_names_and_nulls(folder: Path, motion: MotionSequen
     offsets = json.loads(table.schema.metadata[b"joint_offsets_m"])
     assert_near(list(offsets.values()), motion.skeleton.joint_offsets, 0)
     assert table.schema.field("LeftLeg_y").metadata == {
-        b"unit": b"rad", b"clinical": b"left knee flexion", b"opensim": b"knee_angle_l"
-    }  # fmt: skip
+        b"unit": b"rad",
+        b"clinical": b"left knee flexion",
+        b"opensim": b"knee_angle_l",
+    }
 
     def values(names: Iterable[str]) -> Array:
         return np.stack([table[name].to_numpy(zero_copy_only=False) for name in names], axis=-1)
@@ -223,8 +227,7 @@ def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: Mot
     data, played = model.createData(), []
     for number in (1, 2):  # bridged frames are played, unknown ones end the first message
         joints, base = (
-            json.loads((folder / f"ros_{kind}_trajectory_{number}.json").read_text())
-            for kind in ("joint", "base")
+            json.loads((folder / f"ros_{kind}_trajectory_{number}.json").read_text()) for kind in ("joint", "base")
         )
         for joint_point, base_point in zip(joints["points"], base["points"], strict=True):
             (transform,) = base_point["transforms"]
@@ -254,13 +257,12 @@ def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> Non
     assert index["files"]["motion_2.mot"]["time_zero_s"] == 0.0
     assert index["files"]["motion_2.bvh"]["time_zero_s"] == pytest.approx(motion.times[26])
     assert index["from_prior"] == {
-        "RightHand": pytest.approx(4 / 51), "LeftLeg": pytest.approx(10 / 51),
+        "RightHand": pytest.approx(4 / 51),
+        "LeftLeg": pytest.approx(10 / 51),
         "LeftFoot": pytest.approx(10 / 51),
-    }  # fmt: skip
+    }
     for ending in ("mot", "sto", "bvh"):
-        assert index["files"][f"motion_2.{ending}"]["from_prior"] == {
-            joint: pytest.approx(10 / 14) for joint in LEG
-        }
+        assert index["files"][f"motion_2.{ending}"]["from_prior"] == {joint: pytest.approx(10 / 14) for joint in LEG}
         assert index["files"][f"motion_3.{ending}"]["dofs_from_prior"] == dict.fromkeys(WRIST, 1.0)
     unseen = index["landmarks_from_prior"] | index["dofs_from_prior"]
     assert unseen["LeftHandEnd"] == unseen["LeftHand_x"] == 1.0
@@ -274,9 +276,14 @@ def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> Non
 def test_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, tmp_path: Path) -> None:
     write_motion_files(tmp_path, motion[:20], ("mot", "sto", "bvh", "ros"))
     assert {path.name for path in tmp_path.iterdir()} == {
-        "files.json", "skeleton.urdf", "motion.mot", "motion.sto", "motion.bvh",
-        "ros_joint_trajectory.json", "ros_base_trajectory.json",
-    }  # fmt: skip
+        "files.json",
+        "skeleton.urdf",
+        "motion.mot",
+        "motion.sto",
+        "motion.bvh",
+        "ros_joint_trajectory.json",
+        "ros_base_trajectory.json",
+    }
 
 
 def test_c3d_with_any_first_time_states_its_offset(motion: MotionSequence, tmp_path: Path) -> None:

@@ -98,9 +98,7 @@ def test_confidence_is_read_back(tmp_path: Path, confident: MotionSequence) -> N
         ({"covariance_frames": None}, "'covariance_frames' is missing"),
     ],
 )
-def test_invalid_confidence(
-    tmp_path: Path, confident: MotionSequence, changes: dict[str, Any], message: str
-) -> None:
+def test_invalid_confidence(tmp_path: Path, confident: MotionSequence, changes: dict[str, Any], message: str) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
     with pytest.raises(FileFormatError, match=message):
         read_motion_npz(changed(tmp_path / "motion.npz", **changes))
@@ -168,9 +166,20 @@ def test_skeleton_is_found_by_name(tmp_path: Path) -> None:
 
 
 ARRAYS = (
-    "schema_version", "times", "q", "valid", "provenance", "orientation_observed", "direction_observed",
-    "names", "dof_names", "joint_offsets", "first_frame", "mode", "skeleton",
-)  # fmt: skip
+    "schema_version",
+    "times",
+    "q",
+    "valid",
+    "provenance",
+    "orientation_observed",
+    "direction_observed",
+    "names",
+    "dof_names",
+    "joint_offsets",
+    "first_frame",
+    "mode",
+    "skeleton",
+)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -179,24 +188,27 @@ def test_missing_array_is_named(path: Path, name: str) -> None:
         read_motion_npz(changed(path, **{name: None}))
 
 
-@pytest.mark.parametrize("name, value, message", [
-    ("schema_version", np.array(99), "99 is newer than 2; update"),
-    ("schema_version", np.array("one"), "invalid literal"),
-    ("q", np.zeros((12, 5)), r"q: expected shape \(12, 67\), got \(12, 5\)"),
-    ("q", np.full((12, 67), "x"), "q: no table of numbers"),
-    ("q", np.ones((12, 67)), "frames 0 to 12: q: the root quaternion"),
-    ("q", np.full((12, 67), 1e30), "q: holds a number beyond"),
-    ("times", np.zeros(12), "time does not increase"),
-    ("valid", np.ones((12, 20), dtype=bool), r"valid: expected shape \(12, 21\)"),
-    ("valid", np.ones((11, 21), dtype=bool), "arrays of different lengths"),
-    ("provenance", np.full((12, 21), 9, dtype=np.uint8), "a value is not one of"),
-    ("poses_stored", np.ones(12, dtype=bool), "'p_world_joint' is missing"),
-    ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
-    ("names", np.array(["Hips"] * 21), "Hips"),
-    ("dof_names", np.array(["a"]), "q: expected shape"),
-    ("first_frame", np.arange(3), ""),
-    ("mode", np.array({"code": print}, dtype=object), "mode: has type object"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("schema_version", np.array(99), "99 is newer than 2; update"),
+        ("schema_version", np.array("one"), "invalid literal"),
+        ("q", np.zeros((12, 5)), r"q: expected shape \(12, 67\), got \(12, 5\)"),
+        ("q", np.full((12, 67), "x"), "q: no table of numbers"),
+        ("q", np.ones((12, 67)), "frames 0 to 12: q: the root quaternion"),
+        ("q", np.full((12, 67), 1e30), "q: holds a number beyond"),
+        ("times", np.zeros(12), "time does not increase"),
+        ("valid", np.ones((12, 20), dtype=bool), r"valid: expected shape \(12, 21\)"),
+        ("valid", np.ones((11, 21), dtype=bool), "arrays of different lengths"),
+        ("provenance", np.full((12, 21), 9, dtype=np.uint8), "a value is not one of"),
+        ("poses_stored", np.ones(12, dtype=bool), "'p_world_joint' is missing"),
+        ("joint_offsets", np.zeros((20, 3)), r"joint_offsets: expected shape \(21, 3\)"),
+        ("names", np.array(["Hips"] * 21), "Hips"),
+        ("dof_names", np.array(["a"]), "q: expected shape"),
+        ("first_frame", np.arange(3), ""),
+        ("mode", np.array({"code": print}, dtype=object), "mode: has type object"),
+    ],
+)
 def test_invalid_array_is_refused_with_the_file(path: Path, name: str, value: Any, message: str) -> None:
     with pytest.raises(FileFormatError, match=rf"motion\.npz: .*{message}"):
         read_motion_npz(changed(path, **{name: value}))

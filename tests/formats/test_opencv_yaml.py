@@ -99,11 +99,7 @@ def test_other_spellings_of_one_camera(old: str, new: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "left:{0}\nright:{0}",
-        "cameras:\n  left:{0}\n  right:{0}",
-        "cameras:\n  - name: left{0}\n  - name: right{0}",
-    ],
+    ["left:{0}\nright:{0}", "cameras:\n  left:{0}\n  right:{0}", "cameras:\n  - name: left{0}\n  - name: right{0}"],
 )
 def test_several_cameras_in_one_file(text: str, tmp_path: Path) -> None:
     plain = read_opencv_yaml(written(tmp_path, PLAIN))["camera"]

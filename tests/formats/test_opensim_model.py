@@ -24,9 +24,7 @@ def body(any_skeleton: SkeletonModel) -> SkeletonModel:
     return any_skeleton.with_height(1.83).with_mass(68, "female")
 
 
-def test_opensim_mass_and_inertia(
-    body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_opensim_mass_and_inertia(body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_osim(tmp_path / "skeleton.osim", body)
     found = read_by_opensim(tmp_path, tmp_path / "found.npz")
     # Without the light links between revolutes, which OpenSim does not need, it is the same mechanism.

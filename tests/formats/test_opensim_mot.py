@@ -34,8 +34,13 @@ def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None
     found = coordinates(any_skeleton.table)
     assert len({c.name for c in found}) == len(found) == any_skeleton.nv
     assert [c.name for c in found[:6]] == [
-        "pelvis_tilt", "pelvis_list", "pelvis_rotation", "pelvis_tx", "pelvis_ty", "pelvis_tz"
-    ]  # fmt: skip
+        "pelvis_tilt",
+        "pelvis_list",
+        "pelvis_rotation",
+        "pelvis_tx",
+        "pelvis_ty",
+        "pelvis_tz",
+    ]
     assert {c.joint for c in found} == set(any_skeleton.names)
     assert all(c.range[0] < 0 < c.range[1] for c in found)
 
@@ -60,8 +65,7 @@ def test_pelvis_is_in_a_ground_with_y_up_and_z_on_the_right(skeleton: SkeletonMo
     q[:3] = [1.0, 2.0, 3.0]
     found = values_of(skeleton, q)
     assert (found["pelvis_tx"], found["pelvis_ty"], found["pelvis_tz"]) == (1.0, 3.0, -2.0)
-    for axis, angle, name in (("y", 0.3, "pelvis_tilt"), ("x", 0.2, "pelvis_list"),
-                              ("z", 0.4, "pelvis_rotation")):  # fmt: skip
+    for axis, angle, name in (("y", 0.3, "pelvis_tilt"), ("x", 0.2, "pelvis_list"), ("z", 0.4, "pelvis_rotation")):
         q[3:7] = np.roll(so3.to_quat_wxyz(so3.about_axis(axis, angle)), -1)
         # Bending forward turns about y, the left; OpenSim's tilt is positive backward.
         assert values_of(skeleton, q)[name] == pytest.approx(-angle if axis == "y" else angle)

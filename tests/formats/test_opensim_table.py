@@ -10,9 +10,7 @@ import pytest
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.opensim_table import read_opensim_table
 
-GOOD = (
-    "Coordinates\nversion=1\nnRows=2\nnColumns=3\ninDegrees=yes\nendheader\ntime\tknee_angle_r\tpelvis_tx\n"
-)
+GOOD = "Coordinates\nversion=1\nnRows=2\nnColumns=3\ninDegrees=yes\nendheader\ntime\tknee_angle_r\tpelvis_tx\n"
 ROWS = "0.0\t10.0\t1.0\n0.1\t20.0\t1.1\n"
 
 
@@ -29,9 +27,7 @@ def test_tabs_blanks_and_states_are_read(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.values, [[10, 1.0], [20, 1.1]])
         assert found.rotation("knee_angle_r") == pytest.approx(np.radians([10, 20]))
         assert found.skeleton == ""
-    states = (
-        "x\ninDegrees=no\nendheader\ntime\t/jointset/k/knee_angle_r/value\t/jointset/k/knee_angle_r/speed\n"
-    )
+    states = "x\ninDegrees=no\nendheader\ntime\t/jointset/k/knee_angle_r/value\t/jointset/k/knee_angle_r/speed\n"
     read(tmp_path, states + ROWS)
     found = read_opensim_table(tmp_path / "a.mot")
     assert found.names == ("knee_angle_r",)

@@ -22,9 +22,7 @@ def test_written_file_is_read_in_si_units(title: str, tmp_path: Path) -> None:
     assert [name.removeprefix("s") for name in log.names] == list(SERIALS)
     for stream, true in zip(log.streams, TRUTHS, strict=True):
         R = true.R.as_matrix()
-        for name, value in (
-            ("R_inertial_sensor", R), ("f_sensor", true.f), ("w_sensor", true.w), ("m_sensor", true.m),
-        ):  # fmt: skip
+        for name, value in (("R_inertial_sensor", R), ("f_sensor", true.f), ("w_sensor", true.w), ("m_sensor", true.m)):
             if name in stream.holds:
                 np.testing.assert_allclose(getattr(stream, name), value, atol=1e-8)
         assert "R_inertial_sensor" in stream.holds or title == "Noraxon CSV"
@@ -103,9 +101,7 @@ def test_unknown_file_error_lists_the_formats(content: bytes, tmp_path: Path) ->
         assert all(kind.title in str(caught.value) for kind in FORMATS)
 
 
-@pytest.mark.parametrize(
-    "name, says", [("walk.csv", "no such file"), ("", "in this folder"), (None, "named")]
-)
+@pytest.mark.parametrize("name, says", [("walk.csv", "no such file"), ("", "in this folder"), (None, "named")])
 def test_missing_file_is_an_error(name: str | None, says: str, tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=says):
         read_sensor_log([] if name is None else tmp_path / name)

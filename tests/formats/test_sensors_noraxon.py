@@ -17,9 +17,8 @@ TIMES = np.arange(12) / 200
 
 
 def written(
-    folder: Path, accel: str, gyro: str, delimiter: str = ",", head: str = "", time: str = "time",
-    decimal: str = ".",
-) -> Path:  # fmt: skip
+    folder: Path, accel: str, gyro: str, delimiter: str = ",", head: str = "", time: str = "time", decimal: str = "."
+) -> Path:
     """A file of one sensor; `accel` and `gyro` name its columns, with AXIS for X or x."""
     names = [time, "Activity", "Marker", "LT Knee Flexion (deg)", "Thigh course LT (deg)"]
     names += [accel.replace("AXIS", a) for a in "XYZ"] + [gyro.replace("AXIS", a) for a in "XYZ"]
@@ -47,13 +46,12 @@ def the_sensor(path: Path, **declared: object) -> SensorStream:
 @pytest.mark.parametrize(
     ("accel", "gyro", "name"),
     [
-        ("Thigh Accel Sensor AXIS LT (mG)", "Noraxon MyoMotion-Segments-Thigh LT-Gyroscope-AXIS (deg/s)",
-         "Thigh LT"),
+        ("Thigh Accel Sensor AXIS LT (mG)", "Noraxon MyoMotion-Segments-Thigh LT-Gyroscope-AXIS (deg/s)", "Thigh LT"),
         ("RT Upper arm Accel Sensor AXIS (mG)", "RT Upper arm Gyro AXIS (deg/s)", "Upper arm RT"),
         ("Foot Accel Sensor AXIS RT,mG", "Foot Gyro AXIS RT,deg/s", "Foot RT"),
         ("Pelvis Accel Sensor AXIS (mG)", "MyoMotion-Segments-Pelvis-Gyroscope-AXIS (deg/s)", "Pelvis"),
     ],
-)  # fmt: skip
+)
 def test_every_spelling_is_read(tmp_path: Path, accel: str, gyro: str, name: str, head: str) -> None:
     stream = the_sensor(written(tmp_path, accel, gyro, head=head))
     assert stream.name == name

@@ -64,9 +64,10 @@ def test_what_is_no_map_is_refused(tmp_path: Path, text: str, problem: str) -> N
 def test_a_sensor_is_found_by_its_number_or_the_end_of_it() -> None:
     trial = ("00B42279", "00B4227D")
     for places in (
-        {"00b42279": "pelvis", "_00B4227D": "shank"}, {"279": "pelvis", "27D": "shank"},
+        {"00b42279": "pelvis", "_00B4227D": "shank"},
+        {"279": "pelvis", "27D": "shank"},
         {"00:B4:22:79": "pelvis", "00B4227D": "shank"},
-    ):  # fmt: skip
+    ):
         assert matched(places, trial) == {"00B42279": "pelvis", "00B4227D": "shank"}
     assert matched({"Left Foot": "foot"}, ["left_foot"]) == {"left_foot": "foot"}
 

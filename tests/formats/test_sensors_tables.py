@@ -34,12 +34,14 @@ def csv(tmp_path: Path, *lines: str) -> Path:
 
 
 def test_csv_columns_are_the_sensors_arrays(tmp_path: Path) -> None:
-    log = read_imu_csv(csv(
-        tmp_path,
-        "time,left thigh_fx,left thigh_fy,left thigh_fz,hip_wx,hip_wy,hip_wz,hip_mx,hip_my,hip_mz",
-        "0.5,0,0,9.81,1,2,3,,nan,0.4",
-        "0.6,0,0,9.81,1,2,3,0.1,0.2,0.3",
-    ))  # fmt: skip
+    log = read_imu_csv(
+        csv(
+            tmp_path,
+            "time,left thigh_fx,left thigh_fy,left thigh_fz,hip_wx,hip_wy,hip_wz,hip_mx,hip_my,hip_mz",
+            "0.5,0,0,9.81,1,2,3,,nan,0.4",
+            "0.6,0,0,9.81,1,2,3,0.1,0.2,0.3",
+        )
+    )
     assert (log.names, log.notes) == (("left thigh", "hip"), ())
     assert [stream.holds for stream in log.streams] == [("f_sensor",), ("w_sensor", "m_sensor")]
     np.testing.assert_array_equal(log.streams[0].times, [0.5, 0.6])

@@ -54,8 +54,7 @@ def test_without_other_messages_orientation_and_field_are_absent(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["", "{", "[]", "[1]", "{}", '[{"ping": 3}]', '[{"ping": {"name": 3, "sn": "1"}}]', "[" * 5000, "\0"],
+    "command", ["", "{", "[]", "[1]", "{}", '[{"ping": 3}]', '[{"ping": {"name": 3, "sn": "1"}}]', "[" * 5000, "\0"]
 )
 def test_folder_names_the_sensor_where_the_device_does_not(tmp_path: Path, command: str) -> None:
     _, (own, _) = trial(tmp_path)

@@ -70,10 +70,7 @@ def test_mt_free_acceleration_under_the_wrong_name_can_be_declared() -> None:
 
 @pytest.mark.parametrize(
     "early, late, seconds",
-    [
-        (np.mod(np.arange(20) + 65533, 65536), np.arange(20) + 1, 4 / 60),
-        (COUNTERS, COUNTERS + 100_000, 100_000 / 60),
-    ],
+    [(np.mod(np.arange(20) + 65533, 65536), np.arange(20) + 1, 4 / 60), (COUNTERS, COUNTERS + 100_000, 100_000 / 60)],
     ids=["16 bits that wrap", "32 bits"],
 )
 def test_mt_counters_of_a_trial(tmp_path: Path, early: np.ndarray, late: np.ndarray, seconds: float) -> None:
@@ -96,9 +93,7 @@ def test_mt_lost_late_and_repeated_packets_are_reported(tmp_path: Path) -> None:
 
 
 def test_mt_without_a_counter_lines_are_counted(tmp_path: Path) -> None:
-    (stream,) = read_xsens_mt(
-        [mt(tmp_path, mt_text(ONE, COUNTERS).replace("PacketCounter", "Counter"))]
-    ).streams
+    (stream,) = read_xsens_mt([mt(tmp_path, mt_text(ONE, COUNTERS).replace("PacketCounter", "Counter"))]).streams
     np.testing.assert_allclose(stream.times, np.arange(20) / 60)
     assert stream.notes == ("no PacketCounter: packets that were lost cannot be seen",)
 
@@ -111,9 +106,7 @@ def test_mt_rate_can_be_declared_and_must_be_common(tmp_path: Path) -> None:
     for rate in ("0", "1.2.3", "99999999"):
         with pytest.raises(FileFormatError, match=f"Update Rate: {rate}Hz"):
             read_xsens_mt([mt(tmp_path, mt_text(ONE, COUNTERS, rate=rate))])
-    both = [
-        mt(tmp_path, mt_text(ONE, COUNTERS, rate=r), n) for r, n in (("60", "00B40001"), ("100", "00B40002"))
-    ]
+    both = [mt(tmp_path, mt_text(ONE, COUNTERS, rate=r), n) for r, n in (("60", "00B40001"), ("100", "00B40002"))]
     with pytest.raises(FileFormatError, match="00B40002.txt: its rate is 100 Hz .* 60 Hz"):
         read_xsens_mt(both)
 

@@ -165,8 +165,16 @@ def test_written_cameras_are_read_in_the_files_world(paths: dict[str, Path]) -> 
 
 def one_camera(**changed: str) -> str:
     """A calibration.cal of one camera at (1, 2, 5) that looks along -z, upright."""
-    rows = {"head": "1 1", "size": "0 1079 0 1919", "focal": "1200 1210 959.5 539.5", "distortion": "0.5",
-            "x": "1 0 0", "y": "0 -1 0", "z": "0 0 -1", "t": "-1 2 5"}  # fmt: skip
+    rows = {
+        "head": "1 1",
+        "size": "0 1079 0 1919",
+        "focal": "1200 1210 959.5 539.5",
+        "distortion": "0.5",
+        "x": "1 0 0",
+        "y": "0 -1 0",
+        "z": "0 0 -1",
+        "t": "-1 2 5",
+    }
     return "".join(f"{row} \r\n" for row in (rows | changed).values())
 
 

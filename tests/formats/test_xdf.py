@@ -27,9 +27,14 @@ TIMES = 1000 + np.arange(T) / 60
 IMU = Stream(1, "pelvis", LABELS, TIMES, VALUES)
 EEG = Stream(7, "EEG", ("Fz", "Cz", "Pz"), TIMES, VALUES[:, :3], type="EEG")
 POINTS = Stream(
-    3, "pose", ("Nose_x", "Nose_y", "Nose_confidence", "LeftHand_x", "LeftHand_y"), TIMES[::2],
-    RNG.uniform(0.1, 1, (T // 2, 5)), type="MoCap", rate_hz=30,
-)  # fmt: skip
+    3,
+    "pose",
+    ("Nose_x", "Nose_y", "Nose_confidence", "LeftHand_x", "LeftHand_y"),
+    TIMES[::2],
+    RNG.uniform(0.1, 1, (T // 2, 5)),
+    type="MoCap",
+    rate_hz=30,
+)
 
 
 def file(folder: Path, *streams: Stream) -> Path:
@@ -106,15 +111,10 @@ def test_late_and_repeated_samples(tmp_path: Path) -> None:
     assert [note.split()[1:3] for note in log.notes[:2]] == [["1", "samples"]] * 2
 
 
-@pytest.mark.parametrize(
-    ("ids", "names"), [(("A1", "B2"), ("imu A1", "imu B2")), (("", ""), ("imu #4", "imu #9"))]
-)
-def test_two_streams_of_one_name_are_told_apart(
-    ids: tuple[str, str], names: tuple[str, str], tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("ids", "names"), [(("A1", "B2"), ("imu A1", "imu B2")), (("", ""), ("imu #4", "imu #9"))])
+def test_two_streams_of_one_name_are_told_apart(ids: tuple[str, str], names: tuple[str, str], tmp_path: Path) -> None:
     pair = [
-        replace(IMU, number=n, name="imu", source_id=i, values=VALUES + n)
-        for n, i in zip((4, 9), ids, strict=True)
+        replace(IMU, number=n, name="imu", source_id=i, values=VALUES + n) for n, i in zip((4, 9), ids, strict=True)
     ]
     log = read_xdf(file(tmp_path, *pair))
     assert log.names == names
@@ -160,9 +160,7 @@ def test_points_as_keypoints_of_a_camera_and_as_detections(tmp_path: Path) -> No
     with pytest.raises(FileFormatError, match="pose, other"):
         read_xdf_points(two)
     assert read_xdf_points(two, "other").stream == "other"
-    in_pixels = replace(
-        POINTS, values=100 * POINTS.values, labels=[*POINTS.labels[:2], "z", *POINTS.labels[3:]]
-    )
+    in_pixels = replace(POINTS, values=100 * POINTS.values, labels=[*POINTS.labels[:2], "z", *POINTS.labels[3:]])
     detected = read_detector_file(file(tmp_path, in_pixels))
     np.testing.assert_allclose(detected.uv_px[:, 0, 1], in_pixels.values[:, 3:])
     with pytest.raises(FileFormatError, match="pelvis"):
@@ -210,9 +208,22 @@ HUGE = b"\x08" + struct.pack("<Q", 2**40)
         b"XDF:\x05",
         content(replace(IMU, times=np.where(np.arange(T) == 9, np.nan, TIMES))),
     ],
-    ids=["magic", "channels", "format", "xml", "doctype", "two headers", "no header", "huge", "overlong",
-         "offset", "tag", "length", "stamp"],
-)  # fmt: skip
+    ids=[
+        "magic",
+        "channels",
+        "format",
+        "xml",
+        "doctype",
+        "two headers",
+        "no header",
+        "huge",
+        "overlong",
+        "offset",
+        "tag",
+        "length",
+        "stamp",
+    ],
+)
 def test_damage_is_an_error(damage: bytes, tmp_path: Path) -> None:
     path = tmp_path / "take.xdf"
     path.write_bytes(damage)

@@ -12,13 +12,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.camera_gyroscope import (
-    HELD,
-    held_of_gravity,
-    match_to_image,
-    motion_of_gyroscope,
-    with_gravity,
-)
+from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, match_to_image, motion_of_gyroscope, with_gravity
 
 RATE = 200.0
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1, 0]])  # R_camera_world: looks along y
@@ -30,9 +24,7 @@ def turning(times: Array, seed: int = 0) -> Array:
     rng = np.random.default_rng(seed)
     v = np.radians(15.0) * np.sin(2 * np.pi * times / 7)[:, None] * [0, 1.0, 0]
     for hz in rng.uniform(0.7, 3, 4):
-        v += (
-            np.radians(1.5) * rng.normal(size=3) * np.sin(2 * np.pi * hz * times + rng.uniform(0, 6))[:, None]
-        )
+        v += np.radians(1.5) * rng.normal(size=3) * np.sin(2 * np.pi * hz * times + rng.uniform(0, 6))[:, None]
     return (TILT @ LEVEL).T @ so3.exp(v)
 
 
@@ -48,9 +40,7 @@ def phone(held: str, seconds: float = 20.0) -> tuple[SensorStream, CameraMotion]
     w += 0.005 * rng.normal(size=w.shape)
     f = np.einsum("tji,j->ti", R, [0, 0, 9.81]) + 0.1 * rng.normal(size=w.shape)
     stream = SensorStream("phone", times, f_sensor=f, w_sensor=w)
-    return stream, CameraMotion(
-        times, R_world_camera[0].T @ R_world_camera, up_first=R_world_camera[0].T[:, 2]
-    )
+    return stream, CameraMotion(times, R_world_camera[0].T @ R_world_camera, up_first=R_world_camera[0].T[:, 2])
 
 
 @pytest.mark.parametrize("held", HELD)

@@ -44,9 +44,7 @@ def test_one_heading_for_all_is_found(
     assert found.margin > 10
 
 
-def test_a_heading_for_each_is_found(
-    truth: tuple[list[SegmentMotion], np.ndarray], skeleton: SkeletonModel
-) -> None:
+def test_a_heading_for_each_is_found(truth: tuple[list[SegmentMotion], np.ndarray], skeleton: SkeletonModel) -> None:
     angles = np.array([2.0, -1.0, 0.4])
     found = own_headings(MotionLikelihood(skeleton), misread(*truth, angles), truth[1])
     off = np.degrees(np.abs(wrapped(found.angles - angles)))

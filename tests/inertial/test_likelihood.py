@@ -11,13 +11,7 @@ from inertial_support import Worn, free, walking
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
-from rtof_kin.inertial.likelihood import (
-    MotionLikelihood,
-    SegmentMotion,
-    even_times,
-    seen_bones,
-    segment_motions,
-)
+from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, even_times, seen_bones, segment_motions
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis", "L_LowArm")
 
@@ -43,9 +37,7 @@ def test_the_tree_joins_near_segments(likelihood: MotionLikelihood) -> None:
     assert len(pairs) == 4
 
 
-def test_heading_of_the_world_is_irrelevant(
-    likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]
-) -> None:
+def test_heading_of_the_world_is_irrelevant(likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
     a, b = motions["LeftUpLeg"], motions["LeftLeg"]
     R = so3.about_axis("z", 1.3)
     assert likelihood.pair(a.turned(R), b.turned(R)) == pytest.approx(likelihood.pair(a, b))
@@ -63,9 +55,7 @@ def test_turned_sensors_are_less_likely(
     assert likelihood.pair(a, b) > likelihood.pair(a, wrong) + 10
 
 
-def test_a_static_posture_has_little_weight(
-    likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]
-) -> None:
+def test_a_static_posture_has_little_weight(likelihood: MotionLikelihood, motions: dict[str, SegmentMotion]) -> None:
     zero = np.zeros((600, 3))
     still = [
         SegmentMotion(m.joint, np.tile(m.R_world_bone[:1], (600, 1, 1)), zero, zero, m.p_bone_sensor)

@@ -66,9 +66,8 @@ def test_correct_declarations_pass(means: Declaration) -> None:
 
 @pytest.mark.parametrize(
     "absent",
-    [("w_sensor",), ORIENTATION, ("f_sensor",), ("f_sensor", "w_sensor"),
-     ("f_sensor", "w_sensor", *ORIENTATION)],
-)  # fmt: skip
+    [("w_sensor",), ORIENTATION, ("f_sensor",), ("f_sensor", "w_sensor"), ("f_sensor", "w_sensor", *ORIENTATION)],
+)
 def test_missing_channels_give_unknown_checks(absent: tuple[str, ...]) -> None:
     checks = checked(without(moved(), *absent))
     assert not [check for check in checks if check.failed]
@@ -88,7 +87,7 @@ def test_a_few_samples_fail_nothing(T: int) -> None:
     "name, value",
     [(name, value) for name in ("f_sensor", "w_sensor") for value in (np.nan, 0.0, 1e300)]
     + [("R_inertial_sensor", np.nan), ("R_inertial_sensor", np.eye(3))],
-)  # fmt: skip
+)
 def test_damaged_or_constant_channels_fail(name: str, value: object) -> None:
     stream = moved(seconds=6.0)
     array = np.broadcast_to(value, getattr(stream, name).shape)

@@ -136,11 +136,12 @@ def test_levers_are_given_or_usual_or_in_the_middle_of_the_segment() -> None:
         (UnknownNameError, "sensor 'Head'", {"levers": {"Head": [0, 0, 0]}}),
         (CalibrationError, "no orientation between 90 and 95 s", {"still": (90.0, 95.0)}),
         (
-            CalibrationError, "no pose prior",
+            CalibrationError,
+            "no pose prior",
             {"joints": {"Pelvis": "Hip"}, "skeleton": SkeletonModel.human36m(), "facing": None},
         ),
     ],
-)  # fmt: skip
+)
 def test_invalid_arguments_are_refused(error: type[Exception], message: str, changes: dict[str, Any]) -> None:
     worn = posed()
     given = {"joints": worn.joints, "pose": "N", "skeleton": worn.skeleton, "facing": 0.0, **changes}

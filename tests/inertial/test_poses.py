@@ -16,11 +16,15 @@ DOWN, AHEAD = [0, 0, -1], [1, 0, 0]
 @pytest.mark.parametrize(
     ("pose", "joint", "direction"),
     [
-        ("T", "LeftArm", [0, 1, 0]), ("N", "LeftArm", DOWN), ("N", "RightForeArm", DOWN),
-        ("N", "LeftLeg", DOWN), ("seated", "LeftUpLeg", AHEAD), ("seated", "RightLeg", DOWN),
+        ("T", "LeftArm", [0, 1, 0]),
+        ("N", "LeftArm", DOWN),
+        ("N", "RightForeArm", DOWN),
+        ("N", "LeftLeg", DOWN),
+        ("seated", "LeftUpLeg", AHEAD),
+        ("seated", "RightLeg", DOWN),
         ("seated", "RightArm", DOWN),
     ],
-)  # fmt: skip
+)
 def test_limbs_point_where_the_pose_says(
     pose: str, joint: str, direction: list[float], skeleton: SkeletonModel
 ) -> None:

@@ -34,9 +34,7 @@ def offsets(seed: int = 0) -> Array:
 
 
 def test_the_true_root_is_found_from_exact_keypoints(truth: MotionSequence) -> None:
-    out = refit_root(
-        moved(truth.poses, offsets()), planted.keypoints(truth.poses), sigma_depth=100.0, iterations=8
-    )
+    out = refit_root(moved(truth.poses, offsets()), planted.keypoints(truth.poses), sigma_depth=100.0, iterations=8)
     np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-4)
     np.testing.assert_array_equal(out.R_world_bone, truth.poses.R_world_bone)
 
@@ -62,9 +60,7 @@ def test_the_minimum_equals_scipys_with_cauchy_loss(truth: MotionSequence) -> No
 def test_noise_does_not_bias_the_depth() -> None:
     truth = planted.moving(SKELETON, 400).poses
     seen = planted.keypoints(truth, sigma_px=10.0)
-    shift = (refit_root(truth, seen, sigma_depth=100.0, iterations=6).p_world_joint - truth.p_world_joint)[
-        :, 0
-    ]
+    shift = (refit_root(truth, seen, sigma_depth=100.0, iterations=6).p_world_joint - truth.p_world_joint)[:, 0]
     # 80 mm per frame, so 4 mm in the mean of 400; linear equations are biased by 50 mm.
     assert abs((shift @ planted.camera().R_camera_world[2]).mean()) < 0.015
 
@@ -127,5 +123,6 @@ def test_a_second_camera_gives_the_depth(truth: MotionSequence) -> None:
     assert errors[1] < 0.15 * errors[0]
     np.testing.assert_allclose(
         refit_root(start, planted.unseen(first, slice(None)), (second,)).p_world_joint,
-        refit_root(start, second).p_world_joint, atol=1e-6,
-    )  # fmt: skip
+        refit_root(start, second).p_world_joint,
+        atol=1e-6,
+    )

@@ -16,10 +16,16 @@ H36M = SkeletonModel.human36m()
 @pytest.mark.parametrize(
     ("joint", "names"),
     [
-        ("LeftLeg", "LeftLeg, L_LowLeg, left shank, shank_l, L tibia, tibia_l_imu, Shank LT, LTibia, ltibia, "
-                    "lower_leg_left, Left Lower Leg, LEFT SHANK, LeftLowerLeg, left leg, l. calf"),
-        ("RightUpLeg", "RightUpLeg, R_UpLeg, femur_r_imu, RFemur, Right Upper Leg 64F61C2E, upperleg right, "
-                       "right thigh, Thigh RT, RightUpperLeg, rthigh"),
+        (
+            "LeftLeg",
+            "LeftLeg, L_LowLeg, left shank, shank_l, L tibia, tibia_l_imu, Shank LT, LTibia, ltibia, "
+            "lower_leg_left, Left Lower Leg, LEFT SHANK, LeftLowerLeg, left leg, l. calf",
+        ),
+        (
+            "RightUpLeg",
+            "RightUpLeg, R_UpLeg, femur_r_imu, RFemur, Right Upper Leg 64F61C2E, upperleg right, "
+            "right thigh, Thigh RT, RightUpperLeg, rthigh",
+        ),
         ("RightFoot", "R_Foot, calcn_r_imu, foot_right, Foot RT, right foot sensor"),
         ("LeftArm", "upper_arm_left, LeftUpperArm, humerus_l_imu, left upperarm, L_UpArm, Upper arm LT"),
         ("LeftForeArm", "LeftForeArm, forearm_left, ulna_l_imu, left wrist, L_LowArm, lower arm left"),
@@ -29,11 +35,9 @@ H36M = SkeletonModel.human36m()
         ("Spine", "L5, lower_back, lumbar, LowerBack, Lower spine"),
         ("Head", "Head, head_imu"),
     ],
-)  # fmt: skip
+)
 def test_one_segment_has_many_names(joint: str, names: str) -> None:
-    assert {name: segment_of(name, SKELETON) for name in names.split(", ")} == dict.fromkeys(
-        names.split(", "), joint
-    )
+    assert {name: segment_of(name, SKELETON) for name in names.split(", ")} == dict.fromkeys(names.split(", "), joint)
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,7 @@ Array = NDArray[np.float64]
 SEGMENTS = ("LeftLeg", "Hips")
 
 
-def stream(
-    still: tuple[float, float], rate: float = 100.0, gyroscope: bool = True, first: float = 0.0
-) -> SensorStream:
+def stream(still: tuple[float, float], rate: float = 100.0, gyroscope: bool = True, first: float = 0.0) -> SensorStream:
     """A sensor that rotates by 1 rad/s about its z axis except in one interval."""
     times = first + np.arange(0, 10, 1 / rate)
     speed = np.where((times >= still[0]) & (times < still[1]), 0.0, 1.0)

@@ -37,7 +37,7 @@ CAMERA = Camera(
     Camera.looking_at([4.0, 1.0, 1.5], [0.0, 0.0, 0.9], 900.0).t_camera_world,
     1000,
     1002,
-)  # fmt: skip
+)
 
 
 def windows_of(camera: Camera = CAMERA, frames: int = 27) -> tuple[Windows, Tensor]:
@@ -191,13 +191,19 @@ def test_the_root_error_is_weighted_by_its_depth() -> None:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A baseline that knows one motion from one camera placement by heart, a little."""
     corpus = replace(support.tiny_corpus(clips=2, frames=60), split=("train", "validation"))
-    augment = replace(
-        plain(), mirror=0.5, distance=(4.0, 4.0), camera_height=(1.5, 1.5), off_axis=0.0, roll=0.0
-    )
+    augment = replace(plain(), mirror=0.5, distance=(4.0, 4.0), camera_height=(1.5, 1.5), off_axis=0.0, roll=0.0)
     config = TrainConfig.for_model(
-        "videopose3d", windows=16_000, batch=64, channels=48, dropout=0.0, learning_rate=3e-3, skeletons=0,
-        validations=1, validation_windows=32, augment=augment,
-    )  # fmt: skip
+        "videopose3d",
+        windows=16_000,
+        batch=64,
+        channels=48,
+        dropout=0.0,
+        learning_rate=3e-3,
+        skeletons=0,
+        validations=1,
+        validation_windows=32,
+        augment=augment,
+    )
     return train(config, corpus, tmp_path_factory.mktemp("baseline") / "baseline.pt")
 
 
@@ -219,7 +225,11 @@ def test_its_checkpoint_describes_it(trained: Path) -> None:
     assert description.body.sensors == ()
     assert description.recipe["model"] == "videopose3d"
     assert set(description.validation) == {
-        "perfect", "realistic", "independent", "perfect, bones unknown", "realistic, floor known"
-    }  # fmt: skip
+        "perfect",
+        "realistic",
+        "independent",
+        "perfect, bones unknown",
+        "realistic, floor known",
+    }
     known = {key: errors["rr_mm"] for key, errors in description.validation.items()}
     assert known["perfect"] == known["perfect, bones unknown"]

@@ -41,12 +41,14 @@ def test_sides_are_read_from_names(name: str, side: str, rest: str) -> None:
 @pytest.mark.parametrize(
     ("table", "arms", "legs"),
     [
-        (support.TABLE, "RightArm RightForeArm RightHand LeftArm LeftForeArm LeftHand",
-         "RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot"),
-        (support.TABLE_17, "LShoulder LElbow LWrist RShoulder RElbow RWrist",
-         "RHip RKnee RFoot LHip LKnee LFoot"),
+        (
+            support.TABLE,
+            "RightArm RightForeArm RightHand LeftArm LeftForeArm LeftHand",
+            "RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot",
+        ),
+        (support.TABLE_17, "LShoulder LElbow LWrist RShoulder RElbow RWrist", "RHip RKnee RFoot LHip LKnee LFoot"),
     ],
-)  # fmt: skip
+)
 def test_limbs_are_found_in_both_skeletons(table: SkeletonTable, arms: str, legs: str) -> None:
     body = Body(table.names, table.parents, ())
     assert [body.names[j] for limb in body.arms for j in limb] == arms.split()
@@ -76,9 +78,20 @@ def test_bones_do_not_change_when_left_and_right_are_exchanged(body: Body) -> No
 
 def test_the_21_joints_have_13_sensors_and_the_17_none(body: Body, body_17: Body) -> None:
     assert set(body.sensors) == {
-        "Head", "Spine3", "Hips", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
-        "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftFoot", "RightFoot",
-    }  # fmt: skip
+        "Head",
+        "Spine3",
+        "Hips",
+        "LeftArm",
+        "RightArm",
+        "LeftForeArm",
+        "RightForeArm",
+        "LeftUpLeg",
+        "RightUpLeg",
+        "LeftLeg",
+        "RightLeg",
+        "LeftFoot",
+        "RightFoot",
+    }
     assert len(body.sensors) == 13
     assert [body.names[j] for j in body.sensor_joints] == list(body.sensors)
     assert body_17.sensors == ()

@@ -33,9 +33,7 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], None], sign: bool = F
     content = torch.load(path, weights_only=True)
     change(content)
     if sign:
-        content["sha256"] = checkpoint._digest(
-            content["description"], content["weights"], content.get("prior", {})
-        )
+        content["sha256"] = checkpoint._digest(content["description"], content["weights"], content.get("prior", {}))
     torch.save(content, path)
 
 

@@ -45,11 +45,8 @@ def test_clips_at_another_rate_are_resampled() -> None:
     assert clip.poses.rate_hz == pytest.approx(30)
     corpus = join_clips([(clip, "train"), (read_mocap(EXCERPT), "test")])
     assert corpus.rate_hz == 60
-    np.testing.assert_array_equal(
-        corpus.positions(0)[::2], join_clips([(clip, "train")], rate_hz=30).positions(0)
-    )
-    lengths = np.linalg.norm(corpus.positions(0)[:, 1:] - corpus.positions(0)[:, corpus.parents[1:]],
-                             axis=-1)  # fmt: skip
+    np.testing.assert_array_equal(corpus.positions(0)[::2], join_clips([(clip, "train")], rate_hz=30).positions(0))
+    lengths = np.linalg.norm(corpus.positions(0)[:, 1:] - corpus.positions(0)[:, corpus.parents[1:]], axis=-1)
     np.testing.assert_allclose(lengths, np.broadcast_to(lengths[:1], lengths.shape), atol=1e-5)
     np.testing.assert_allclose(corpus.positions(0), corpus.positions(1), atol=1e-5)
 
@@ -113,9 +110,10 @@ def test_in_shared_frames_the_same_motion_of_two_rigs_is_one(corpus: Corpus) -> 
     R_bone_rig[0] = so3.about_axis("y", np.radians(20.0))
     offsets = np.stack([to_shared(R_bone_rig, corpus.parents, own) for own in corpus.joint_offsets])
     other = replace(
-        corpus, R_world_bone=(corpus.R_world_bone @ R_bone_rig).astype(np.float32),
+        corpus,
+        R_world_bone=(corpus.R_world_bone @ R_bone_rig).astype(np.float32),
         joint_offsets=offsets.astype(np.float32),
-    )  # fmt: skip
+    )
     one, two = corpus.in_shared_frames(), other.in_shared_frames()
     np.testing.assert_allclose(one.R_world_bone, two.R_world_bone, atol=1e-5)
     np.testing.assert_allclose(one.joint_offsets, two.joint_offsets, atol=1e-6)

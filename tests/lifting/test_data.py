@@ -149,8 +149,7 @@ def test_windows_of_17_joints_are_drawn_at_their_rate() -> None:
     corpus = support.tiny_corpus(table=support.TABLE_17, rate_hz=50.0)
     bank = MotionBank(corpus, [0, 1], CPU, [1.1 * corpus.joint_offsets[0]])
     upper = {name for j, name in enumerate(corpus.names) if bank.upper[j]}
-    assert upper == {"Thorax", "Neck", "Head", "LShoulder", "LElbow", "LWrist", "RShoulder",
-                     "RElbow", "RWrist"}  # fmt: skip
+    assert upper == {"Thorax", "Neck", "Head", "LShoulder", "LElbow", "LWrist", "RShoulder", "RElbow", "RWrist"}
     batch = draw(bank, AugmentConfig())
     assert batch.windows.rays_world.shape == (B, 3, W, 17)
     assert batch.windows.rays_world.isfinite().all()

@@ -25,9 +25,18 @@ T = 90
 CPU = torch.device("cpu")
 MIRROR = np.diag([1.0, -1.0, 1.0])
 EXACT = SensorConfig(
-    none=0.0, limbs=0.0, limbs_and_trunk=0.0, ends=0.0, every=1.0, amplitude=(1.0, 1.0),
-    misalignment=0.0, roll=0.0, heading=0.0, lag=(0.0, 0.0), missing=0.0,
-)  # fmt: skip
+    none=0.0,
+    limbs=0.0,
+    limbs_and_trunk=0.0,
+    ends=0.0,
+    every=1.0,
+    amplitude=(1.0, 1.0),
+    misalignment=0.0,
+    roll=0.0,
+    heading=0.0,
+    lag=(0.0, 0.0),
+    missing=0.0,
+)
 """Everything is worn and nothing wrong."""
 PLAIN = replace(plain(), sensors=EXACT)
 EVERYTHING = replace(AugmentConfig(), sensors=EXACT, noise=plain().noise, warp=(1.0, 1.0), recombine=0.0)
@@ -45,9 +54,7 @@ def bank(corpus: Corpus) -> MotionBank:
     return MotionBank(corpus, [0, 1], CPU)
 
 
-def draw(
-    bank: MotionBank, config: AugmentConfig, frames: Tensor | None = None, causal: bool = False
-) -> Batch:
+def draw(bank: MotionBank, config: AugmentConfig, frames: Tensor | None = None, causal: bool = False) -> Batch:
     return bank.draw(B, W, config, torch.Generator().manual_seed(1), frames, causal)
 
 
@@ -163,10 +170,11 @@ def test_every_frames_rays_and_sensors_are_of_one_body(corpus: Corpus, how: str)
 def test_recombined_motions_have_one_heading(corpus: Corpus, bank: MotionBank) -> None:
     """The other motion is turned until its own pelvis faces as this one does."""
     turned = replace(
-        corpus, R_world_bone=np.concatenate([
-            corpus.R_world_bone[:T], so3.about_axis("z", 2.0) @ corpus.R_world_bone[T:],
-        ]).astype(np.float32),
-    )  # fmt: skip
+        corpus,
+        R_world_bone=np.concatenate(
+            [corpus.R_world_bone[:T], so3.about_axis("z", 2.0) @ corpus.R_world_bone[T:]]
+        ).astype(np.float32),
+    )
     names, apart = bank.body.names, []
     for motion in (corpus, turned):
         R = matrices(draw(MotionBank(motion, [0, 1], CPU), replace(PLAIN, recombine=1.0)).axes)

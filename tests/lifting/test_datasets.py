@@ -112,9 +112,7 @@ def archive(positions: h36m.Positions, tmp_path_factory: pytest.TempPathFactory)
 def test_test_subjects_are_not_read_and_some_actions_validate(archive: Path) -> None:
     reports: list[tuple[int, int, str]] = []
     corpus = human36m_corpus(archive, lambda *report: reports.append(report))
-    assert [note for _, _, note in reports] == [
-        "S1 WalkTogether", "S1 Walking 1", "S8 WalkTogether", "S8 Walking 1",
-    ]  # fmt: skip
+    assert [note for _, _, note in reports] == ["S1 WalkTogether", "S1 Walking 1", "S8 WalkTogether", "S8 Walking 1"]
     assert corpus.subjects == ("S1", "S1", "S8", "S8")
     assert corpus.split == ("train", "train", "train", "validation")
     assert {subject for subject, _ in HUMAN36M_VALIDATION} <= set(SUBJECTS_TRAIN)

@@ -27,8 +27,10 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     both = subprocess.Popen(
         [sys.executable, script, str(two)],
         env={**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "1"},
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     train_together.main(one)
     output, _ = both.communicate(timeout=300)
     assert both.returncode == 0, output
@@ -46,9 +48,7 @@ def curve(reports: list[Any]) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["same", "baseline", "parts"])
-def test_two_processes_have_the_loss_curve_of_one_up_to_rounding(
-    folders: tuple[Path, Path], name: str
-) -> None:
+def test_two_processes_have_the_loss_curve_of_one_up_to_rounding(folders: tuple[Path, Path], name: str) -> None:
     """Batch normalisation, gradients, their limit, and a resumed training's optimiser included."""
     one, two = (reports(folder)[name] for folder in folders)
     assert [r["step"] for r in one] == [r["step"] for r in two]

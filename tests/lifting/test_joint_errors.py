@@ -73,8 +73,9 @@ def mirrored(body: Body, view: View) -> View:
     offsets = (view.offsets * torch.tensor([1.0, -1.0, 1.0]))[:, body.mirrored]
     return View(
         (view.joints * flip[:, None])[..., body.mirrored],
-        (view.axes * flip[:, None, None])[..., body.mirrored], offsets,
-    )  # fmt: skip
+        (view.axes * flip[:, None, None])[..., body.mirrored],
+        offsets,
+    )
 
 
 @pytest.mark.parametrize("azimuth", [10.0, 90.0, 200.0, -60.0])
@@ -85,8 +86,10 @@ def test_a_persons_mirror_image_has_mirrored_errors(body: Body, azimuth: float) 
     flip = torch.tensor([-1.0, 1.0])
     torch.testing.assert_close(
         mean_error(body, TABLE, other, ones)[:, body.mirrored] * flip,
-        mean_error(body, TABLE, one, ones), atol=2e-4, rtol=0,
-    )  # fmt: skip
+        mean_error(body, TABLE, one, ones),
+        atol=2e-4,
+        rtol=0,
+    )
     pairs = []
     for view, back in ((one, False), (other, True)):
         factor, rest = TABLE.blended(body, view[:1])
@@ -101,9 +104,7 @@ def test_drawn_errors_have_the_tables_mean_and_covariance(body: Body) -> None:
     view = standing(body, 30.0)
     quiet = replace(TABLE, hidden=torch.ones(21))
     drawn = errors(body, view, quiet)
-    np.testing.assert_allclose(
-        drawn.mean(dim=(0, 2)).T, mean_error(body, TABLE, view, torch.ones(B))[0], atol=0.0025
-    )
+    np.testing.assert_allclose(drawn.mean(dim=(0, 2)).T, mean_error(body, TABLE, view, torch.ones(B))[0], atol=0.0025)
     now = drawn[:, :, W // 2].transpose(1, 2).flatten(1)  # (B, 42)
     factor, rest = quiet.blended(body, view[:1])
     C = (factor @ factor.transpose(-1, -2) + torch.diag_embed(rest**2)).sum(dim=1)[0]

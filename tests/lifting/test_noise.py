@@ -16,10 +16,21 @@ from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27
 QUIET = replace(
-    NoiseConfig(), clean=0.0, white=0.0, independent=1.0, amplitude=(1.0, 1.0), bias_px=0.0, drift_px=0.0,
-    jitter_px=0.0, outlier_share=0.0, missing_share=0.0, gap_share=0.0, poor_share=0.0,
-    sparse_share=0.0, truncated_share=0.0,
-)  # fmt: skip
+    NoiseConfig(),
+    clean=0.0,
+    white=0.0,
+    independent=1.0,
+    amplitude=(1.0, 1.0),
+    bias_px=0.0,
+    drift_px=0.0,
+    jitter_px=0.0,
+    outlier_share=0.0,
+    missing_share=0.0,
+    gap_share=0.0,
+    poor_share=0.0,
+    sparse_share=0.0,
+    truncated_share=0.0,
+)
 """Independent errors, all switched off."""
 
 
@@ -65,9 +76,7 @@ def test_the_bias_is_constant_in_a_window_and_scaled_by_joint(body: Body) -> Non
 @pytest.mark.parametrize(
     ("joint", "memory", "rate_hz"), [("Head", 0.5, 60.0), ("LeftHand", 0.3, 60.0), ("Head", 0.5, 50.0)]
 )
-def test_drift_is_an_ornstein_uhlenbeck_process(
-    body: Body, joint: str, memory: float, rate_hz: float
-) -> None:
+def test_drift_is_an_ornstein_uhlenbeck_process(body: Body, joint: str, memory: float, rate_hz: float) -> None:
     error, _ = noise_of(body, replace(QUIET, drift_px=5.0), rows=4000, rate_hz=rate_hz)
     path = error[..., body.names.index(joint)].reshape(-1, W)
     factor = 1.3 if joint.endswith("Hand") else 1.0

@@ -91,9 +91,7 @@ def test_onnx_gives_the_poses_that_predict_gives(lifter: Lifter, file: Path) -> 
     height = np.full(T, camera.center_world[2], np.float32)
     R_bone_shared = np.tile(lifter.shared_frames(offsets), (T, 1, 1, 1)).astype(np.float32)
     values = [source.rays[rows], source.seen[rows], bones, height, R, source.sensed[rows], R_bone_shared]
-    pose, root, sigma, R_bone, sigma_rad = session(file).run(
-        list(OUTPUTS), dict(zip(INPUTS, values, strict=True))
-    )
+    pose, root, sigma, R_bone, sigma_rad = session(file).run(list(OUTPUTS), dict(zip(INPUTS, values, strict=True)))
     whole = lifter.predict(keypoints, offsets, bone_imus=imus, floor_height=0.0)
     p = camera.center_world + root[:, None] + pose
     np.testing.assert_allclose(p, whole.p_world_joint, atol=1e-4)

@@ -141,9 +141,8 @@ def test_prediction_turns_with_the_world(lifter: Lifter, lifted: LiftedPoses) ->
     R_camera = CAMERA.R_camera_world @ R.T
     elsewhere = replace(CAMERA, R_camera_world=R_camera, t_camera_world=CAMERA.t_camera_world - R_camera @ t)
     turned = lifter.predict(
-        replace(KEYPOINTS, camera=elsewhere), OFFSETS,
-        bone_imus=replace(IMUS, R_world_bone=R @ IMUS.R_world_bone),
-    )  # fmt: skip
+        replace(KEYPOINTS, camera=elsewhere), OFFSETS, bone_imus=replace(IMUS, R_world_bone=R @ IMUS.R_world_bone)
+    )
     expected = lifted.p_world_joint @ R.T + t, lifted.sigma_m, R @ lifted.R_world_bone, lifted.sigma_rad
     for a, b in zip(arrays(turned), expected, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-4)
@@ -328,10 +327,7 @@ def test_any_subset_of_sensors_is_accepted_and_unknown_ones_ignored(joints: set[
 
 def test_silent_sensors_are_as_absent(lifter: Lifter) -> None:
     there = [name for s, name in enumerate(EVERY) if s not in (2, 5)]
-    some, none = (
-        lifter.predict(KEYPOINTS, OFFSETS, bone_imus=IMUS.select(there)),
-        lifter.predict(KEYPOINTS, OFFSETS),
-    )
+    some, none = (lifter.predict(KEYPOINTS, OFFSETS, bone_imus=IMUS.select(there)), lifter.predict(KEYPOINTS, OFFSETS))
     for imus, expected in (
         (spoilt(IMUS, (slice(None), [2, 5])), some),
         (spoilt(IMUS, slice(None)), none),
@@ -446,8 +442,7 @@ def recording_of_17(frames: int = 60) -> Recording:
     poses = planted.moving(skeleton, frames).poses
     poses = replace(poses, times=np.arange(frames) / 50)
     perfect = replace(SimulationSettings.perfect(), sensors=())
-    return simulate(poses, skeleton.joint_offsets, camera=CAMERA, settings=perfect,
-                    seed=0, skeleton=skeleton)  # fmt: skip
+    return simulate(poses, skeleton.joint_offsets, camera=CAMERA, settings=perfect, seed=0, skeleton=skeleton)
 
 
 def test_a_lifter_of_17_joints_ignores_sensors_and_gives_no_orientations() -> None:

@@ -21,9 +21,17 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 
 QUICK = TrainConfig(
-    windows=32, batch=16, channels=8, skeletons=0, report_every=1, validations=1, threads=1,
-    validation_windows=8, bfloat16=False, augment=plain(),
-)  # fmt: skip
+    windows=32,
+    batch=16,
+    channels=8,
+    skeletons=0,
+    report_every=1,
+    validations=1,
+    threads=1,
+    validation_windows=8,
+    bfloat16=False,
+    augment=plain(),
+)
 BODY = SkeletonModel.default()
 CORPUS = support.tiny_corpus(frames=60)
 

@@ -18,9 +18,8 @@ from rtof_kin.core import rotations as so3
 
 B, W = 200, 27
 STILL = RigConfig(
-    share=1.0, spread=0.0, spine=(0, 0, 0), pelvis=(0, 0, 0), clavicle=(0, 0, 0), mobility=(1.0, 1.0),
-    places=0.0,
-)  # fmt: skip
+    share=1.0, spread=0.0, spine=(0, 0, 0), pelvis=(0, 0, 0), clavicle=(0, 0, 0), mobility=(1.0, 1.0), places=0.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +31,7 @@ def varied(bank: MotionBank, rigs: RigConfig, estimated: int = W // 2) -> tuple[
     """The same bodies as recorded and in another rig."""
     frames = torch.linspace(20, 150, B).long()
     offset = (torch.arange(W) - estimated + torch.zeros(B, 1)).float()
-    one, other = (
-        bank._at(frames, offset, torch.zeros(B, 1), torch.zeros(B, dtype=torch.long))[0] for _ in range(2)
-    )
+    one, other = (bank._at(frames, offset, torch.zeros(B, 1), torch.zeros(B, dtype=torch.long))[0] for _ in range(2))
     bank._vary(other, frames, offset, rigs, draws(B))
     return one, other
 
@@ -85,9 +82,7 @@ def test_a_bend_is_spread_and_a_clavicle_slowed(bank: MotionBank) -> None:
 
 def test_turns_are_constant_over_a_still_window_and_have_their_sizes(bank: MotionBank) -> None:
     axes = torch.eye(3)[:, [0, 2]].reshape(1, 3, 1, 2, 1).expand(20_000, 3, 3, 2, 8)
-    out = log(
-        turns(axes, replace(STILL, pelvis=(0.02, 0.08, 0.03), clavicle=(0.12, 0.0, 0.1)), draws(20_000))
-    )
+    out = log(turns(axes, replace(STILL, pelvis=(0.02, 0.08, 0.03), clavicle=(0.12, 0.0, 0.1)), draws(20_000)))
     assert (out - out[:, :1]).abs().max() < 1e-6
     np.testing.assert_allclose(out[:, 0, 0].std(dim=0), [0.02, 0.08, 0.03], rtol=0.05)
     torch.testing.assert_close(out[:, 0, 5] * torch.tensor([-1.0, 1, -1]), out[:, 0, 6], atol=1e-5, rtol=0)

@@ -24,9 +24,17 @@ from rtof_kin.cli import training
 from rtof_kin.core.errors import FileFormatError
 
 QUICK = TrainConfig(
-    windows=64, batch=16, channels=8, skeletons=0, report_every=1, validations=2, threads=1,
-    validation_windows=8, bfloat16=False, augment=plain(),
-)  # fmt: skip
+    windows=64,
+    batch=16,
+    channels=8,
+    skeletons=0,
+    report_every=1,
+    validations=2,
+    threads=1,
+    validation_windows=8,
+    bfloat16=False,
+    augment=plain(),
+)
 PNG = b"\x89PNG\r\n"
 
 
@@ -123,11 +131,12 @@ def test_the_figure_shows_loss_and_both_errors_of_every_kind_of_2d() -> None:
     kinds = {"perfect": 30.0, "realistic": 50.0}
     history = [
         {
-            "windows": 1000 * k, "loss_mm": 200 / k,
+            "windows": 1000 * k,
+            "loss_mm": 200 / k,
             "validation": {n: {"rr_mm": e / k, "abs_mm": 2 * e / k} for n, e in kinds.items()},
         }
         for k in (1, 2, 4)
-    ]  # fmt: skip
+    ]
     figure = curves.draw(history, "lifter.pt")
     assert figure.get_suptitle() == "lifter.pt"
     loss, rr, absolute = figure.axes
@@ -146,9 +155,11 @@ def test_deterministic_trainings_are_bit_identical_and_restore_torch(corpus: Cor
     states, during = [], []
     for name in ("a", "b"):
         path = train(
-            config, corpus, tmp_path / f"{name}.pt",
+            config,
+            corpus,
+            tmp_path / f"{name}.pt",
             lambda report: during.append(torch.are_deterministic_algorithms_enabled()),
-        )  # fmt: skip
+        )
         states.append(load_checkpoint(path)[0].state_dict())
     assert all(during)
     assert len(during) == 8

@@ -89,9 +89,7 @@ def test_limbs_err_as_measured_on_real_recordings(truth: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("amplitude", [0.2, 2.0])
-def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(
-    truth: np.ndarray, amplitude: float
-) -> None:
+def test_heading_is_about_the_vertical_of_the_world_whatever_the_amplitude(truth: np.ndarray, amplitude: float) -> None:
     config = replace(NO_ERROR, heading=0.05, amplitude=(amplitude, amplitude))
     error = so3.log(measured_by_sensors(config, truth, BONES) @ np.swapaxes(truth, -1, -2))
     assert np.abs(error[..., :2]).max() < 1e-5
@@ -119,9 +117,7 @@ def sets(body: Body, config: SensorConfig, batch: int = 20_000) -> list[frozense
     return [frozenset(names[row]) for row in mask.numpy()]
 
 
-ONLY: dict[str, set[str]] = {
-    "none": set(), "limbs": LIMBS, "limbs_and_trunk": LIMBS | {"Hips", "Spine3"}, "ends": ENDS,
-}  # fmt: skip
+ONLY: dict[str, set[str]] = {"none": set(), "limbs": LIMBS, "limbs_and_trunk": LIMBS | {"Hips", "Spine3"}, "ends": ENDS}
 
 
 @pytest.mark.parametrize("name", [*ONLY, "every"])

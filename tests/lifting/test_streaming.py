@@ -101,9 +101,7 @@ def test_the_newest_frames_move_on_as_they_did(
     assert 1e-4 < gap < 0.2
 
 
-def test_the_guess_of_later_frames_is_damped_and_of_unit_length(
-    lifter: Lifter, keypoints: KeypointSequence
-) -> None:
+def test_the_guess_of_later_frames_is_damped_and_of_unit_length(lifter: Lifter, keypoints: KeypointSequence) -> None:
     source = Source.of(lifter.description.body, keypoints[:30], None)
     longer = source.extended(13, 60.0)
     np.testing.assert_allclose(np.diff(longer.times), 1 / 60)
@@ -142,9 +140,7 @@ def test_poses_at_any_recent_times(
     streaming = StreamingLifter(lifter, camera, OFFSETS, history_s=0.6)
     streamed(streaming, keypoints, imus)
     newest = keypoints.times[-1]
-    assert_same(
-        streaming.lift(keypoints.times[-36:-13]), lifter.predict(keypoints, OFFSETS, bone_imus=imus), 23
-    )
+    assert_same(streaming.lift(keypoints.times[-36:-13]), lifter.predict(keypoints, OFFSETS, bone_imus=imus), 23)
     between = streaming.lift([newest - 0.305, newest - 0.3])
     assert [pose.time for pose in between if pose] == [newest - 0.305, newest - 0.3]
     assert streaming.lift([]) == ()
@@ -154,9 +150,7 @@ def test_poses_at_any_recent_times(
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 50.0, 144.0, 240.0])
-def test_any_frame_rate_and_jitter_give_the_same_as_predict(
-    lifter: Lifter, camera: Camera, rate_hz: float
-) -> None:
+def test_any_frame_rate_and_jitter_give_the_same_as_predict(lifter: Lifter, camera: Camera, rate_hz: float) -> None:
     jitter = np.random.default_rng(0).uniform(-0.2, 0.2, T)
     keypoints = support.seen_by(camera, support.positions(0, T))
     keypoints = replace(keypoints, times=(np.arange(T) + jitter) / rate_hz)
@@ -185,9 +179,7 @@ def test_unseen_landmarks_lost_sensors_and_pauses_are_as_in_predict(
     assert_same(complete, lifter.predict(holes, OFFSETS, bone_imus=lost))
 
 
-def test_where_too_little_is_seen_there_is_no_pose(
-    lifter: Lifter, camera: Camera, keypoints: KeypointSequence
-) -> None:
+def test_where_too_little_is_seen_there_is_no_pose(lifter: Lifter, camera: Camera, keypoints: KeypointSequence) -> None:
     confidence = np.ones((T, 21))
     confidence[:3] = confidence[20:60] = 0.0
     poses = streamed(StreamingLifter(lifter, camera), replace(keypoints, confidence=confidence))
@@ -199,9 +191,8 @@ def test_memory_is_bounded(lifter: Lifter, camera: Camera, keypoints: KeypointSe
     frames = 600
     turns = np.resize(np.arange(T), frames)
     long = KeypointSequence(
-        camera, np.arange(frames) / 60, keypoints.uv_px[turns], keypoints.confidence[turns],
-        keypoints.names,
-    )  # fmt: skip
+        camera, np.arange(frames) / 60, keypoints.uv_px[turns], keypoints.confidence[turns], keypoints.names
+    )
     assert_same([pose for (pose,) in streamed(streaming, long)], lifter.predict(long), frames - 13)
     assert len(streaming.times) < 80
     fast = StreamingLifter(lifter, camera, history_s=0.1)
@@ -226,18 +217,20 @@ def test_memory_is_bounded(lifter: Lifter, camera: Camera, keypoints: KeypointSe
     ],
 )
 def test_wrong_frames_are_refused_and_not_taken(
-    lifter: Lifter, camera: Camera, keypoints: KeypointSequence,
-    push: dict[str, object], error: type[RtofError], message: str,
-) -> None:  # fmt: skip
+    lifter: Lifter,
+    camera: Camera,
+    keypoints: KeypointSequence,
+    push: dict[str, object],
+    error: type[RtofError],
+    message: str,
+) -> None:
     frame = {"uv_px": keypoints.uv_px[0], "confidence": keypoints.confidence[0]}
     streaming, untouched = StreamingLifter(lifter, camera), StreamingLifter(lifter, camera)
     for each in (streaming, untouched):
         each.push(1.0, **frame)
     with pytest.raises(error, match=message):
         streaming.push(**({"time": 1.1} | frame | push))
-    (one,), (other,) = (
-        each.push(1.2, keypoints.uv_px[5], frame["confidence"]) for each in (streaming, untouched)
-    )
+    (one,), (other,) = (each.push(1.2, keypoints.uv_px[5], frame["confidence"]) for each in (streaming, untouched))
     assert one is not None
     assert other is not None
     np.testing.assert_array_equal(one.p_world_joint, other.p_world_joint)

@@ -25,10 +25,16 @@ from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 
 QUICK = TrainConfig(
-    windows=640, batch=32, channels=16, skeletons=1, report_every=1, validations=2,
-    validation_windows=64, bfloat16=False,
+    windows=640,
+    batch=32,
+    channels=16,
+    skeletons=1,
+    report_every=1,
+    validations=2,
+    validation_windows=64,
+    bfloat16=False,
     augment=replace(plain(), mirror=0.5, sensors=SensorConfig()),
-)  # fmt: skip
+)
 
 
 class Interruption(Exception):
@@ -59,9 +65,16 @@ def test_training_overfits_a_small_motion(tmp_path: Path) -> None:
         joint_offsets=np.tile(corpus.joint_offsets[:1], (2, 1, 1)),
     )
     config = replace(
-        QUICK, windows=38_400, batch=128, channels=64, learning_rate=1e-2, ema=0.9, skeletons=0,
-        report_every=50, augment=replace(plain(), mirror=0.5),
-    )  # fmt: skip
+        QUICK,
+        windows=38_400,
+        batch=128,
+        channels=64,
+        learning_rate=1e-2,
+        ema=0.9,
+        skeletons=0,
+        report_every=50,
+        augment=replace(plain(), mirror=0.5),
+    )
     errors: list[dict[str, Any]] = []
 
     def progress(report: dict[str, Any]) -> None:
@@ -116,9 +129,7 @@ def test_a_lifter_of_17_joints_at_50_hz_is_described(tmp_path: Path) -> None:
 def test_the_shipped_skeleton_has_the_joints_of_the_corpus_in_shared_frames() -> None:
     for table in (support.TABLE, support.TABLE_17):
         (body,) = shipped_skeleton(support.tiny_corpus(table=table))
-        np.testing.assert_allclose(
-            np.linalg.norm(body, axis=1), np.linalg.norm(table.offsets, axis=1), atol=1e-6
-        )
+        np.testing.assert_allclose(np.linalg.norm(body, axis=1), np.linalg.norm(table.offsets, axis=1), atol=1e-6)
         R_bone_shared = shared_frames(table.names, body)
         np.testing.assert_allclose(R_bone_shared, np.broadcast_to(np.eye(3), R_bone_shared.shape), atol=1e-6)
     renamed = replace(support.tiny_corpus(), names=tuple(f"{n}_" for n in support.TABLE.names))
@@ -191,9 +202,7 @@ def test_the_lifter_contains_its_recipe_and_errors(corpus: Corpus, tmp_path: Pat
     assert description.recipe["frames_of_motion"] == 80
     assert description.recipe["augment"]["sensors"]["lag"] == [-1.0, 4.0]
     assert set(description.validation) >= {"perfect", "realistic", "realistic, 10 sensors"}
-    assert set(description.validation["realistic, 8 sensors"]) == {
-        "rr_mm", "abs_mm", "pelvis_deg", "upper_trunk_deg"
-    }  # fmt: skip
+    assert set(description.validation["realistic, 8 sensors"]) == {"rr_mm", "abs_mm", "pelvis_deg", "upper_trunk_deg"}
     assert description.validation["perfect"]["abs_mm"] > 0
 
 

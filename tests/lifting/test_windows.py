@@ -10,16 +10,7 @@ from lifting_support import assert_same_input, windows_of
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.windows import (
-    EncodedWindows,
-    Estimate,
-    decode,
-    encode,
-    mirror_features,
-    mirror_output,
-    rotations,
-    sizes,
-)
+from lifting.windows import EncodedWindows, Estimate, decode, encode, mirror_features, mirror_output, rotations, sizes
 from rtof_kin.core import rotations as so3
 
 W = 27
@@ -84,9 +75,7 @@ def fields(estimate: Estimate) -> list[Tensor]:
     """All there is in it."""
     assert estimate.axes is not None
     assert estimate.log_turn is not None
-    return [
-        estimate.pose, estimate.root, estimate.log_spread, estimate.axes, estimate.log_turn
-    ]  # fmt: skip
+    return [estimate.pose, estimate.root, estimate.log_spread, estimate.axes, estimate.log_turn]
 
 
 # --- there and back ------------------------------------------------------------------------------
@@ -103,9 +92,7 @@ def test_decoding_the_exact_output_gives_the_scene(body: Body, scene: Tensor, ax
         torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
 
 
-def test_decoded_axes_are_orthonormal_and_z_keeps_its_direction(
-    body: Body, scene: Tensor, axes: Tensor
-) -> None:
+def test_decoded_axes_are_orthonormal_and_z_keeps_its_direction(body: Body, scene: Tensor, axes: Tensor) -> None:
     encoded = encode(body, windows_of(body, scene))
     output = true_output(body, scene, axes, encoded)
     askew = output.clone()
@@ -138,10 +125,16 @@ def test_the_mirrored_scene_has_mirrored_features_and_output(body: Body, scene: 
     seen = torch.rand(everything(scene).shape, generator=generator) > 0.2
     sensed = torch.rand((3, W, 13), generator=generator) > 0.3
     here = encode(body, windows_of(body, scene, axes, seen=seen, sensed=sensed))
-    there = encode(body, windows_of(
-        body, mirrored(body, scene), mirrored(body, axes), seen=seen[..., body.mirrored],
-        sensed=sensed[..., body.mirrored_sensors],
-    ))  # fmt: skip
+    there = encode(
+        body,
+        windows_of(
+            body,
+            mirrored(body, scene),
+            mirrored(body, axes),
+            seen=seen[..., body.mirrored],
+            sensed=sensed[..., body.mirrored_sensors],
+        ),
+    )
     torch.testing.assert_close(mirror_features(body, here.features), there.features)
     torch.testing.assert_close(here.constants, there.constants)
     output = true_output(body, scene, axes, here)
@@ -149,9 +142,12 @@ def test_the_mirrored_scene_has_mirrored_features_and_output(body: Body, scene: 
     now = mirrored(body, scene[:, :, W // 2])
     log_spread, log_turn = spreads(body, 3)
     expected = [
-        now - now[:, :, :1], now[:, :, 0], log_spread[..., body.mirrored],
-        mirrored(body, axes[:, :, W // 2]), log_turn[:, body.mirrored],
-    ]  # fmt: skip
+        now - now[:, :, :1],
+        now[:, :, 0],
+        log_spread[..., body.mirrored],
+        mirrored(body, axes[:, :, W // 2]),
+        log_turn[:, body.mirrored],
+    ]
     for is_, should in zip(fields(flipped), expected, strict=True):
         torch.testing.assert_close(is_, should, atol=1e-9, rtol=0)
 

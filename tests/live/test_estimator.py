@@ -107,9 +107,7 @@ def test_provenance_is_that_of_camera_and_sensors() -> None:
 
 def test_jitter_and_loss_cost_little() -> None:
     rng = np.random.default_rng(0)
-    jittered = [
-        (t + rng.uniform(0, 0.05), sample) for t, sample in arrivals() if t < 0.2 or rng.random() > 0.1
-    ]
+    jittered = [(t + rng.uniform(0, 0.05), sample) for t, sample in arrivals() if t < 0.2 or rng.random() > 0.1]
     assert errors_mm(played(estimator(), jittered)).mean() < 1.1 * errors_mm(usual()).mean()
 
 
@@ -165,8 +163,9 @@ def test_sensors_alone_begin_on_the_floor() -> None:
 
 
 def test_the_camera_alone_is_enough() -> None:
-    found = played(estimator(setup=replace(demo(), imus=None, calibration=None)),
-                   [(s.time, s) for s in frame_samples(2.0)])  # fmt: skip
+    found = played(
+        estimator(setup=replace(demo(), imus=None, calibration=None)), [(s.time, s) for s in frame_samples(2.0)]
+    )
     assert errors_mm(found)[20:].mean() < 120
 
 
@@ -223,9 +222,12 @@ def test_a_wrong_heading_is_found_while_the_person_moves() -> None:
     R[s] = so3.about_axis("z", wrong) @ R[s]
     setup = replace(setup, calibration=replace(calibration, R_world_inertial=R))
     priors = CalibrationPriors(
-        sigma_delay=None, sigma_heading=np.radians(8.0), sigma_swing=None, sigma_image_bias=None,
+        sigma_delay=None,
+        sigma_heading=np.radians(8.0),
+        sigma_swing=None,
+        sigma_image_bias=None,
         sigma_ankle_height=None,
-    )  # fmt: skip
+    )
     own = estimator(replace(LAGGED, refined=priors), setup)
     played(own, arrivals(4.0))
     found = own.calibration
@@ -235,8 +237,7 @@ def test_a_wrong_heading_is_found_while_the_person_moves() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "name"),
-    [({"lag_s": 1.5}, "lag_s"), ({"rate_hz": 0.0}, "rate_hz"), ({"iterations": 0}, "iterations")],
+    ("settings", "name"), [({"lag_s": 1.5}, "lag_s"), ({"rate_hz": 0.0}, "rate_hz"), ({"iterations": 0}, "iterations")]
 )
 def test_settings_that_cannot_be_are_refused(settings: dict[str, float], name: str) -> None:
     with pytest.raises(InvalidInputError, match=name):
@@ -245,9 +246,7 @@ def test_settings_that_cannot_be_are_refused(settings: dict[str, float], name: s
 
 def test_a_clock_that_leaps_costs_no_time_and_no_sense() -> None:
     own, shift = estimator(), 5000.0
-    leaping = [
-        (t + shift * (t > 1.0), replace(s, time=s.time + shift * (s.time > 1.0))) for t, s in arrivals(2.0)
-    ]
+    leaping = [(t + shift * (t > 1.0), replace(s, time=s.time + shift * (s.time > 1.0))) for t, s in arrivals(2.0)]
     found = played(own, leaping)
     times = np.array([estimate.poses.times[0] for estimate in found])
     assert len(found) < 200

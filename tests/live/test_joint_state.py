@@ -28,8 +28,13 @@ def test_angles_root_and_joints_are_those_of_the_motion() -> None:
     states = JointStates(BODY)
     message = json.loads(json.dumps(states.message(estimate(7)), allow_nan=False))
     assert message["name"] == list(BODY.dof_names)
-    q = np.array([*message["root"]["transform"]["translation"].values(),
-                  *message["root"]["transform"]["rotation"].values(), *message["position"]])  # fmt: skip
+    q = np.array(
+        [
+            *message["root"]["transform"]["translation"].values(),
+            *message["root"]["transform"]["rotation"].values(),
+            *message["position"],
+        ]
+    )
     p, R = BODY.forward_kinematics(q[None])
     np.testing.assert_allclose(R[0], MOTION.poses.R_world_bone[7], atol=1e-9)
     np.testing.assert_allclose(p[0], message["joints"]["position"], atol=1e-5)

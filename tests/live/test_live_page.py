@@ -79,9 +79,7 @@ def feed(browser: BrowserPage) -> Iterator[Feed]:
     browser.requests.clear()
 
 
-def test_page_shows_figures_states_messages_and_curves(
-    browser: BrowserPage, feed: Feed, tmp_path: Path
-) -> None:
+def test_page_shows_figures_states_messages_and_curves(browser: BrowserPage, feed: Feed, tmp_path: Path) -> None:
     browser.until("document.querySelectorAll('path.curve').length >= 6")
     text = str(browser.value("document.body.innerText"))
     for part in ("123 ms", "4.5 ms", LOST["name"], LOST["sentence"], "60 Hz", "frozen", "S1: <i>lost</i>"):

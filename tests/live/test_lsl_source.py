@@ -121,9 +121,7 @@ def test_two_streams_of_one_name_are_told_apart_in_the_error() -> None:
 
 
 @pytest.mark.usefixtures("_no_twin")
-@pytest.mark.parametrize(
-    ("labels", "channels", "named"), [(LABELS[:13], 14, "13"), (ONE[4:], 3, "quaternion")]
-)
+@pytest.mark.parametrize(("labels", "channels", "named"), [(LABELS[:13], 14, "13"), (ONE[4:], 3, "quaternion")])
 def test_unusable_channels_name_the_stream(labels: list[str], channels: int, named: str) -> None:
     name = unique("odd")
     sender = Sender(name, labels, channels=channels)

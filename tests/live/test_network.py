@@ -96,14 +96,10 @@ def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> 
     clock, setup = UnhurriedClock(), demo()
     heard = Heard(clock)
     estimator = OnlineEstimator(setup, setup.video.names, OnlineSettings(rate_hz=RATE_HZ, lag_s=0.1))
-    session = LiveSession(
-        setup, sources, estimator, sinks=[heard], recorder=Recorder(folder, setup), patience_s=20.0
-    )
+    session = LiveSession(setup, sources, estimator, sinks=[heard], recorder=Recorder(folder, setup), patience_s=20.0)
     with sent(send, clock) as began:
         deadline = time.monotonic() + 120.0
-        summary = session.run(
-            lambda: time.monotonic() > deadline or clock.time - began() > SECONDS, clock=clock
-        )
+        summary = session.run(lambda: time.monotonic() > deadline or clock.time - began() > SECONDS, clock=clock)
     assert summary.frames > 0.7 * RATE_HZ * SECONDS
 
     def first(word: str, about: str, after: float) -> float:
@@ -139,9 +135,7 @@ def test_a_session_over_lsl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     imus, video = demo().imus, demo().video
     assert imus is not None
     channels = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")
-    senders = {
-        name: Sender(unique(name), [f"{name}_{channel}" for channel in channels]) for name in imus.names
-    }
+    senders = {name: Sender(unique(name), [f"{name}_{channel}" for channel in channels]) for name in imus.names}
     points = [f"{name}_{what}" for name in video.names for what in ("x", "y", "confidence")]
     camera = Sender(unique("points"), points)
     began = time.monotonic()

@@ -100,9 +100,7 @@ def test_files_are_videos_for_the_camera_and_sensors_for_imus(tmp_path: Path) ->
         ([str(Path(__file__).parent)], [], "recording.toml"),
     ],
 )
-def test_other_words_are_refused_with_those_that_there_are(
-    cameras: list[str], sensors: list[str], names: str
-) -> None:
+def test_other_words_are_refused_with_those_that_there_are(cameras: list[str], sensors: list[str], names: str) -> None:
     with pytest.raises(SourceError, match=f"(?s){names}"):
         opened(cameras, sensors)
 
@@ -115,9 +113,14 @@ def test_a_setup_must_have_the_camera_that_is_used(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"1920 x 1080.*320 x 240"):
         opened([DEMO], [], setup=other)
     h36m = replace(
-        demo(), skeleton_table="human36m", joint_offsets=np.empty((0, 3)), imus=None, calibration=None,
-        keypoints=demo().video.select(["Hip", "Neck"]), truth=None,
-    )  # fmt: skip
+        demo(),
+        skeleton_table="human36m",
+        joint_offsets=np.empty((0, 3)),
+        imus=None,
+        calibration=None,
+        keypoints=demo().video.select(["Hip", "Neck"]),
+        truth=None,
+    )
     with pytest.raises(RtofError, match="human36m"):
         opened(["0"], [], setup=h36m)
 

@@ -13,17 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from full_disk import full_disk
-from live_support import (
-    FakeEstimator,
-    FakeSource,
-    count,
-    demo,
-    drive,
-    frame_samples,
-    imu_samples,
-    name_of,
-    shaken,
-)
+from live_support import FakeEstimator, FakeSource, count, demo, drive, frame_samples, imu_samples, name_of, shaken
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.arrays import read_npz_as_saved
@@ -108,8 +98,7 @@ def test_video_delay_is_taken_off(tmp_path: Path) -> None:
 def test_frozen_samples_are_no_part_of_the_recording(tmp_path: Path) -> None:
     stuck = next(s for s in imu_samples(3.0) if name_of(s) == "R_UpLeg" and s.time > 1.0)
     samples = [
-        replace(stuck, time=s.time) if name_of(s) == "R_UpLeg" and 1.0 < s.time < 2.0 else s
-        for s in imu_samples(3.0)
+        replace(stuck, time=s.time) if name_of(s) == "R_UpLeg" and 1.0 < s.time < 2.0 else s for s in imu_samples(3.0)
     ]
     notes = recorded(tmp_path / "walk", samples).finish()
     found = Recording.load(tmp_path / "walk").imus

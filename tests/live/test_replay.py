@@ -27,8 +27,9 @@ def recording() -> Recording:
     imus = demo.imus
     assert imus is not None
     first = imus.times < 5
-    cut = replace(imus, times=imus.times[first], f_sensor=imus.f_sensor[first],
-                  R_inertial_sensor=imus.R_inertial_sensor[first])  # fmt: skip
+    cut = replace(
+        imus, times=imus.times[first], f_sensor=imus.f_sensor[first], R_inertial_sensor=imus.R_inertial_sensor[first]
+    )
     return replace(demo, keypoints=demo.video[:290], imus=cut, truth=None)
 
 

@@ -96,9 +96,7 @@ def test_jitter_out_of_order_is_told_once_within_a_second() -> None:
 
 
 def test_sensor_that_dies_and_comes_back() -> None:
-    arrivals = [
-        (t, s) for t, s in on_time(imu_samples(6.0)) if not (name_of(s) == "L_LowArm" and 2.0 < t < 4.0)
-    ]
+    arrivals = [(t, s) for t, s in on_time(imu_samples(6.0)) if not (name_of(s) == "L_LowArm" and 2.0 < t < 4.0)]
     session, told = run(FakeSource("imus", arrivals), camera())
     assert 2.0 < first(told, "L_LowArm", "no usable sample") < 3.0
     assert 4.0 <= first(told, "L_LowArm", "back again") < 4.2
@@ -146,9 +144,7 @@ def test_sensor_that_repeats_itself_is_left_out() -> None:
 @pytest.mark.parametrize("clock", list(Clock))
 def test_clock_that_jumps(leap: float, clock: Clock) -> None:
     shift = 500.0 if clock is Clock.OWN else 0.0
-    arrivals = [
-        (t, replace(s, time=t + shift + (leap if t > 3.0 else 0.0))) for t, s in on_time(imu_samples(6.0))
-    ]
+    arrivals = [(t, replace(s, time=t + shift + (leap if t > 3.0 else 0.0))) for t, s in on_time(imu_samples(6.0))]
     session, told = run(FakeSource("imus", arrivals, clock), camera())
     assert 3.0 < first(told, "imus", "jumped") < 4.0
     assert count(told, "jumped") == 1
@@ -177,9 +173,7 @@ def test_sensor_of_the_calibration_that_never_comes() -> None:
 @pytest.mark.parametrize("factor", [1 / STANDARD_GRAVITY, 100.0])
 def test_wrong_units_are_told_after_two_seconds(factor: float) -> None:
     arrivals = [
-        (t, replace(s, f_sensor=s.f_sensor * factor))
-        for t, s in on_time(imu_samples(4.0))
-        if isinstance(s, ImuSample)
+        (t, replace(s, f_sensor=s.f_sensor * factor)) for t, s in on_time(imu_samples(4.0)) if isinstance(s, ImuSample)
     ]
     session, told = run(FakeSource("imus", arrivals), camera(), stop=4.0)
     assert 2.0 < first(told, "imus", "specific force") < 3.0
@@ -210,8 +204,7 @@ def test_unusable_numbers_are_left_out_and_told_once() -> None:
 
 def test_unknown_sensor_is_told_with_the_closest_name() -> None:
     arrivals = [
-        (t, replace(s, sensor="l_lowarm") if name_of(s) == "L_LowArm" else s)
-        for t, s in on_time(imu_samples(2.0))
+        (t, replace(s, sensor="l_lowarm") if name_of(s) == "L_LowArm" else s) for t, s in on_time(imu_samples(2.0))
     ]
     session, told = run(FakeSource("imus", arrivals), stop=2.0)
     assert first(told, "l_lowarm", "did you mean L_LowArm") < 0.1

@@ -42,8 +42,7 @@ def at_rest(seconds: float = 3.0) -> list[ImuSample]:
     rng = np.random.default_rng(0)
     R = so3.exp(np.array([1.0, 0.3, 0.2]))
     return [
-        ImuSample("a", float(t), R, -R.T @ GRAVITY_WORLD + rng.normal(0, 0.02, 3))
-        for t in np.arange(0, seconds, 0.01)
+        ImuSample("a", float(t), R, -R.T @ GRAVITY_WORLD + rng.normal(0, 0.02, 3)) for t in np.arange(0, seconds, 0.01)
     ]
 
 

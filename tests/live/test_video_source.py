@@ -144,9 +144,7 @@ def test_a_detector_that_is_too_slow_for_a_file_is_told_of(film: Path) -> None:
         assert any("late" in sentence and "ms" in sentence for sentence in told)
 
 
-def test_of_a_webcam_the_newest_image_is_examined_and_the_others_are_counted(
-    stage: Callable[[str], None],
-) -> None:
+def test_of_a_webcam_the_newest_image_is_examined_and_the_others_are_counted(stage: Callable[[str], None]) -> None:
     stage(f"testsrc=size={WIDE}x{HIGH}:rate=200")
     told: list[str] = []
     samples: list[Any] = []
@@ -209,10 +207,12 @@ def test_a_source_without_anybody_gives_frames_without_points(film: Path) -> Non
 @pytest.mark.parametrize(
     ("number", "says"),
     [
-        (errno.EBUSY, "another program"), (errno.EACCES, "group video"), (errno.ENOENT, "no such camera"),
+        (errno.EBUSY, "another program"),
+        (errno.EACCES, "group video"),
+        (errno.ENOENT, "no such camera"),
         (errno.EIO, "cannot be opened"),
     ],
-)  # fmt: skip
+)
 def test_a_camera_that_cannot_be_opened_is_named_with_the_remedy(
     number: int, says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

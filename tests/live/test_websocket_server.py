@@ -184,9 +184,7 @@ def test_page_runs_its_own_script_only_and_needs_no_other_server(server: WebSock
     assert response.headers["Cache-Control"] == "no-store"
     page = Page(html)
     assert page.wrong == []
-    assert not [
-        a for a in page.attributes if a[1] in ("src", "srcset", "action", "style") or a[1][:2] == "on"
-    ]
+    assert not [a for a in page.attributes if a[1] in ("src", "srcset", "action", "style") or a[1][:2] == "on"]
     assert [a[2] for a in page.attributes if a[1] == "href"] == ["data:,"]
     assert not re.search(r"url\(|@import|fetch\(|XMLHttpRequest|import\(|innerHTML|eval\(", html)
     assert "{{" not in html

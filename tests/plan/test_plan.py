@@ -48,9 +48,10 @@ def stubbed(monkeypatch: pytest.MonkeyPatch, setup: Setup) -> Setup:
     correlation = np.zeros((4, 4 + len(ROOT)))
     correlation[0, 1] = correlation[1, 0] = 0.98
     found = Information(NAMES, np.radians([70.0, 70.0, 3.0, 100.0]), correlation)
-    times = CalibrationTime(np.array([5.0, 10.0]), *(
-        {kind: scale * ENOUGH[kind] * np.array([2.0, 0.5]) for kind in PLANTED} for scale in (1.0, 0.8)
-    ))  # fmt: skip
+    times = CalibrationTime(
+        np.array([5.0, 10.0]),
+        *({kind: scale * ENOUGH[kind] * np.array([2.0, 0.5]) for kind in PLANTED} for scale in (1.0, 0.8)),
+    )
     monkeypatch.setattr(planning, "predict", predict)
     monkeypatch.setattr(planning, "information", lambda *_: found)
     monkeypatch.setattr(planning, "calibration_time", lambda *_, **__: times)
@@ -105,9 +106,8 @@ def test_a_camera_that_is_not_told_is_the_best_of_those_compared(stubbed: Setup)
     worst = replace(protocol, camera=CameraPlace(angle_deg=-90.0))
     steps: list[tuple[str, int, int]] = []
     found = plan(
-        worst, replace(stubbed, camera=worst.camera.camera(stubbed.poses)),
-        progress=lambda *step: steps.append(step),
-    )  # fmt: skip
+        worst, replace(stubbed, camera=worst.camera.camera(stubbed.poses)), progress=lambda *step: steps.append(step)
+    )
     assert found.protocol.camera.words == found.cameras[0].name
     assert found.setup.camera.center_world[1] > 0  # the better side of the stubs
     assert [option.gain for option in found.cameras] == sorted((o.gain for o in found.cameras), reverse=True)

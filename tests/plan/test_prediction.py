@@ -59,9 +59,7 @@ def test_stated_and_simulated_errors_are_of_one_size(predicted: dict[str, Predic
     assert 0.4 < np.median(found.error[known] / found.sigma[known]) < 1.6
 
 
-def test_a_person_out_of_view_is_a_problem_not_a_number(
-    setup: Setup, predicted: dict[str, Prediction | str]
-) -> None:
+def test_a_person_out_of_view_is_a_problem_not_a_number(setup: Setup, predicted: dict[str, Prediction | str]) -> None:
     assert isinstance(predicted["away"], str)
 
 

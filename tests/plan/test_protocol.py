@@ -83,9 +83,7 @@ def test_a_movement_is_enough(tmp_path: Path) -> None:
         ('movement = "squat"', "", FileFormatError, "movement"),
     ],
 )
-def test_a_wrong_field_is_named(
-    tmp_path: Path, before: str, after: str, error: type[Exception], named: str
-) -> None:
+def test_a_wrong_field_is_named(tmp_path: Path, before: str, after: str, error: type[Exception], named: str) -> None:
     assert before in WHOLE
     with pytest.raises(error, match=named):
         read(tmp_path, WHOLE.replace(before, after))

@@ -71,10 +71,26 @@ def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory)
     folder = tmp_path_factory.mktemp("measured")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         code = main(
-            ["human36m", "--root", str(root), "--model", str(lifter), "--cameras", "1",
-             "--actions", "Action 1", "--workers", "1", "-o", str(folder / "out"),
-             "--save", str(folder / "motions"), "--json", str(folder / "all.json")]
-        )  # fmt: skip
+            [
+                "human36m",
+                "--root",
+                str(root),
+                "--model",
+                str(lifter),
+                "--cameras",
+                "1",
+                "--actions",
+                "Action 1",
+                "--workers",
+                "1",
+                "-o",
+                str(folder / "out"),
+                "--save",
+                str(folder / "motions"),
+                "--json",
+                str(folder / "all.json"),
+            ]
+        )
     assert code == 0
     return folder
 
@@ -120,9 +136,7 @@ def test_the_table_has_the_papers_rows_then_ours_then_no_motion(measured: Path) 
     assert labels == [*published.HUMAN36M, "lift, ours", "rto, ours", STILL]
     assert table["rows"][2][1:4] == [46.1, 2.03, 11.25]
     assert all(caveat in table["notes"] for caveat in published.HUMAN36M_CAVEATS)
-    assert table["columns"][1:4] == [
-        "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]",
-    ]  # fmt: skip
+    assert table["columns"][1:4] == ["MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
     assert "S9, S11, cameras 1, 36 frames, all pooled; ground-truth 2D" in table["notes"][0]
     assert "lifter17.pt" in table["notes"][0]
     assert not any("INCOMPLETE" in note for note in table["notes"])
@@ -170,10 +184,7 @@ def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path
 
 BAD = {
     "an unknown subject": (["--subjects", "S2"], "unknown subject 'S2'"),
-    "a misspelt action": (
-        ["--actions", "Action 1,Acton 0"],
-        "unknown action 'Acton 0'. Did you mean 'Action 0'?",
-    ),
+    "a misspelt action": (["--actions", "Action 1,Acton 0"], "unknown action 'Acton 0'. Did you mean 'Action 0'?"),
     "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
     "no lifter": (["--model", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
     "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),

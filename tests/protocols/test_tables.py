@@ -28,8 +28,17 @@ FRAMES = {
 """Frames of the test takes of S1 to S5, counted in the files."""
 GROUPS = [(take, unseen) for unseen in (False, True) for take in FRAMES]
 """Takes of the subjects seen and unseen, in the order of table 1's columns."""
-FIGURES = ("mpjpe_mm", "mpjpe_rr_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg",
-           "coverage", "sixteen_mm")  # fmt: skip
+FIGURES = (
+    "mpjpe_mm",
+    "mpjpe_rr_mm",
+    "mpjpe_pa_mm",
+    "mpjae",
+    "mpjje",
+    "angle_deg",
+    "flexion_deg",
+    "coverage",
+    "sixteen_mm",
+)
 MODES = ("lift", "rtof")
 
 
@@ -39,13 +48,12 @@ def scores(value: float = 1.0, frames: int = 100, **figures: Any) -> dict[str, A
     return about | figures
 
 
-def measured(
-    subject: str, take: str, camera: int | None, **methods: dict[str, Any]
-) -> dict[str, dict[str, Any]]:
+def measured(subject: str, take: str, camera: int | None, **methods: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The facts of one job by its key; names of methods with a blank in them are calibration rows."""
     key = f"{subject}_{take}" + (f"_cam{camera}" if camera is not None else "")
-    return {key: {"subject": subject, "take": take, "camera": camera, "methods": methods,
-                  "failed_checks": [], "notes": []}}  # fmt: skip
+    return {
+        key: {"subject": subject, "take": take, "camera": camera, "methods": methods, "failed_checks": [], "notes": []}
+    }
 
 
 def calibration(subject: str, take: str) -> dict[str, dict[str, Any]]:
@@ -71,8 +79,7 @@ def tables_of(
 def test_an_average_over_frames_reproduces_that_of_the_paper() -> None:
     """So the paper's average is one over frames; its takes have 51,127 of them."""
     assert sum(map(sum, FRAMES.values())) == 51127
-    names = {"RTOF-GT, the paper's (1 camera + IMUs)": 23.2,
-             "RTOF-SN, the paper's (1 camera + IMUs)": 33.7}  # fmt: skip
+    names = {"RTOF-GT, the paper's (1 camera + IMUs)": 23.2, "RTOF-SN, the paper's (1 camera + IMUs)": 33.7}
     for name, average in names.items():
         cells = dict(zip(GROUPS, published.TABLE_1[name], strict=False))
         done: dict[str, Any] = {}
@@ -80,8 +87,7 @@ def test_an_average_over_frames_reproduces_that_of_the_paper() -> None:
             for s, count in enumerate(frames):
                 value = cells[take, s >= 3]
                 done |= measured(f"S{s + 1}", take, 1, rtof=scores(value, count))
-        about = protocol(subjects=("S1", "S2", "S3", "S4", "S5"), takes=tuple(FRAMES), cameras=(1,),
-                         modes=("rtof",))  # fmt: skip
+        about = protocol(subjects=("S1", "S2", "S3", "S4", "S5"), takes=tuple(FRAMES), cameras=(1,), modes=("rtof",))
         ours = row(tables_of(about, done)["by_take"], "rtof, ours, root-relative")
         assert ours["average"] == pytest.approx(average, abs=0.06)  # cells are rounded to 0.1
         assert list(ours.values())[1:7] == pytest.approx(list(published.TABLE_1[name][:6]))
@@ -89,11 +95,7 @@ def test_an_average_over_frames_reproduces_that_of_the_paper() -> None:
         assert abs(plain - average) > 1
 
 
-@given(
-    st.lists(
-        st.tuples(st.one_of(st.none(), st.floats(0, 1e3), st.just(np.nan)), st.integers(0, 50)), max_size=8
-    )
-)
+@given(st.lists(st.tuples(st.one_of(st.none(), st.floats(0, 1e3), st.just(np.nan)), st.integers(0, 50)), max_size=8))
 def test_the_pooled_figure_is_the_mean_over_all_frames(parts: list[tuple[float | None, int]]) -> None:
     rows = [{"error": value, "frames": frames} for value, frames in parts]
     values = [[v] * frames for v, frames in parts if v is not None and np.isfinite(v)]
@@ -103,10 +105,13 @@ def test_the_pooled_figure_is_the_mean_over_all_frames(parts: list[tuple[float |
 
 
 PLAIN = Table(
-    "plain", "A title", ("method", "error [mm]", "share"), (0, 1, 2),
+    "plain",
+    "A title",
+    ("method", "error [mm]", "share"),
+    (0, 1, 2),
     (("a | b", 12.345, "50 %"), ("two\nlines", None, np.nan), ("", np.inf, 0)),
     ("First.", "Second [mm]."),
-)  # fmt: skip
+)
 
 
 def test_markdown_has_every_cell_rounded_in_its_column() -> None:
@@ -156,10 +161,14 @@ def test_table_1_has_columns_for_seen_and_unseen_subjects() -> None:
     lift = row(tables_of(about, done)["by_take"], "lift, ours, root-relative")
     assert lift == {
         "method": "lift, ours, root-relative",
-        "seen W2": pytest.approx(30), "seen A3": None, "seen FS3": None,
-        "unseen W2": pytest.approx(70), "unseen A3": None, "unseen FS3": pytest.approx(90),
+        "seen W2": pytest.approx(30),
+        "seen A3": None,
+        "seen FS3": None,
+        "unseen W2": pytest.approx(70),
+        "unseen A3": None,
+        "unseen FS3": pytest.approx(90),
         "average": pytest.approx((10 * 100 + 40 * 200 + 70 * 100 + 90 * 400) / 800),
-    }  # fmt: skip
+    }
     absolute = row(tables_of(about, done)["by_take"], "lift, ours, absolute")
     assert absolute["unseen W2"] == pytest.approx(700)
     labels = [cells[0] for cells in tables_of(about, done)["by_take"].rows]
@@ -170,9 +179,7 @@ def test_the_ablation_has_the_papers_figures_and_the_calibration_rows() -> None:
     table = tables_of(protocol(), complete(mpjae=2.5, coverage=0.987))["ablation"]
     assert [cells[0] for cells in table.rows] == ["lift", "rtof", STILL, LOW_PASSED]
     ours = row(table, "rtof")
-    assert (ours["paper: MPJPE [mm]"], ours["paper: MPJAE"], ours["paper: MPJJE"]) == (
-        23.2, 1.54, 63.8,
-    )  # fmt: skip
+    assert (ours["paper: MPJPE [mm]"], ours["paper: MPJAE"], ours["paper: MPJJE"]) == (23.2, 1.54, 63.8)
     assert ours["MPJAE [m/s2]"] == pytest.approx(2.5)
     assert ours["valid"] == "99 %"
     still = row(table, STILL)
@@ -199,13 +206,9 @@ def test_the_multi_view_table_has_its_own_cameras_and_frames() -> None:
 
 
 def test_the_study_of_fragment_length_has_speeds() -> None:
-    methods = {
-        "as printed, N = 50": scores(5.0, 100, seconds=2.0),
-        "as printed, N = 20": scores(6.0, 100, seconds=0.5),
-    }
+    methods = {"as printed, N = 50": scores(5.0, 100, seconds=2.0), "as printed, N = 20": scores(6.0, 100, seconds=0.5)}
     done = measured("S1", "walking2", 1, rtof=scores(), **methods)
-    done |= measured("S1", "walking2", 3, rtof=scores(),
-                     **{"as printed, N = 50": scores(8.0, 200, seconds=1.0)})  # fmt: skip
+    done |= measured("S1", "walking2", 3, rtof=scores(), **{"as printed, N = 50": scores(8.0, 200, seconds=1.0)})
     tables = tables_of(protocol(modes=("rtof",), studies=True), done)
     fifty = row(tables["fragment_length"], "50")
     assert fifty["frames/s"] == pytest.approx(300 / 3.0)
@@ -236,17 +239,35 @@ WHY = "gt_skel_gbl_pos.txt is damaged"
 WALK = "S1 walking2"
 
 
-@pytest.mark.parametrize(("takes", "done", "failed", "missing", "state"), [
-    ((), complete(), {}, None, ()),
-    (("acting3",), complete(), {f"S1_acting3{job}": WHY for job in ("", "_cam1", "_cam3")}, "S1 acting3",
-     (("S1 acting3", "not measured", WHY),)),
-    ((), complete(cameras=(1,)), {"S1_walking2_cam3": WHY}, f"{WALK} (camera 3)",
-     ((f"{WALK} camera 3", "not measured", WHY),)),
-    ((), complete() | complete(modes=("lift",)), {}, f"{WALK} (rtof)", ()),
-    ((), complete() | measured("S1", "walking2", 3, lift=scores()), {}, f"{WALK} (rtof, camera 3)", ()),
-    ((), {k: v for k, v in complete().items() if v["camera"]}, {"S1_walking2": WHY},
-     f"{WALK} ({STILL}, {LOW_PASSED})", ((WALK, "not measured", WHY),)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("takes", "done", "failed", "missing", "state"),
+    [
+        ((), complete(), {}, None, ()),
+        (
+            ("acting3",),
+            complete(),
+            {f"S1_acting3{job}": WHY for job in ("", "_cam1", "_cam3")},
+            "S1 acting3",
+            (("S1 acting3", "not measured", WHY),),
+        ),
+        (
+            (),
+            complete(cameras=(1,)),
+            {"S1_walking2_cam3": WHY},
+            f"{WALK} (camera 3)",
+            ((f"{WALK} camera 3", "not measured", WHY),),
+        ),
+        ((), complete() | complete(modes=("lift",)), {}, f"{WALK} (rtof)", ()),
+        ((), complete() | measured("S1", "walking2", 3, lift=scores()), {}, f"{WALK} (rtof, camera 3)", ()),
+        (
+            (),
+            {k: v for k, v in complete().items() if v["camera"]},
+            {"S1_walking2": WHY},
+            f"{WALK} ({STILL}, {LOW_PASSED})",
+            ((WALK, "not measured", WHY),),
+        ),
+    ],
+)
 def test_missing_results_are_named_under_every_table(
     takes: tuple[str, ...], done: dict[str, Any], failed: dict[str, str], missing: str | None, state: Any
 ) -> None:
@@ -286,11 +307,14 @@ def outcome_with(folder: Path, takes: dict[str, float], modes: Sequence[str]) ->
     return Outcome(folder, done, {})
 
 
-@pytest.mark.parametrize(("modes", "shown"), [
-    (("lift", "rto", "sf2", "rtof"), ["baseline (lift): mean 20.0", "rtof: mean 20.0"]),
-    (("lift", "sf2", "rto"), ["baseline (lift): mean 20.0", "rto: mean 20.0"]),
-    (("sf2",), ["sf2: mean 20.0"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("modes", "shown"),
+    [
+        (("lift", "rto", "sf2", "rtof"), ["baseline (lift): mean 20.0", "rtof: mean 20.0"]),
+        (("lift", "sf2", "rto"), ["baseline (lift): mean 20.0", "rto: mean 20.0"]),
+        (("sf2",), ["sf2: mean 20.0"]),
+    ],
+)
 def test_curves_of_baseline_and_best(modes: tuple[str, ...], shown: list[str], tmp_path: Path) -> None:
     outcome = outcome_with(tmp_path, {"walking2": 1.0}, modes)
     axes = error_curves(outcome, ["S1_walking2_cam1"], 60.0).axes

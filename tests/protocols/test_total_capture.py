@@ -71,10 +71,28 @@ class Measured:
     errors: str
 
     def arguments(self, root: Path) -> list[str]:
-        return ["total-capture", "--root", str(root), "--subjects", "s1,s5", "--takes",
-                "Walking2,acting3", "--cameras", "1", "--no-studies", "--space", "cartesian",
-                "--workers", "1",
-                "-o", str(self.out), "--save", str(self.save), "--json", str(self.json)]  # fmt: skip
+        return [
+            "total-capture",
+            "--root",
+            str(root),
+            "--subjects",
+            "s1,s5",
+            "--takes",
+            "Walking2,acting3",
+            "--cameras",
+            "1",
+            "--no-studies",
+            "--space",
+            "cartesian",
+            "--workers",
+            "1",
+            "-o",
+            str(self.out),
+            "--save",
+            str(self.save),
+            "--json",
+            str(self.json),
+        ]
 
 
 @pytest.fixture(scope="module")
@@ -192,8 +210,7 @@ def test_the_default_protocol_is_that_of_the_paper() -> None:
     for count, sensors in SENSOR_SETS.items():
         assert len(set(sensors) & set(known)) == len(sensors) == int(count)
     joints = {known[sensor][0] for sensor in usual.sensors}
-    assert joints == {f"{side}{limb}" for side in ("Left", "Right")
-                      for limb in ("Arm", "ForeArm", "UpLeg", "Leg")}  # fmt: skip
+    assert joints == {f"{side}{limb}" for side in ("Left", "Right") for limb in ("Arm", "ForeArm", "UpLeg", "Leg")}
 
 
 # --- what the command leaves ---------------------------------------------------------------------
@@ -201,9 +218,7 @@ def test_the_default_protocol_is_that_of_the_paper() -> None:
 
 def test_every_take_and_mode_has_its_motion(measured: Measured) -> None:
     found = {str(path.relative_to(measured.save)) for path in measured.save.rglob("*.npz")}
-    assert found == {
-        f"{take}/cam1/{mode}/motion.npz" for take in ("S1/walking2", "S5/acting3") for mode in MODES
-    }
+    assert found == {f"{take}/cam1/{mode}/motion.npz" for take in ("S1/walking2", "S5/acting3") for mode in MODES}
     for name in found:
         motion = read_motion_npz(measured.save / name)
         assert motion.mode == name.split("/")[3]
@@ -415,10 +430,31 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
         text = json.dumps({"people": [{"pose_keypoints_2d": flat(points)}]})
         (own / f"cam{body25}" / f"walk_{frame:012d}_keypoints.json").write_text(text)
     np.savez(folder / f"TC_S1_walking2_cam{coco}.npz", keypoints=uv[coco])
-    arguments = ["total-capture", "--root", str(root), "--subjects", "S1", "--takes", "walking2",
-                 "--cameras", ",".join(map(str, uv)), "--modes", "lift", "--workers", "1",
-                 "--keypoints", str(folder), "--layout", "auto", "--model", "perfect",
-                 "-o", str(tmp_path / "out"), "--json", str(tmp_path / "all.json")]  # fmt: skip
+    arguments = [
+        "total-capture",
+        "--root",
+        str(root),
+        "--subjects",
+        "S1",
+        "--takes",
+        "walking2",
+        "--cameras",
+        ",".join(map(str, uv)),
+        "--modes",
+        "lift",
+        "--workers",
+        "1",
+        "--keypoints",
+        str(folder),
+        "--layout",
+        "auto",
+        "--model",
+        "perfect",
+        "-o",
+        str(tmp_path / "out"),
+        "--json",
+        str(tmp_path / "all.json"),
+    ]
     assert main(arguments) == 0
     found = read_json(tmp_path / "all.json")
     assert found["failed"] == {}
@@ -436,18 +472,13 @@ def test_space_and_calibration_are_passed_to_the_reconstruction(
 ) -> None:
     given = []
 
-    def reconstructions(
-        recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool
-    ) -> dict[str, Any]:
+    def reconstructions(recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool) -> dict[str, Any]:
         given.append((type(settings.fragment), calibrate))
         return {}
 
     monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
     about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    for space, calibrate, text in (
-        ("joint", True, "each take itself"),
-        ("cartesian", False, "files have it"),
-    ):
+    for space, calibrate, text in (("joint", True, "each take itself"), ("cartesian", False, "files have it")):
         chosen = replace(about, space=space, calibrate=calibrate)
         outcome = run(chosen, tmp_path / space, workers=1)
         note = tables_of(chosen, outcome)["by_take"].notes[0]
@@ -471,10 +502,16 @@ def test_the_studies_vary_n_and_k_v_alone(monkeypatch: pytest.MonkeyPatch) -> No
             return type("Solution", (), {"poses": start})
 
     sf2 = WALKING.poses
-    result: Any = type("Result", (), {
-        "motion": type("Motion", (), {"skeleton": SkeletonModel.default()}),
-        "stages": {"sf2": sf2, "rtof": None}, "keypoints": None, "bone_imus": None,
-    })  # fmt: skip
+    result: Any = type(
+        "Result",
+        (),
+        {
+            "motion": type("Motion", (), {"skeleton": SkeletonModel.default()}),
+            "stages": {"sf2": sf2, "rtof": None},
+            "keypoints": None,
+            "bone_imus": None,
+        },
+    )
     monkeypatch.setattr(total_capture, "FragmentSolver", Recorder)
     rows = total_capture._studies(result, sf2)
     printed = CartesianSettings.paper()
@@ -497,10 +534,7 @@ BAD = {
     "an unknown mode": (["--modes", "rtoff"], "unknown mode 'rtoff'"),
     "no mode": (["--modes", ""], "modes: none are named"),
     "no sensors for modes that need them": (["--sensors", ""], "modes sf2 and rtof need sensors"),
-    "noise on detections": (
-        ["--keypoints", "{tmp}", "--noise-px", "3"],
-        "noise is added to ground-truth 2D only",
-    ),
+    "noise on detections": (["--keypoints", "{tmp}", "--noise-px", "3"], "noise is added to ground-truth 2D only"),
     "no folder of detections": (["--keypoints", "{tmp}/none"], "no such folder of detections"),
     "no lifter": (["--model", "{tmp}/none.pt"], "none.pt: no such file; give the path of a trained"),
     "no layout": (["--keypoints", "{tmp}", "--layout", "coco"], "unknown layout 'coco'. Did you mean"),
@@ -513,9 +547,7 @@ BAD = {
 
 @pytest.mark.usefixtures("unpictured")
 @pytest.mark.parametrize("bad", BAD)
-def test_bad_input_writes_nothing(
-    bad: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_writes_nothing(bad: str, root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given, expected = BAD[bad]
     (tmp_path / "file").write_text("mine")
     out = tmp_path.with_name(f"{tmp_path.name}_out")

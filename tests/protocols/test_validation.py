@@ -60,8 +60,9 @@ def test_a_planted_offset_and_a_planted_lag_come_out(tmp_path: Path) -> None:
     assert clock["how"] == "estimated within 1 s"
     differences = [
         AngleDifferences(name.removeprefix("difference "), "walk", "t", values)
-        for name, values in arrays.items() if name.startswith("difference ")
-    ]  # fmt: skip
+        for name, values in arrays.items()
+        if name.startswith("difference ")
+    ]
     overall = error_rows(differences, MOVEMENTS)[0]
     for figure in (overall.rmse, overall.mae, overall.median, overall.offset):
         assert np.degrees(figure) == pytest.approx(5.0, abs=0.05)
@@ -117,9 +118,7 @@ def test_the_files_hold_the_same_numbers(tmp_path: Path) -> None:
     tables = (error_table(rows, "Joint angles <here>"), published_table(rows))
     write_angle_tables(tmp_path, rows, tables, "first & foremost", {})
     with (tmp_path / "angle_errors.csv").open(encoding="utf-8") as stream:
-        (knee,) = [
-            one for one in csv.DictReader(stream) if (one["angle"], one["movement"]) == ("knee_flexion", ALL)
-        ]
+        (knee,) = [one for one in csv.DictReader(stream) if (one["angle"], one["movement"]) == ("knee_flexion", ALL)]
     assert float(knee["median_deg"]) == pytest.approx(2.5)
     assert float(knee["within_95_share"]) == 0.75  # 10 degrees are beyond 1.96 of 2
     content = read_json(tmp_path / "tables.json")
@@ -159,10 +158,19 @@ def measured(sets: Path) -> tuple[int, str, Path]:
     """What the command says of it, by the network alone, which is quick."""
     out = sets / "out"
     code, said = silent(
-        "validate", "opencap", "--root", str(sets / "opencap"), "--keypoints", str(sets / "kp"),
-        "--mode", "lift",
-        "--workers", "1", "-o", str(out),
-    )  # fmt: skip
+        "validate",
+        "opencap",
+        "--root",
+        str(sets / "opencap"),
+        "--keypoints",
+        str(sets / "kp"),
+        "--mode",
+        "lift",
+        "--workers",
+        "1",
+        "-o",
+        str(out),
+    )
     return code, said, out
 
 
@@ -194,9 +202,7 @@ def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path])
     assert overall["median_deg"] < overall["mae_deg"] < overall["rmse_deg"]
     motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.npz"
     mot = out.parent / "opencap" / "subject2" / "OpenSimData" / "Mocap" / "IK" / "walking1.mot"
-    code, said = silent(
-        "evaluate", str(motion), "--truth", str(mot), "--movement", "walk", "-o", str(out / "own")
-    )
+    code, said = silent("evaluate", str(motion), "--truth", str(mot), "--movement", "walk", "-o", str(out / "own"))
     assert code == 0, said
     again = read_json(out / "own" / "tables.json")["rows"]
     for name in ("rmse_deg", "mae_deg", "median_deg", "offset_deg"):
@@ -215,8 +221,18 @@ def test_it_goes_on_where_it_was_stopped(
     monkeypatch.setattr(validation, "measure", measure)
     out = measured[2]
     before = (out / "angle_errors.csv").read_text()
-    command = ("validate", "opencap", "--root", str(sets / "opencap"), "--keypoints", str(sets / "kp"),
-               "--workers", "1", "-o", str(out))  # fmt: skip
+    command = (
+        "validate",
+        "opencap",
+        "--root",
+        str(sets / "opencap"),
+        "--keypoints",
+        str(sets / "kp"),
+        "--workers",
+        "1",
+        "-o",
+        str(out),
+    )
     assert silent(*command, "--mode", "lift")[0] == 1
     assert ran == ["subject2_Session1_Cam1_squats1"]  # the other one has its result
     assert (out / "angle_errors.csv").read_text() == before
@@ -246,19 +262,33 @@ def test_nothing_measured_is_an_error(sets: Path, tmp_path: Path) -> None:
 
 def test_sensors_are_wanted_of_a_set_that_has_them(sets: Path, tmp_path: Path) -> None:
     code, said = silent(
-        "validate", "opencap", "--root", str(sets / "opencap"), "--keypoints", str(sets / "kp"),
-        "--mode", "rtof",
-        "--takes", "*walking1", "--workers", "1", "-o", str(tmp_path / "out"),
-    )  # fmt: skip
+        "validate",
+        "opencap",
+        "--root",
+        str(sets / "opencap"),
+        "--keypoints",
+        str(sets / "kp"),
+        "--mode",
+        "rtof",
+        "--takes",
+        "*walking1",
+        "--workers",
+        "1",
+        "-o",
+        str(tmp_path / "out"),
+    )
     assert code == 2
     assert "it has no sensors, which mode rtof needs; use --mode rto" in said
 
 
-@pytest.mark.parametrize("changes, error, message", [
-    ({"dataset": "kit"}, UnknownNameError, "data set"),
-    ({"seconds": 0.0}, InvalidInputError, "is no duration"),
-    ({"keypoints": Path("nowhere")}, FileFormatError, "no such folder of detections"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes, error, message",
+    [
+        ({"dataset": "kit"}, UnknownNameError, "data set"),
+        ({"seconds": 0.0}, InvalidInputError, "is no duration"),
+        ({"keypoints": Path("nowhere")}, FileFormatError, "no such folder of detections"),
+    ],
+)
 def test_wrong_settings_are_refused(changes: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         ValidationProtocol(**({"dataset": "opencap", "root": Path()} | changes))
@@ -282,9 +312,7 @@ def test_gaitex_recovers_the_planted_knees_from_orientations_alone(tmp_path: Pat
     assert abs(rows["knee_flexion"]["offset_deg"]) < 1.5
 
 
-def test_one_video_of_many_motions_is_detected_once_and_cut(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_video_of_many_motions_is_detected_once_and_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     root, seen = tmp_path / "set", []
     made.write_movi(root, CENTRES)
     write_film(root / "film.mp4", [np.zeros((600, 800, 3), np.uint8)] * 4, [0, 33, 67, 100])
@@ -300,9 +328,19 @@ def test_one_video_of_many_motions_is_detected_once_and_cut(
 
     monkeypatch.setattr(validation, "detect_video", detect_video)
     code, said = silent(
-        "validate", "movi", "--root", str(root), "--takes", "*_PG1", "--mode", "lift", "--workers", "1",
-        "-o", str(tmp_path / "out"),
-    )  # fmt: skip
+        "validate",
+        "movi",
+        "--root",
+        str(root),
+        "--takes",
+        "*_PG1",
+        "--mode",
+        "lift",
+        "--workers",
+        "1",
+        "-o",
+        str(tmp_path / "out"),
+    )
     assert seen == ["F_PG1_Subject_1_L.avi"]
     content = read_json(tmp_path / "out" / "tables.json")
     walk = content["takes"]["Subject_1_02_walking_PG1"]
@@ -327,13 +365,7 @@ def test_evaluate_prints_the_table_of_angles_against_a_recording(tmp_path: Path)
     motion = true_motion()
     write_motion_npz(tmp_path / "motion.npz", motion, mode="rto")
     code, said = silent(
-        "evaluate",
-        str(tmp_path / "motion.npz"),
-        "--truth",
-        str(take),
-        "--angles",
-        "-o",
-        str(tmp_path / "out"),
+        "evaluate", str(tmp_path / "motion.npz"), "--truth", str(take), "--angles", "-o", str(tmp_path / "out")
     )
     assert code == 0, said
     assert "Joint angles against the truth of walk:" in said

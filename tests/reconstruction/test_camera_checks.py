@@ -27,9 +27,12 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 OF_IMAGE = (
-    "names of left and right exchanged", "mirrored picture", "u and v exchanged", "upside down",
+    "names of left and right exchanged",
+    "mirrored picture",
+    "u and v exchanged",
+    "upside down",
     "turned by 90 degrees",
-)  # fmt: skip
+)
 
 
 @cache
@@ -92,10 +95,7 @@ def test_image_in_which_the_lifter_sees_no_person_is_unknown() -> None:
 def test_view_error_names_its_likely_cause() -> None:
     wrong = FAULTS["camera's translation in mm"].plant(demo())
     for recording, message in ((wrong, "millimetres.*behind the camera"), (demo(), "^behind the camera")):
-        with (
-            pytest.raises(ViewError, match=message),
-            explained(recording, recording.skeleton, shipped_lifter()),
-        ):
+        with pytest.raises(ViewError, match=message), explained(recording, recording.skeleton, shipped_lifter()):
             raise ViewError("behind the camera")
 
 
@@ -105,9 +105,8 @@ def test_walk_towards_the_camera_checks_the_focal_length(factor: float) -> None:
     motion, _ = planted.walking(SkeletonModel.default(), 6.0)
     view = Camera.looking_at([10.0, 0.5, 1.5], [0.0, 0.0, 1.0], 1250.0)
     recording = simulate(
-        motion.poses, motion.skeleton.joint_offsets, camera=view,
-        settings=SimulationSettings.noiseless(), seed=0,
-    )  # fmt: skip
+        motion.poses, motion.skeleton.joint_offsets, camera=view, settings=SimulationSettings.noiseless(), seed=0
+    )
     at = view.to_camera(motion.poses.p_world_joint)
     away = (factor - 1) * at[:, :1] * [0.0, 0.0, 1.0]
     p = (at + away - view.t_camera_world) @ view.R_camera_world

@@ -30,11 +30,7 @@ def seen_and_sensed(drift: Array, seed: int = 0) -> tuple[PoseSequence, BoneImuS
     R_lifted = so3.about_axis("z", -drift)[:, None] @ so3.exp(np.radians(6) * slow) @ R
     poses = PoseSequence(TIMES, np.zeros((T, 3, 3)), R_lifted, JOINTS)
     return poses, BoneImuSequence(
-        times=TIMES,
-        R_world_bone=R,
-        a_world=np.zeros((T, 3, 3)),
-        joints=JOINTS,
-        p_bone_sensor=np.zeros((3, 3)),
+        times=TIMES, R_world_bone=R, a_world=np.zeros((T, 3, 3)), joints=JOINTS, p_bone_sensor=np.zeros((3, 3))
     )
 
 

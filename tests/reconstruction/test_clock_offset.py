@@ -88,9 +88,7 @@ def test_sensors_of_another_take_are_left_out_and_lead_the_first_line(demo: Reco
     assert "the sensors do not belong to this video" in headline(audit(result)).text
 
 
-def test_where_velocities_are_unsharp_the_energy_decides(
-    demo: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_velocities_are_unsharp_the_energy_decides(demo: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     def calibrated(jobs: list[Job], priors: CalibrationPriors, known: None) -> SelfCalibration:
         assert (len(jobs), known, priors.sigma_swing) == (1, None, None)
         return SelfCalibration((Quantity("delay", "video", *np.array([[0.003], [0.004], [0.02]]), 0.96),))

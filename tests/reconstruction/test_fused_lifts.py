@@ -38,9 +38,13 @@ def lifted(camera: Camera, seed: int, valid: bool = True, turn: float = 0.0) -> 
     sigma = np.full(p.shape[:2], 0.1 if valid else np.nan)
     source = Provenance.CAMERA if valid else Provenance.BRIDGED
     poses = replace(
-        POSES, p_world_joint=p + off, R_world_bone=R, sigma_rad=sigma,
-        valid=np.full(sigma.shape, valid), provenance=np.full(sigma.shape, source),
-    )  # fmt: skip
+        POSES,
+        p_world_joint=p + off,
+        R_world_bone=R,
+        sigma_rad=sigma,
+        valid=np.full(sigma.shape, valid),
+        provenance=np.full(sigma.shape, source),
+    )
     return Lifted(poses, R, SIGMA_M)
 
 

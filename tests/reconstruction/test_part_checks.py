@@ -11,10 +11,13 @@ from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joi
 def parts(*values: float, warnings: dict[int, str] | None = None) -> list[PartFindings]:
     """One check with limit 1 in each part of a minute."""
     return [
-        PartFindings(60.0 * i, (Check("tilt", "camera", value, 1.0, "deg", "Level it", cause="it fell"),),
-                     (warnings[i],) if warnings and i in warnings else ())
+        PartFindings(
+            60.0 * i,
+            (Check("tilt", "camera", value, 1.0, "deg", "Level it", cause="it fell"),),
+            (warnings[i],) if warnings and i in warnings else (),
+        )
         for i, value in enumerate(values)
-    ]  # fmt: skip
+    ]
 
 
 def test_a_single_part_keeps_its_findings() -> None:

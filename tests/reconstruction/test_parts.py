@@ -58,9 +58,7 @@ def test_parts_cover_all_frames_once(frames: int, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("mode", ["rtof", "imu"])
-def test_parts_give_the_motion_of_the_whole(
-    demo: Recording, mode: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_give_the_motion_of_the_whole(demo: Recording, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (rtof_kin.reconstruction.pipeline, rtof_kin.reconstruction.parts):
         monkeypatch.setattr(module, "find_offset", lambda _: ClockOffset())  # of other excerpts, 2 ms apart
     demo = demo.between(0.0, 6.5)
@@ -111,14 +109,15 @@ def test_a_part_in_which_nobody_is_seen_is_marked_and_written_like_the_others(
     demo: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def quantity(kind: str, item: str, value: list[float]) -> Quantity:
-        return Quantity(
-            kind, item, np.array(value), np.full(len(value), 0.01), np.full(len(value), 0.1), 0.99
-        )
+        return Quantity(kind, item, np.array(value), np.full(len(value), 0.01), np.full(len(value), 0.1), 0.99)
 
-    found = SelfCalibration((
-        quantity("delay", "video", [0.02]), quantity("mounting", "LeftLeg", [0.05, 0.0, 0.0]),
-        quantity("camera tilt", "camera", [0.01, 0.0, 0.0]),
-    ))  # fmt: skip
+    found = SelfCalibration(
+        (
+            quantity("delay", "video", [0.02]),
+            quantity("mounting", "LeftLeg", [0.05, 0.0, 0.0]),
+            quantity("camera tilt", "camera", [0.01, 0.0, 0.0]),
+        )
+    )
     once = parts._Once(found, None, Choices("yes"), ())
     monkeypatch.setattr(parts, "_estimated_once", lambda *_: once)
     seen = demo.video
@@ -143,9 +142,9 @@ def test_a_part_in_which_nobody_is_seen_is_marked_and_written_like_the_others(
     np.testing.assert_array_equal(measured.views[0].seen.any(axis=1), ~absent)
 
 
-@pytest.mark.parametrize(("seconds", "drift", "expected"), [
-    (119.0, 0.0, False), (121.0, 0.0, True), (121.0, 1e-3, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("seconds", "drift", "expected"), [(119.0, 0.0, False), (121.0, 0.0, True), (121.0, 1e-3, False)]
+)
 def test_long_recordings_are_in_parts_but_for_a_camera_whose_heading_drifts(
     demo: Recording, seconds: float, drift: float, expected: bool
 ) -> None:

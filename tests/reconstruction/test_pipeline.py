@@ -45,13 +45,11 @@ def floor_energy(result: Reconstruction) -> float:
     return result.solution.energy["floor"]
 
 
-@pytest.mark.parametrize("mode, stages", [
-    ("lift", ["lift"]), ("sf2", ["lift", "sf2"]), ("rto", ["lift", "rto"]),
-    ("rtof", ["lift", "sf2", "rtof"]),
-])  # fmt: skip
-def test_mode_runs_its_stages_and_scores_them(
-    case: Case, results: Results, mode: str, stages: list[str]
-) -> None:
+@pytest.mark.parametrize(
+    "mode, stages",
+    [("lift", ["lift"]), ("sf2", ["lift", "sf2"]), ("rto", ["lift", "rto"]), ("rtof", ["lift", "sf2", "rtof"])],
+)
+def test_mode_runs_its_stages_and_scores_them(case: Case, results: Results, mode: str, stages: list[str]) -> None:
     result = results[mode]
     assert result.mode == mode
     assert list(result.stages) == list(result.stage_metrics) == stages
@@ -66,10 +64,12 @@ def test_mode_runs_its_stages_and_scores_them(
 def test_each_stage_is_better_than_the_one_before(results: Results) -> None:
     score = {mode: result.stage_metrics[mode] for mode, result in results.items()}
     for better, worse, figure, factor in (
-        ("rtof", "sf2", "mpjpe_rr_mm", 0.7), ("sf2", "lift", "mpjpe_rr_mm", 0.9),
-        ("rto", "lift", "mpjpe_rr_mm", 0.9), ("rtof", "lift", "mpjpe_mm", 0.6),
+        ("rtof", "sf2", "mpjpe_rr_mm", 0.7),
+        ("sf2", "lift", "mpjpe_rr_mm", 0.9),
+        ("rto", "lift", "mpjpe_rr_mm", 0.9),
+        ("rtof", "lift", "mpjpe_mm", 0.6),
         ("rtof", "lift", "flexion_deg", 0.6),
-    ):  # fmt: skip
+    ):
         assert score[better][figure] < factor * score[worse][figure]
     assert results["rtof"].solution is not None
     assert results["rtof"].solution.status is SolverStatus.CONVERGED
@@ -86,8 +86,10 @@ def test_unobserved_joints_follow_the_prior_of_the_lifter(case: Case, mode: str)
     own.prior = replace(BODY.table.prior, mean_quat_wxyz=so3.to_quat_wxyz(mean))  # type: ignore[attr-defined]
     bent = {}
     for name, options in {
-        "shipped": {"lifter": lifter}, "own": {"lifter": own}, "given": {"lifter": own, "skeleton": BODY},
-    }.items():  # fmt: skip
+        "shipped": {"lifter": lifter},
+        "own": {"lifter": own},
+        "given": {"lifter": own, "skeleton": BODY},
+    }.items():
         result = case.run(mode, **options)
         bent[name] = kinematics.local_rotations(BODY.parents, result.motion.poses.R_world_bone)[:, clavicle]
         assert (result.motion.skeleton.table.model_prior is not None) == (name != "shipped")
@@ -105,9 +107,7 @@ def test_calibration_keeps_the_prior_of_the_lifter(case: Case) -> None:
 
 
 @pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
-def test_covariance_grows_with_the_distance_from_the_start(
-    results: Results, mode: str, start: str, seen: str
-) -> None:
+def test_covariance_grows_with_the_distance_from_the_start(results: Results, mode: str, start: str, seen: str) -> None:
     motion = results[mode].motion
     assert motion.confidence is not None
     apart = disagreement(motion.poses, results[mode].stages[start], motion.confidence.pairs).relative[:, 1:]
@@ -117,9 +117,7 @@ def test_covariance_grows_with_the_distance_from_the_start(
 
 
 @pytest.mark.parametrize("mode", CAMERA_MODES)
-def test_motion_is_that_of_the_rigid_skeleton_at_the_keypoints_times(
-    case: Case, results: Results, mode: str
-) -> None:
+def test_motion_is_that_of_the_rigid_skeleton_at_the_keypoints_times(case: Case, results: Results, mode: str) -> None:
     motion = results[mode].motion
     assert motion.q.shape == (FRAMES, BODY.nq)
     p, R = BODY.forward_kinematics(motion.q)
@@ -287,10 +285,12 @@ def test_priors_of_a_calibration_that_is_not_made_are_refused(case: Case) -> Non
 
 def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -> None:
     ones = np.ones(3)
-    free = SelfCalibration(tuple(
-        Quantity("mounting", name, 0.01 * ones, 0.03 * ones, prior * ones, 0.95)
-        for name, prior in (("LeftUpLeg", 0.4), ("LeftLeg", 0.4))
-    ))  # fmt: skip
+    free = SelfCalibration(
+        tuple(
+            Quantity("mounting", name, 0.01 * ones, 0.03 * ones, prior * ones, 0.95)
+            for name, prior in (("LeftUpLeg", 0.4), ("LeftLeg", 0.4))
+        )
+    )
     wide = case.run("rtof", calibration=free)
     known = replace(free, quantities=tuple(replace(q, sigma_prior=0.035 * ones) for q in free.quantities))
     usual = case.run("rtof", calibration=known)
@@ -299,9 +299,7 @@ def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -
     assert not any("zero of knee" in text for text in usual.warnings)
     assert wide.motion.confidence is not None
     assert usual.motion.confidence is not None
-    knees = [
-        c.turn("LeftUpLeg", "LeftLeg")[:, 1, 1] for c in (wide.motion.confidence, usual.motion.confidence)
-    ]
+    knees = [c.turn("LeftUpLeg", "LeftLeg")[:, 1, 1] for c in (wide.motion.confidence, usual.motion.confidence)]
     assert np.degrees(np.sqrt(knees[0].mean() - knees[1].mean())) > 5
 
 
@@ -310,10 +308,9 @@ def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_onc
     assert given is not None
     sd = np.array([9.0 if joint in legs else np.nan for joint in given.joints])
     stated = case.changed(calibration=replace(given, mounting_sd_deg=sd))
-    found = SelfCalibration(tuple(
-        Quantity("mounting", name, np.full(3, 1e-6), np.full(3, 0.03), np.full(3, 0.4), 0.95)
-        for name in legs
-    ))  # fmt: skip
+    found = SelfCalibration(
+        tuple(Quantity("mounting", name, np.full(3, 1e-6), np.full(3, 0.03), np.full(3, 0.4), 0.95) for name in legs)
+    )
 
     def knee_variance(result: Reconstruction) -> float:
         assert result.motion.confidence is not None

@@ -73,9 +73,7 @@ def test_rejected_sensor_runs_sf2_again_on_the_same_lift(case: Case, monkeypatch
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rtof"])
-def test_sensors_are_resampled_to_the_frames_once(
-    case: Case, monkeypatch: pytest.MonkeyPatch, mode: Mode
-) -> None:
+def test_sensors_are_resampled_to_the_frames_once(case: Case, monkeypatch: pytest.MonkeyPatch, mode: Mode) -> None:
     imus, video = case.recording.imus, case.recording.video
     assert imus is not None
     calls: list[bool] = []
@@ -86,9 +84,7 @@ def test_sensors_are_resampled_to_the_frames_once(
         return resample(self, times, max_gap)
 
     monkeypatch.setattr(BoneImuSequence, "resample", counted)
-    late = case.changed(
-        imus=replace(imus, times=imus.times + 1e-3), keypoints=planted.unseen(video, slice(5, 10))
-    )
+    late = case.changed(imus=replace(imus, times=imus.times + 1e-3), keypoints=planted.unseen(video, slice(5, 10)))
     assert late.prepare(mode).guess.poses is not None
     assert sum(calls) == 1
     late.run(mode)
@@ -111,20 +107,26 @@ def test_solver_starts_from_the_lift_corrected_by_sf2(case: Case, mode: Mode, tu
         np.testing.assert_allclose(solution.poses.p_world_joint, refined.p_world_joint, atol=1e-9)
 
 
-@pytest.mark.parametrize("change, remedy", [
-    (lambda k: replace(k, times=1000 * k.times), "seconds"),
-    (lambda k: replace(k, uv_px=k.uv_px / 1920), "multiply x by its width"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, remedy",
+    [
+        (lambda k: replace(k, times=1000 * k.times), "seconds"),
+        (lambda k: replace(k, uv_px=k.uv_px / 1920), "multiply x by its width"),
+    ],
+)
 def test_keypoints_in_another_unit_are_refused(case: Case, change: Any, remedy: str) -> None:
     with pytest.raises(InvalidInputError, match=remedy):
         case.changed(keypoints=change(case.recording.video), imus=None).prepare("rto")
 
 
 @pytest.mark.parametrize("mode", ["sf2", "rtof"])
-@pytest.mark.parametrize("missing, error, named", [
-    (("imus", "calibration"), InvalidInputError, "needs IMUs .*'rto'"),
-    (("calibration",), CalibrationError, "have no calibration"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "missing, error, named",
+    [
+        (("imus", "calibration"), InvalidInputError, "needs IMUs .*'rto'"),
+        (("calibration",), CalibrationError, "have no calibration"),
+    ],
+)
 def test_mode_with_sensors_needs_calibrated_sensors(
     case: Case, mode: Mode, missing: tuple[str, ...], error: type[Exception], named: str
 ) -> None:
@@ -141,20 +143,23 @@ def keypoints_at(times: Array) -> KeypointSequence:
     return KeypointSequence(planted.camera(), times, uv, np.full((len(times), 1), 0.8), ("Head",))
 
 
-@pytest.mark.parametrize("times", [
-    np.arange(5) / 30, np.array([0.0, 1.0]), np.array([3.0]),
-    np.arange(500) / 60 + np.random.default_rng(0).uniform(-4e-3, 4e-3, 500) / 60,
-], ids=["even", "two", "one", "jitter below 1 %"])  # fmt: skip
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.arange(5) / 30,
+        np.array([0.0, 1.0]),
+        np.array([3.0]),
+        np.arange(500) / 60 + np.random.default_rng(0).uniform(-4e-3, 4e-3, 500) / 60,
+    ],
+    ids=["even", "two", "one", "jitter below 1 %"],
+)
 def test_even_times_are_kept(times: Array) -> None:
     keypoints = keypoints_at(times)
     assert evenly_spaced(keypoints) is keypoints
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    jitter=st.floats(0.02, 0.4), frames=st.integers(3, 400), rate=st.floats(5, 120),
-    seed=st.integers(0, 1000),
-)  # fmt: skip
+@given(jitter=st.floats(0.02, 0.4), frames=st.integers(3, 400), rate=st.floats(5, 120), seed=st.integers(0, 1000))
 def test_jittering_times_become_even_and_positions_are_interpolated(
     jitter: float, frames: int, rate: float, seed: int
 ) -> None:

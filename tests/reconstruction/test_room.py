@@ -52,11 +52,14 @@ def right() -> Reconstruction:
 @pytest.mark.parametrize(
     "plant",
     [
-        focal(0.8), focal(1.1), lambda r: replace(focal(1.2)(r), floor_height=0.0),
+        focal(0.8),
+        focal(1.1),
+        lambda r: replace(focal(1.2)(r), floor_height=0.0),
         lambda r: replace(r, joint_offsets=0.9 * r.joint_offsets),
-        lambda r: replace(r, joint_offsets=1.1 * r.joint_offsets), lambda r: replace(r, floor_height=0.1),
+        lambda r: replace(r, joint_offsets=1.1 * r.joint_offsets),
+        lambda r: replace(r, floor_height=0.1),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_scale_that_nothing_shows_lies_inside_the_bands_in_world(
     plant: Callable[[Recording], Recording],
 ) -> None:

@@ -24,9 +24,11 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
 BY_BENCHMARK = (
-    "samples of left and right swapped", "samples of an arm and a thigh swapped", "forearms swapped",
+    "samples of left and right swapped",
+    "samples of an arm and a thigh swapped",
+    "forearms swapped",
     "upper arm and forearm swapped",
-)  # fmt: skip
+)
 """Faults found by the same code as others; the benchmark plants them."""
 
 
@@ -88,9 +90,7 @@ def test_wrong_samples_are_named_by_sensor_or_without_usual_cause_as_such() -> N
     f = imus.f_sensor.copy()
     f[:, 2] *= -1
     one, unusual = (
-        next(
-            check for check in lifted(replace(demo(), imus=replace(imus, f_sensor=f))).checks if check.failed
-        )
+        next(check for check in lifted(replace(demo(), imus=replace(imus, f_sensor=f))).checks if check.failed)
         for f in (f, imus.f_sensor[..., [1, 2, 0]])
     )
     assert "sign flipped" in one.cause
@@ -137,9 +137,10 @@ def test_clock_offset_of_periodic_motion_is_unknown() -> None:
         for v in (k.uv_px[:once], k.confidence[:once], imus.R_inertial_sensor[kept], imus.f_sensor[kept])
     )
     periodic = replace(
-        demo(), keypoints=replace(k, uv_px=uv, confidence=confidence),
+        demo(),
+        keypoints=replace(k, uv_px=uv, confidence=confidence),
         imus=replace(imus, times=k.times, R_inertial_sensor=R, f_sensor=f),
-    )  # fmt: skip
+    )
     (clocks,) = [check for check in lifted(periodic).checks if check.name == CLOCKS]
     assert clocks.verdict is Verdict.NOT_POSSIBLE
     assert "repeats itself" in clocks.advice

@@ -100,9 +100,7 @@ def test_sensor_errors_cause_errors_of_their_size(walk: MotionSequence) -> None:
     assert metrics["mpjpe_rr_mm"] < 80.0
 
 
-def test_equal_calls_give_equal_motions_and_keypoints_are_ignored(
-    walk: MotionSequence, walked: Reconstruction
-) -> None:
+def test_equal_calls_give_equal_motions_and_keypoints_are_ignored(walk: MotionSequence, walked: Reconstruction) -> None:
     again = solved(planted.recording(walk, joints=WHOLE))
     np.testing.assert_array_equal(again.motion.q, walked.motion.q)
     assert again.keypoints is None
@@ -214,14 +212,15 @@ def test_fragment_solver_names_the_input_that_it_lacks(walked: Reconstruction) -
 def squats() -> Recording:
     """Three squats after two seconds of standing: Movella DOTs on pelvis, thighs and shanks."""
     joints = {
-        "Pelvis": "Hips", "RFemur": "RightUpLeg", "RTibia": "RightLeg",
-        "LTibia": "LeftUpLeg", "LFemur": "LeftLeg",  # the names of the left leg's files are exchanged
-    }  # fmt: skip
+        "Pelvis": "Hips",
+        "RFemur": "RightUpLeg",
+        "RTibia": "RightLeg",
+        "LTibia": "LeftUpLeg",
+        "LFemur": "LeftLeg",  # the names of the left leg's files are exchanged
+    }
     a = read_npz(Path(__file__).parents[1] / "fixtures/inertial/xsens_dot_squats/squats.npz")
     R = {name: so3.from_quat_wxyz(a[f"{name}_quat_wxyz"])[:, None] for name in joints}
-    imus = ImuSequence.joined(
-        [ImuSequence(a[f"{n}_times"], R[n], a[f"{n}_f_sensor"][:, None], (n,)) for n in joints]
-    )
+    imus = ImuSequence.joined([ImuSequence(a[f"{n}_times"], R[n], a[f"{n}_f_sensor"][:, None], (n,)) for n in joints])
     found = calibrate_by_pose(imus, joints, "N", BODY)
     return Recording("squats", imus=imus, calibration=found.calibration)
 

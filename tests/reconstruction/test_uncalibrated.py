@@ -123,9 +123,7 @@ def test_covariances_are_those_of_solutions_with_other_cameras() -> None:
     shifted = replace(motion.poses, p_world_joint=motion.poses.p_world_joint + np.array([0.3, 0, 0]))
     after = with_camera_uncertainty(before, motion.poses, [shifted, shifted])
     added = after.position_covariance - before.position_covariance
-    np.testing.assert_allclose(
-        added[:, 3], np.broadcast_to(np.diag([0.18, 0, 0]), added[:, 3].shape), atol=1e-9
-    )
+    np.testing.assert_allclose(added[:, 3], np.broadcast_to(np.diag([0.18, 0, 0]), added[:, 3].shape), atol=1e-9)
     np.testing.assert_allclose(after.relative_covariance, before.relative_covariance, atol=1e-9)
     np.testing.assert_allclose(after.turn(WORLD, "Hips"), before.turn(WORLD, "Hips"), atol=1e-9)
 

@@ -13,10 +13,17 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording import body_checks as bodies
 
 NAMES = ("RHip", "right_knee", "R.Ankle", "LShoulder", "Left Elbow", "l_wrist", "Nose")
-BODY = np.array([
-    [0.0, -0.1, 0.9], [0.0, -0.1, 0.5], [0.0, -0.1, 0.1], [0.0, 0.2, 1.4], [0.0, 0.25, 1.1],
-    [0.1, 0.25, 0.9], [0.1, 0.0, 1.65],
-])  # fmt: skip
+BODY = np.array(
+    [
+        [0.0, -0.1, 0.9],
+        [0.0, -0.1, 0.5],
+        [0.0, -0.1, 0.1],
+        [0.0, 0.2, 1.4],
+        [0.0, 0.25, 1.1],
+        [0.1, 0.25, 0.9],
+        [0.1, 0.0, 1.65],
+    ]
+)
 
 
 def walking(T: int = 50, noise: float = 0.0) -> np.ndarray:
@@ -30,9 +37,11 @@ def camera(**changes: object) -> Camera:
 
 def test_bones_are_found_by_side_and_joint_however_they_are_spelt() -> None:
     assert bodies.limb_bones(NAMES) == {
-        "RHip to right_knee": (0, 1), "right_knee to R.Ankle": (1, 2),
-        "LShoulder to Left Elbow": (3, 4), "Left Elbow to l_wrist": (4, 5),
-    }  # fmt: skip
+        "RHip to right_knee": (0, 1),
+        "right_knee to R.Ankle": (1, 2),
+        "LShoulder to Left Elbow": (3, 4),
+        "Left Elbow to l_wrist": (4, 5),
+    }
     assert bodies.limb_bones(("C7", "T10", "RASI")) == {}
 
 

@@ -44,9 +44,7 @@ def written(folder: Path, motion: str) -> Path:
 
 
 def turning(focal_px: float | None = None) -> CameraMotion:
-    return CameraMotion(
-        TIMES, so3.exp(0.2 * np.sin(TIMES)[:, None] * [0, 1.0, 0]), np.radians(0.1), focal_px=focal_px
-    )
+    return CameraMotion(TIMES, so3.exp(0.2 * np.sin(TIMES)[:, None] * [0, 1.0, 0]), np.radians(0.1), focal_px=focal_px)
 
 
 def test_keypoints_are_stabilised_on_load_and_a_saved_recording_keeps_them(tmp_path: Path) -> None:

@@ -45,11 +45,7 @@ def test_digest_is_that_of_the_saved_and_of_the_streamed_recording(tmp_path: Pat
 def test_labels_and_the_form_of_files_do_not_matter(tmp_path: Path) -> None:
     recording = demo()
     labelled = replace(
-        recording,
-        name="other",
-        notes="a",
-        acknowledgement="b",
-        session=Session(subject="c", date="2026-01-31"),
+        recording, name="other", notes="a", acknowledgement="b", session=Session(subject="c", date="2026-01-31")
     )
     labelled.save(tmp_path / "a")
     arrays = dict(np.load(tmp_path / "a" / "keypoints.npz"))
@@ -88,9 +84,7 @@ def test_any_other_number_gives_another_digest(change: Any) -> None:
 @pytest.mark.parametrize("degrees", [2.896076792883497, 3.2240400206284368, 5.0, 0.1, 7.3, 1 / 3])
 def test_an_uncertain_camera_is_saved_exactly(tmp_path: Path, degrees: float) -> None:
     tilt = degrees * float(np.radians(1.0))  # as it is read
-    camera = replace(
-        DEMO.video.camera, uncertainty=CameraUncertainty(0.1, tilt, roll=tilt), heading_drift=tilt
-    )
+    camera = replace(DEMO.video.camera, uncertainty=CameraUncertainty(0.1, tilt, roll=tilt), heading_drift=tilt)
     recording = replace(DEMO, keypoints=replace(DEMO.video[:60], camera=camera), imus=None, calibration=None)
     recording.save(tmp_path / "a")
     after = Recording.load(tmp_path / "a")

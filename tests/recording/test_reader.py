@@ -162,9 +162,15 @@ class changed:
 
 
 FORMATS = [
-    as_saved, in_fortran_order, as_csv, of_a_detector, of_a_turning_camera, that_was_stabilised,
-    without_a_camera, of_sensor_files,
-]  # fmt: skip
+    as_saved,
+    in_fortran_order,
+    as_csv,
+    of_a_detector,
+    of_a_turning_camera,
+    that_was_stabilised,
+    without_a_camera,
+    of_sensor_files,
+]
 
 
 @pytest.fixture(scope="module", params=FORMATS, ids=lambda made: made.__name__)
@@ -193,9 +199,7 @@ instants = st.floats(FIRST - 1, LAST + 1) | st.integers(0, 600).map(lambda frame
 
 @settings(max_examples=25, deadline=None)
 @given(instants, instants)
-def test_any_span_equals_that_of_the_whole(
-    both: tuple[Recording, RecordingReader], one: float, other: float
-) -> None:
+def test_any_span_equals_that_of_the_whole(both: tuple[Recording, RecordingReader], one: float, other: float) -> None:
     whole, reader = both
     span = min(one, other), max(one, other)
     try:
@@ -291,11 +295,19 @@ def break_name(arrays: dict[str, np.ndarray]) -> None:
     arrays["uvpx"] = arrays.pop("uv_px")
 
 
-@pytest.mark.parametrize(("file", "fault"), [
-    ("keypoints.npz", break_times), ("imus.npz", break_times), ("truth.npz", break_times),
-    ("imus.npz", break_unit), ("imus.npz", break_rotation), ("keypoints.npz", break_confidence),
-    ("keypoints.npz", break_length), ("keypoints.npz", break_name),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "fault"),
+    [
+        ("keypoints.npz", break_times),
+        ("imus.npz", break_times),
+        ("truth.npz", break_times),
+        ("imus.npz", break_unit),
+        ("imus.npz", break_rotation),
+        ("keypoints.npz", break_confidence),
+        ("keypoints.npz", break_length),
+        ("keypoints.npz", break_name),
+    ],
+)
 def test_errors_are_those_of_loading(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, fault: Callable[[dict[str, Any]], None]
 ) -> None:

@@ -103,8 +103,7 @@ def full_recording() -> Recording:
     base = planted.recording(moving, sigma_px=2.0)
     assert base.imus is not None
     assert base.truth is not None
-    uv, R, f = (np.array(a) for a in (base.keypoints.uv_px, base.imus.R_inertial_sensor,
-                                      base.imus.f_sensor))  # fmt: skip
+    uv, R, f = (np.array(a) for a in (base.keypoints.uv_px, base.imus.R_inertial_sensor, base.imus.f_sensor))
     uv[3, 4], R[2, 1], f[5, 0] = np.nan, np.nan, np.nan
     confidence = np.random.default_rng(2).uniform(0.1, 1, uv.shape[:2])
     camera = replace(base.keypoints.camera, distortion=[0.01, 1e-3, -2e-4, 1e-17, 0.3])
@@ -145,13 +144,16 @@ def assert_same(a: object, b: object, where: str = "recording") -> None:
 # --- round trips ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("without", "names"), [
-    ((), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
-    (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", INDEX]),
-    (("keypoints",), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
-    (("imus",), [MANIFEST, "keypoints.npz", INDEX, "truth.npz"]),
-    (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("without", "names"),
+    [
+        ((), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
+        (("imus", "calibration", "truth"), [MANIFEST, "keypoints.npz", INDEX]),
+        (("keypoints",), [MANIFEST, "imus.npz", INDEX, "truth.npz"]),
+        (("imus",), [MANIFEST, "keypoints.npz", INDEX, "truth.npz"]),
+        (("calibration",), [MANIFEST, "imus.npz", "keypoints.npz", INDEX, "truth.npz"]),
+    ],
+)
 def test_save_and_load_are_exact(tmp_path: Path, without: tuple[str, ...], names: list[str]) -> None:
     recording = replace(full_recording(), **dict.fromkeys(without))  # type: ignore[arg-type]
     recording.save(tmp_path / "take")
@@ -164,8 +166,7 @@ def test_a_posture_of_unknown_joints_is_refused(tmp_path: Path) -> None:
     full_recording().save(tmp_path / "take")
     path = tmp_path / "take" / INDEX
     path.write_text(
-        path.read_text(encoding="utf-8").replace("\nSpine2 = [\n    1.0", "\nSpine9 = [\n    1.0"),
-        encoding="utf-8",
+        path.read_text(encoding="utf-8").replace("\nSpine2 = [\n    1.0", "\nSpine9 = [\n    1.0"), encoding="utf-8"
     )
     with pytest.raises(UnknownNameError, match=r"posture.*'Spine9'"):
         Recording.load(tmp_path / "take")
@@ -229,9 +230,8 @@ def test_the_example_of_the_documentation_can_be_loaded(tmp_path: Path) -> None:
     np.savez(tmp_path / "imus.npz", quat_wxyz=QUAT[:, :1], f_sensor=FORCE[:, :1])
     poses = planted.moving(SKELETON, T).poses
     np.savez(
-        tmp_path / "truth.npz",
-        times=poses.times, p_world_joint=poses.p_world_joint, R_world_bone=poses.R_world_bone,
-    )  # fmt: skip
+        tmp_path / "truth.npz", times=poses.times, p_world_joint=poses.p_world_joint, R_world_bone=poses.R_world_bone
+    )
     recording = Recording.load(tmp_path)
     assert recording.name == "walk"
     assert recording.keypoints.names == ("LeftArm", "Nose")
@@ -383,10 +383,19 @@ IMUS_LATER = replace(IMUS, times=IMUS.times + 1.7e9)
         ({"floor_height": np.nan}, InvalidInputError, "floor_height: not finite"),
         ({"imus": IMUS_LATER}, InvalidInputError, "IMU times run from .* shift them to one clock"),
         ({"truth": planted.moving(SkeletonModel.human36m(), T).poses}, InvalidInputError, "truth"),
-        ({"skeleton_table": "human36m", "joint_offsets": np.empty((0, 3)), "height": None,
-          "bone_lengths": None, "posture": None}, UnknownNameError, "unknown landmark"),
+        (
+            {
+                "skeleton_table": "human36m",
+                "joint_offsets": np.empty((0, 3)),
+                "height": None,
+                "bone_lengths": None,
+                "posture": None,
+            },
+            UnknownNameError,
+            "unknown landmark",
+        ),
     ],
-)  # fmt: skip
+)
 def test_fields_that_contradict_each_other_are_refused(
     change: dict[str, object], error: type[Exception], message: str
 ) -> None:
@@ -402,12 +411,20 @@ def test_fields_that_contradict_each_other_are_refused(
     [
         ("schema_version = 1", "", FileFormatError, "schema_version: missing"),
         ("schema_version = 1", "schema_version = 2", FileFormatError, "schema_version: 2 is not 1"),
-        ("width_px = 1920", "widht_px = 1920", FileFormatError,
-         r"\[camera\] width_px: missing; there is 'widht_px', which may be misspelt"),
+        (
+            "width_px = 1920",
+            "widht_px = 1920",
+            FileFormatError,
+            r"\[camera\] width_px: missing; there is 'widht_px', which may be misspelt",
+        ),
         ("width_px = 1920", 'width_px = "a"', FileFormatError, "'a' is not a finite number"),
         ("width_px = 1920", "width_px = 19.5", FileFormatError, "not a whole number"),
-        ("focal_px = 1250.0", "focal_px = 4.2", FileFormatError,
-         r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px"),
+        (
+            "focal_px = 1250.0",
+            "focal_px = 4.2",
+            FileFormatError,
+            r"\[camera\] focal_px: a focal length of 4\.2 px .* is it in mm\? Give px",
+        ),
         ("[0.0, 0.0, 1.0]", "[4.0, 0.6, 0.0]", FileFormatError, "target_m: straight above, below"),
         ("[0.0, 0.0, 1.0]", "[0.0, 1.0]", FileFormatError, r"expected 3 numbers, got shape \(2,\)"),
         ("[camera]", "[camera]\ndistorsion = [0]", UnknownNameError, "Did you mean 'distortion'"),
@@ -419,26 +436,44 @@ def test_fields_that_contradict_each_other_are_refused(
         ('layout = "joints"', "", FileFormatError, "landmarks: missing; list the names"),
         ('layout = "joints"', 'layout = "coco"', FileFormatError, "'coco' is not known; write"),
         ('"joints"', '"joints"\nlandmarks = []', FileFormatError, "layout: stands beside landmarks"),
-        ('layout = "joints"', f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}", UnknownNameError,
-         r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'"),
+        (
+            'layout = "joints"',
+            f"landmarks = {[*SKELETON.names[:-1], 'LeftFot']}",
+            UnknownNameError,
+            r"\[keypoints\] landmarks 'LeftFot'\. Did .*'LeftFoot'",
+        ),
         ('layout = "joints"', 'landmarks = ["Hips"]', FileFormatError, "1 names, but .* 21 points"),
-        ('joint = "RightLeg"', 'joint = "RightLag"', UnknownNameError,
-         r"recording\.toml, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'"),
+        (
+            'joint = "RightLeg"',
+            'joint = "RightLag"',
+            UnknownNameError,
+            r"recording\.toml, \[imus\.sensors\.strap\] joint 'RightLag'\. Did you mean 'RightLeg'",
+        ),
         ("lever_arm_m = [0.05, 0.0, -0.16]", "", FileFormatError, "lever_arm_m: missing; add 3"),
-        ("[0.5, 0.5, 0.5, 0.5]", "[0.5, 0.5, 0.5, 0.4]", FileFormatError,
-         r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95"),
-        ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]',
-         UnknownNameError, "'belt'"),
-        ("[imus.sensors.L_UpArm]", 'names = ["strap"]\n[imus.sensors.L_UpArm]', FileFormatError,
-         r"names: 1 sensors are named, but .* has 2"),
+        (
+            "[0.5, 0.5, 0.5, 0.5]",
+            "[0.5, 0.5, 0.5, 0.4]",
+            FileFormatError,
+            r"\[imus\.sensors\.L_UpArm\] quat_wxyz_sensor_bone: has norm 0\.95",
+        ),
+        ("[imus.sensors.L_UpArm]", 'names = ["L_UpArm", "belt"]\n[imus.sensors.L_UpArm]', UnknownNameError, "'belt'"),
+        (
+            "[imus.sensors.L_UpArm]",
+            'names = ["strap"]\n[imus.sensors.L_UpArm]',
+            FileFormatError,
+            r"names: 1 sensors are named, but .* has 2",
+        ),
         ("[camera]", "[skeleton]\ntable = 'smpl'\n[camera]", UnknownNameError, "human36m"),
-        ("[camera]", "[skeleton]\nbone_lengths_m = {Elbow = 1}\n[camera]", UnknownNameError,
-         r"bone_lengths_m 'Elbow'"),
-        ("[camera]", "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]", FileFormatError,
-         r"\[skeleton\.joint_offsets_m\] Spine1: missing"),
+        ("[camera]", "[skeleton]\nbone_lengths_m = {Elbow = 1}\n[camera]", UnknownNameError, r"bone_lengths_m 'Elbow'"),
+        (
+            "[camera]",
+            "[skeleton]\njoint_offsets_m = {Spine = [0, 0, 1]}\n[camera]",
+            FileFormatError,
+            r"\[skeleton\.joint_offsets_m\] Spine1: missing",
+        ),
         ("[notes]", "[note]\n[notes]", UnknownNameError, "Did you mean 'notes'"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_line_raises_with_file_field_and_remedy(
     tmp_path: Path, old: str, new: str, error: type[Exception], message: str
 ) -> None:
@@ -503,20 +538,26 @@ def test_wrong_keypoint_arrays_raise_with_file_and_field(
 @pytest.mark.parametrize(
     ("new", "error", "message"),
     [
-        ({"quat_wxyz": with_value(QUAT, (7, 1), QUAT[7, 1] * 1.01)}, FileFormatError,
-         r"imus\.npz: quat_wxyz: sample 7 of strap has norm 1\.01, not 1; normalise it"),
+        (
+            {"quat_wxyz": with_value(QUAT, (7, 1), QUAT[7, 1] * 1.01)},
+            FileFormatError,
+            r"imus\.npz: quat_wxyz: sample 7 of strap has norm 1\.01, not 1; normalise it",
+        ),
         ({"quat_wxyz": np.zeros_like(QUAT)}, FileFormatError, "sample 0 of L_UpArm has norm 0"),
         ({"quat_wxyz": QUAT[:-1]}, FileFormatError, r"quat_wxyz: expected shape \(40, 2, 4\)"),
         ({"quat_wxyz": None}, FileFormatError, "give one of quat_wxyz"),
         ({"R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError, "give one of quat_wxyz"),
-        ({"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))}, FileFormatError,
-         r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)"),
+        (
+            {"quat_wxyz": None, "R_inertial_sensor": np.ones((40, S, 3, 3))},
+            FileFormatError,
+            r"imus\.npz: IMU R_inertial_sensor: not a rotation matrix at index \(0, 0\)",
+        ),
         ({"f_sensor": FORCE / 9.81}, UnitError, r"imus\.npz: IMU L_UpArm: .* in g; multiply"),
         ({"f_sensor": with_value(FORCE, (3, 1), np.inf)}, FileFormatError, "infinite; write NaN"),
         ({"f_sensor": None}, FileFormatError, "no array 'f_sensor' of shape"),
         ({"f_sensor": FORCE[:, :, :2]}, FileFormatError, r"IMU f_sensor: expected shape \(40, 2, 3\)"),
     ],
-)  # fmt: skip
+)
 def test_wrong_imu_arrays_raise_with_file_and_field(
     tmp_path: Path, new: dict[str, object], error: type[Exception], message: str
 ) -> None:
@@ -551,11 +592,14 @@ def npy_bytes(array: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("damage", [
-    lambda content: content[: len(content) // 2],
-    lambda content: content[:-100],
-    lambda content: content[: len(content) // 2] + b"\x00\xff\x00" + content[len(content) // 2 + 3 :],
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content[: len(content) // 2],
+        lambda content: content[:-100],
+        lambda content: content[: len(content) // 2] + b"\x00\xff\x00" + content[len(content) // 2 + 3 :],
+    ],
+)
 def test_a_damaged_archive_is_refused(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     write(tmp_path)
     content = (tmp_path / "keypoints.npz").read_bytes()

@@ -34,19 +34,33 @@ from rtof_kin.vision.layouts import detector_table
 
 DEMO = Path(__file__).parents[2] / "models/demo"
 DELETED = object()
-VALUES = (
-    DELETED, "text", True, 3, 1.5, -1, math.nan, datetime.date(2026, 1, 31), [], ["a"], [1.0], {},
-)  # fmt: skip
+VALUES = (DELETED, "text", True, 3, 1.5, -1, math.nan, datetime.date(2026, 1, 31), [], ["a"], [1.0], {})
 KINDS = (DELETED, "text", True, 1.5, [])
 CONTENTS = (
-    "no human height", "is no person's", "the skeleton stands", "leads out of the folder", "there is no file",
-    "has times of its own", "has no times", r"\[imus\] '(names|map|gravity|\w+_\w+)'",
-    "it has no table", "unknown (joint|segment|sensor|camera)", "is not a day", "shift them to one clock",
-    "is it in mm", "no such person", "on their clock", "points; name each one", "sensors are named",
+    "no human height",
+    "is no person's",
+    "the skeleton stands",
+    "leads out of the folder",
+    "there is no file",
+    "has times of its own",
+    "has no times",
+    r"\[imus\] '(names|map|gravity|\w+_\w+)'",
+    "it has no table",
+    "unknown (joint|segment|sensor|camera)",
+    "is not a day",
+    "shift them to one clock",
+    "is it in mm",
+    "no such person",
+    "on their clock",
+    "points; name each one",
+    "sensors are named",
     "list the sensors in the file's order",
-    "stabilised already", "name one of a, b", "longer than 1 m", r"strap\] (joint|lever_arm_m): missing",
+    "stabilised already",
+    "name one of a, b",
+    "longer than 1 m",
+    r"strap\] (joint|lever_arm_m): missing",
     r"joint_offsets_m\] \w+: missing",
-)  # fmt: skip
+)
 """What readers find that the text alone does not tell."""
 
 
@@ -105,9 +119,7 @@ def remembering(method: Callable[..., SkeletonModel]) -> Callable[..., SkeletonM
 # --- agreement -----------------------------------------------------------------------------------
 
 
-def tables(
-    index: dict[str, Any], node: dict[str, Any], where: str = ""
-) -> Iterator[tuple[str, dict[str, Any], Any]]:
+def tables(index: dict[str, Any], node: dict[str, Any], where: str = "") -> Iterator[tuple[str, dict[str, Any], Any]]:
     """Name, contents and schema of all tables."""
     yield where, index, node
     for field, value in index.items():
@@ -160,9 +172,7 @@ def usual(node: dict[str, Any]) -> Any:
         return node["enum"][0]
     if shape := shape_of(node) if "prefixItems" in node else ():
         return (
-            (np.eye(3) if shape == (3, 3) else np.eye(*shape, 1)[:, 0]).tolist()
-            if len(shape) > 1
-            else [1.0] * shape[0]
+            (np.eye(3) if shape == (3, 3) else np.eye(*shape, 1)[:, 0]).tolist() if len(shape) > 1 else [1.0] * shape[0]
         )
     kinds = {"number": 1.0, "integer": 1, "boolean": True, "object": {}, "array": [], "string": "imus.npz"}
     return kinds[node.get("type", "string")]
@@ -220,9 +230,7 @@ def test_schema_is_valid_and_says_what_every_field_is() -> None:
     from jsonschema import Draft202012Validator
 
     Draft202012Validator.check_schema(json.loads(SCHEMA.read_text(encoding="utf-8")))
-    assert [
-        name for name, one in fields_of(schema()) if not (name.endswith("*") or one.get("description"))
-    ] == []
+    assert [name for name, one in fields_of(schema()) if not (name.endswith("*") or one.get("description"))] == []
 
 
 def test_demo_and_saved_recordings_hold_to_the_schema(tmp_path: Path) -> None:
@@ -239,10 +247,7 @@ def test_demo_and_saved_recordings_hold_to_the_schema(tmp_path: Path) -> None:
         ({"camera": None}, r"camera: is missing; a camera and its keypoints go together"),
         ({"imus": {"sensors": {"a": {"joint": 1}}}}, r"\[imus\.sensors\.a\] joint: 1 is not text; put it"),
         ({"subjekt": {}}, r"unknown field in .*recording\.toml 'subjekt'\. Did you mean 'subject'\?"),
-        (
-            {"session": {"date": datetime.date(2026, 1, 31)}},
-            r"\[session\] date: .* is not text; put it in quotes",
-        ),
+        ({"session": {"date": datetime.date(2026, 1, 31)}}, r"\[session\] date: .* is not text; put it in quotes"),
         ({"notes": {"text": "a", "name": "b"}}, r"\[notes\] 'name'\. Known: acknowledgement, text"),
         ({"scene": {"floor_height_m": math.nan}}, r"\[scene\] floor_height_m: nan is not a finite number"),
         ({"views": [{"camera": {}}]}, r"\[views\.1\.camera\] width_px: missing; add e\.g\. width_px = 1\.0"),
@@ -262,9 +267,7 @@ def test_a_misspelt_field_is_told_with_its_line(tmp_path: Path) -> None:
         check_index(Section.of_file(path))
 
 
-def test_check_needs_no_other_file_and_opening_raises_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_check_needs_no_other_file_and_opening_raises_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(index_module, "check_index", check_index)
     (tmp_path / INDEX).write_text(RECORDINGS["everything"].replace("K = [[1250,", "K = [[true,"))
     with pytest.raises(RtofError, match=r"\[views\.1\.camera\] K: not 3 x 3 numbers in brackets"):

@@ -120,9 +120,7 @@ def test_times_are_put_on_the_recordings_clock(tmp_path: Path) -> None:
 
 
 def test_the_packages_own_arrays_have_a_clock_too(tmp_path: Path) -> None:
-    recording = replace(
-        planted.recording(planted.moving(SkeletonModel.default(), 12)), keypoints=None, truth=None
-    )
+    recording = replace(planted.recording(planted.moving(SkeletonModel.default(), 12)), keypoints=None, truth=None)
     recording.save(tmp_path / "own")
     index = tmp_path / "own" / "recording.toml"
     text = index.read_text().replace("[imus]\n", "[imus]\nstart_s = 2.0\nclock_drift = -1e-3\n")

@@ -42,9 +42,7 @@ def test_a_recording_without_labels_has_none(folder: Path) -> None:
         ("operator", "opperator", UnknownNameError, "Did you mean 'operator'"),
     ],
 )
-def test_wrong_labels_are_refused(
-    folder: Path, old: str, new: str, error: type[Exception], message: str
-) -> None:
+def test_wrong_labels_are_refused(folder: Path, old: str, new: str, error: type[Exception], message: str) -> None:
     path = folder / "recording.toml"
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(error, match=message):

@@ -36,10 +36,12 @@ def good() -> Reconstruction:
     recording = replace(planted.recording(truth), joint_offsets=BODY.joint_offsets)
     settings = ReconstructionSettings(frames=16)
     result = reconstruct(recording, lifter=planted.PlantedLifter(truth), settings=settings, calibrate=False)
-    motion = replace(result.motion, poses=replace(
-        result.motion.poses, p_world_joint=truth.poses.p_world_joint,
-        R_world_bone=truth.poses.R_world_bone,
-    ))  # fmt: skip
+    motion = replace(
+        result.motion,
+        poses=replace(
+            result.motion.poses, p_world_joint=truth.poses.p_world_joint, R_world_bone=truth.poses.R_world_bone
+        ),
+    )
     return replace(result, motion=motion)
 
 
@@ -95,9 +97,7 @@ def test_an_ear_that_a_side_view_hides_is_no_failure(good: Reconstruction) -> No
 
 
 @pytest.mark.parametrize(("axis", "name"), [("x", "across the bone"), ("z", "about the bone")])
-def test_a_rotated_sensor_has_a_residual_across_or_about_its_bone(
-    good: Reconstruction, axis: str, name: str
-) -> None:
+def test_a_rotated_sensor_has_a_residual_across_or_about_its_bone(good: Reconstruction, axis: str, name: str) -> None:
     imus = good.bone_imus
     assert imus is not None
     R = imus.R_world_bone.copy()
@@ -148,9 +148,7 @@ def test_checks_of_declared_inputs_are_results(good: Reconstruction) -> None:
 def test_a_weakly_observed_calibration_does_not_pass(good: Reconstruction) -> None:
     def verdict(*known: float) -> SectionVerdict:
         numbers = np.array([0.01]), np.array([0.05]), np.array([0.05])
-        quantities = tuple(
-            Quantity("mounting", f"segment {i}", *numbers, share) for i, share in enumerate(known)
-        )
+        quantities = tuple(Quantity("mounting", f"segment {i}", *numbers, share) for i, share in enumerate(known))
         calibrated = replace(good, calibration=SelfCalibration(quantities))
         return section_verdict("calibration", audit(calibrated))
 
@@ -205,8 +203,6 @@ def test_a_wrong_height_and_violated_limits_are_results(good: Reconstruction) ->
         (lambda r: replace(r, solution=None, mode="sf2"), "solver"),
     ],
 )
-def test_missing_inputs_are_not_checked(
-    good: Reconstruction, change: Callable[[Any], Any], section: str
-) -> None:
+def test_missing_inputs_are_not_checked(good: Reconstruction, change: Callable[[Any], Any], section: str) -> None:
     (own,) = [result for result in audit(change(good)) if result.section == section]
     assert own.grade is Grade.NOT_CHECKED

@@ -58,9 +58,7 @@ def test_unknown_sections_and_reversed_limits_are_rejected() -> None:
 
 
 @given(NUMBERS, LIMITS, LIMITS, NUMBERS, st.booleans())
-def test_results_survive_a_round_trip_through_json(
-    value: float, a: float, b: float, at: float, weak: bool
-) -> None:
+def test_results_survive_a_round_trip_through_json(value: float, a: float, b: float, at: float, weak: bool) -> None:
     limits = min(a, b), max(a, b)
     made = AuditResult("image", "error", "<Head>", value, "px", *limits, "source", "note", at, weak)
     plain = json.loads(json.dumps(made.plain(), allow_nan=False))

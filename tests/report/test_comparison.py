@@ -51,9 +51,7 @@ def said(found: Comparison, why: str = "") -> str:
 
 def test_first_lines_say_what_how_and_what_changed(planted_change: Comparison) -> None:
     lines = opening(planted_change, "both are alike")
-    assert lines[0].startswith(
-        "A is <b>before</b>, B is after & </script>; differences are B - A, \u00b1 half of the "
-    )
+    assert lines[0].startswith("A is <b>before</b>, B is after & </script>; differences are B - A, \u00b1 half of the ")
     assert lines[0].endswith("the 95 % interval of the angle alone.")
     assert "same instants, 0.00 to 4.98 s" in lines[1]
     assert "100 % of the frames, by angle, are observed" in lines[1]
@@ -82,9 +80,7 @@ def test_other_movement_is_doubted_first() -> None:
 
 
 def test_a_better_shift_is_pointed_out_and_a_used_one_is_stated() -> None:
-    chirp = {
-        name: 30 + 20 * np.sin(2 * np.pi * TIMES * (1 + TIMES / 5) + k) for k, name in enumerate(COLUMNS_A)
-    }
+    chirp = {name: 30 + 20 * np.sin(2 * np.pi * TIMES * (1 + TIMES / 5) + k) for k, name in enumerate(COLUMNS_A)}
     a, b = one("a", TIMES, chirp, 2.0), one("b", TIMES - 0.3, chirp, 2.0)
     assert "shifted by +0.30 s: if the clocks differ, use --align" in said(found_in_time(a, b))
     shifted = said(found_in_time(a, b, 0.3))
@@ -161,9 +157,10 @@ def test_outputs_motions_and_coordinates_are_read(tmp_path: Path) -> None:
     assert [one.name for one in found] == ["out (rtof)", "out (rtof)", "run (rtof)", "walk.mot"]
     assert [one.recording for one in found] == ["walk", "walk", "walk", ""]
     assert [one.other_system for one in found] == [False, False, False, True]
-    assert distinct(found[0], found[1], (out, out / "motion.npz"))[0] != distinct(
-        found[0], found[1], (out, out / "motion.npz")
-    )[1]  # fmt: skip
+    assert (
+        distinct(found[0], found[1], (out, out / "motion.npz"))[0]
+        != distinct(found[0], found[1], (out, out / "motion.npz"))[1]
+    )
     paths = (tmp_path / "before" / "out", tmp_path / "after" / "out")
     assert distinct(found[0], found[0], paths) == ("before/out", "after/out")  # a page is passed on
     exported = compare(found[0], found[3], "time")
@@ -194,16 +191,12 @@ def test_curves_are_those_of_the_motions(planted_change: Comparison) -> None:
     np.testing.assert_allclose(a, WAVE[::2], atol=0.051)
     np.testing.assert_allclose(b - a, 15, atol=0.11)
     np.testing.assert_allclose(unpacked(difference["series"][0]["y"], 10), 15, atol=0.051)
-    np.testing.assert_allclose(
-        unpacked(difference["series"][0]["half"], 10), 1.96 * 2 * np.sqrt(2), atol=0.06
-    )
+    np.testing.assert_allclose(unpacked(difference["series"][0]["half"], 10), 1.96 * 2 * np.sqrt(2), atol=0.06)
     assert data["x"][:2] == pytest.approx([0, 1 / 30], abs=1e-4)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
-def test_page_draws_in_a_browser_without_requests_at_any_width(
-    planted_change: Comparison, tmp_path: Path
-) -> None:
+def test_page_draws_in_a_browser_without_requests_at_any_width(planted_change: Comparison, tmp_path: Path) -> None:
     file = tmp_path / "comparison.html"
     file.write_text(page(planted_change), encoding="utf-8")
     with BrowserPage(tmp_path / "profile", 1200, 900) as browser:
@@ -211,13 +204,9 @@ def test_page_draws_in_a_browser_without_requests_at_any_width(
         browser.until("document.documentElement.dataset.state === 'ready'")
         assert browser.value("document.querySelectorAll('#curve-charts figure').length") == 6
         for kind, dashed in (("A", False), ("B", True)):
-            style = browser.value(
-                f"getComputedStyle(document.querySelector('.curve.{kind}')).strokeDasharray"
-            )
+            style = browser.value(f"getComputedStyle(document.querySelector('.curve.{kind}')).strokeDasharray")
             assert (style != "none") == dashed
-        colours = browser.value(
-            "['A', 'B'].map(k => getComputedStyle(document.querySelector('.curve.' + k)).stroke)"
-        )
+        colours = browser.value("['A', 'B'].map(k => getComputedStyle(document.querySelector('.curve.' + k)).stroke)")
         assert len({*colours}) == 2
         browser.resize(390, 800)
         assert browser.value("document.documentElement.scrollWidth") <= 390

@@ -27,10 +27,18 @@ from rtof_kin.report.headline import headline
 BODY = SkeletonModel.default().with_height(1.66)
 T = 16
 FILES = {
-    "motion.npz", "skeleton.urdf", "joint_trajectory.csv", "joint_trajectory.json",
-    "ros_joint_trajectory.json", "ros_base_trajectory.json", "summary.json", "files.json",
-    "motion.csv", "measurements.npz", MANIFEST,
-}  # fmt: skip
+    "motion.npz",
+    "skeleton.urdf",
+    "joint_trajectory.csv",
+    "joint_trajectory.json",
+    "ros_joint_trajectory.json",
+    "ros_base_trajectory.json",
+    "summary.json",
+    "files.json",
+    "motion.csv",
+    "measurements.npz",
+    MANIFEST,
+}
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +119,7 @@ def test_the_motion_is_found_in_the_output_of_reconstruct_and_run(folder: Path, 
         motion_path(tmp_path)
     for wrong in ("nowhere", "walk.mp4"):
         (tmp_path / "walk.mp4").touch()
-        with pytest.raises(
-            FileFormatError, match=f"{wrong}: .*; name the output folder of reconstruct or run"
-        ):
+        with pytest.raises(FileFormatError, match=f"{wrong}: .*; name the output folder of reconstruct or run"):
             motion_folder(tmp_path / wrong)
 
 

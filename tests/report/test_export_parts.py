@@ -45,8 +45,12 @@ def test_long_motions_are_not_written_as_text_unless_asked_for(
     monkeypatch.setattr(exporting, "MOST_SECONDS", 2.0)
     export_parts(parts, tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").glob("[a-z]*")) == [
-        "files.json", "measurements.npz", "motion.npz", "skeleton.urdf", "summary.json",
-    ]  # fmt: skip
+        "files.json",
+        "measurements.npz",
+        "motion.npz",
+        "skeleton.urdf",
+        "summary.json",
+    ]
     export_parts(parts, tmp_path / "asked", formats=("csv",))
     assert (tmp_path / "asked" / "motion.csv").is_file()
 

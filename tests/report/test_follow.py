@@ -80,8 +80,9 @@ def test_a_plan_names_orders_and_declares(tmp_path: Path) -> None:
     )
     read = read_visits(tmp_path)
     assert [(visit.name, visit.day) for visit in read.visits] == [
-        ("before", date(2026, 2, 1)), ("after", date(2026, 1, 1))
-    ]  # fmt: skip
+        ("before", date(2026, 2, 1)),
+        ("after", date(2026, 1, 1)),
+    ]
     assert read.baseline == 1
     assert read.plan.shares == BandShares(0.25, 0.5)
     assert read.plan.better == {"right_knee_flexion_range": "up"}
@@ -133,9 +134,11 @@ def test_a_failed_audit_is_the_first_line(tmp_path: Path) -> None:
     visit_folders(tmp_path, {"2026-01-01": 1.0})
     for place in (2, 3):
         folder_of(
-            walk_at(1.0, place), tmp_path / "2026-02-02" / f"w{place}", audit=[audit.plain()],
+            walk_at(1.0, place),
+            tmp_path / "2026-02-02" / f"w{place}",
+            audit=[audit.plain()],
             inputs={"software": "rtof_kin 1.0"},
-        )  # fmt: skip
+        )
     first = opening(follow_up(read_visits(tmp_path).visits))[0]
     assert first.startswith("The visits may not be comparable: 2026-02-02: the audit of w2, w3 failed (wrong")
 
@@ -170,9 +173,7 @@ def test_every_outcome_has_its_reason(found: FollowUp) -> None:
 
 
 def test_single_trials_and_missing_bands_are_cautions() -> None:
-    visits = [
-        Visit(name, (trial("t", walk_at(1.0, place, certain=False)),)) for place, name in enumerate("ab")
-    ]
+    visits = [Visit(name, (trial("t", walk_at(1.0, place, certain=False)),)) for place, name in enumerate("ab")]
     single = follow_up(visits, names=["gait_speed", "right_knee_flexion_range"])
     lines = " ".join(cautions(single))
     assert "Each visit has one trial" in lines
@@ -225,9 +226,7 @@ def test_the_page_is_well_formed_and_loads_nothing(found: FollowUp, tmp_path: Pa
     assert "2026-01-10 <b>" not in html
     assert "Changes from 2026-01-10" in page.text["changes"]
     assert "SEM, bands" in page.text["errors"]
-    assert {path.name for path in (tmp_path / "figures").iterdir()} >= {
-        "changed.png", "gait.png", "range.png"
-    }  # fmt: skip
+    assert {path.name for path in (tmp_path / "figures").iterdir()} >= {"changed.png", "gait.png", "range.png"}
 
 
 def test_plain_data_say_what_each_error_contains(found: FollowUp) -> None:

@@ -8,13 +8,7 @@ from dataclasses import replace
 import pytest
 
 from rtof_kin.data.stream_faults import FaultKind
-from rtof_kin.report.audit_results import (
-    FAILED_FRAGMENTS,
-    ROOM_BAND,
-    UNOBSERVED_FRAGMENTS,
-    AuditResult,
-    Grade,
-)
+from rtof_kin.report.audit_results import FAILED_FRAGMENTS, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult, Grade
 from rtof_kin.report.headline import headline
 
 GOOD = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
@@ -23,9 +17,16 @@ LOOSE = AuditResult("sensors", "residual", "LeftLeg", 3.0, "deg", 2.0, 5.0, note
 LOST = AuditResult("solver", UNOBSERVED_FRAGMENTS, "all", 10.0, "%", 0.0, 50.0, note="the prior alone.")
 GONE = AuditResult("solver", FAILED_FRAGMENTS, "all", 20.0, "%", 0.0, 10.0, note="gave up.")
 FOCAL = AuditResult(
-    "inputs", "height in the picture", "camera", 0.2, "1", 0.1, 0.1, "limit of the check",
+    "inputs",
+    "height in the picture",
+    "camera",
+    0.2,
+    "1",
+    0.1,
+    0.1,
+    "limit of the check",
     "the focal length is too short: compare it with the camera's file",
-)  # fmt: skip
+)
 WARNING = AuditResult.warning("streams", "motion", "two sensors are exchanged")
 FAULT = AuditResult("streams", "fault, duration", "LeftLeg", 2.0, "s", -1.0, note="it stuck", at=1.0)
 UNKNOWN = AuditResult.not_checked("inputs", "camera", "the person does not move", "distance")
@@ -69,9 +70,11 @@ def test_without_warnings_it_lists_what_was_checked_and_what_was_not() -> None:
     found = headline([UNKNOWN, GOOD, WEAK])
     assert found.grade is Grade.PASS
     for part in (
-        "found in image;", "calibration: 30 quantities: 1 observed, 29 weakly observed",
-        "not checked: camera: distance: the person does not move", "no reference",
-    ):  # fmt: skip
+        "found in image;",
+        "calibration: 30 quantities: 1 observed, 29 weakly observed",
+        "not checked: camera: distance: the person does not move",
+        "no reference",
+    ):
         assert part in found.text
     truth = AuditResult("truth", "error", "motion", 20.0, "mm")
     assert "no reference" not in headline([UNKNOWN, GOOD, WEAK, truth]).text

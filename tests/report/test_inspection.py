@@ -248,9 +248,7 @@ def test_narrow_terminals_show_all_figures_and_verdicts(
     assert {f"{check.value:.3g}" for check in checks if check.passed} <= set(re.split("[ ,]", text))
 
 
-def test_a_figure_is_written_and_replaced_only_on_request(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_figure_is_written_and_replaced_only_on_request(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     target = tmp_path / "p.png"
     target.write_text("mine")
     code, _, text = run(capsys, MTW, "--plot", target)

@@ -34,10 +34,18 @@ INPUTS = {
     "session": {"subject": "P07", "operator": "<img src=x onerror=alert(1)>", "date": "2026-01-31"},
     "subject": {"height_m": 1.7, "mass_kg": None, "sex": None, "bones": "measured"},
     "camera": {"width_px": 1920, "height_px": 1080, "rate_hz": 60.0, "landmarks": ["Head"]},
-    "sensors": [{"name": "S1", "segment": "LeftLeg", "lever_arm_m": [0.0, 0.02, -0.2], "rate_hz": 100.0,
-                 "known_share": 1.0, "largest_specific_force_m_s2": 31.0}],
+    "sensors": [
+        {
+            "name": "S1",
+            "segment": "LeftLeg",
+            "lever_arm_m": [0.0, 0.02, -0.2],
+            "rate_hz": 100.0,
+            "known_share": 1.0,
+            "largest_specific_force_m_s2": 31.0,
+        }
+    ],
     "calibration": {"converged": True, "columns": ["quantity", "of"], "rows": [["delay", "</script>"]]},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +54,13 @@ def html(tmp_path_factory: pytest.TempPathFactory) -> str:
     motion = replace(walk(), confidence=certain_to(2.0, walk()))
     result = AuditResult("image", "error", "<b>Head</b>", 7.0, "px", 2.0, 5.0, "a source", "look & see")
     folder = folder_of(
-        motion, tmp_path_factory.mktemp("page") / "out", inputs=INPUTS,
-        recording="walk </script><script>", acknowledgement="Data by <nobody>", audit=[result.plain()],
-    )  # fmt: skip
+        motion,
+        tmp_path_factory.mktemp("page") / "out",
+        inputs=INPUTS,
+        recording="walk </script><script>",
+        acknowledgement="Data by <nobody>",
+        audit=[result.plain()],
+    )
     return report(folder, made=TODAY)
 
 
@@ -109,18 +121,28 @@ def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path
 
 
 def test_the_header_has_options_and_settings(tmp_path: Path) -> None:
-    settings = {"space": "cartesian", "backend": "ipopt", "energy": "as printed", "frames": 20,
-                "lifter": "perfect", "lift_with_sensors": False, "calibrate": "no", "threads": 1,
-                "guards": ""}  # fmt: skip
+    settings = {
+        "space": "cartesian",
+        "backend": "ipopt",
+        "energy": "as printed",
+        "frames": 20,
+        "lifter": "perfect",
+        "lift_with_sensors": False,
+        "calibrate": "no",
+        "threads": 1,
+        "guards": "",
+    }
     folder = folder_of(walk(), tmp_path / "out", inputs=INPUTS, settings=settings, audit=None)
     options = {"session": Session(subject="P08")}
     assert "P08: motion report" in text_of(folder, **options)
     assert "without an audit" in text_of(folder, **options)
     recording = text_of(folder, "recording", **options)
     for text in (
-        "2026-01-31", "perfect, from the image alone", "Outlier rejection off",
+        "2026-01-31",
+        "perfect, from the image alone",
+        "Outlier rejection off",
         "cartesian space, ipopt, energy: as printed; 20 frames a fragment",
-    ):  # fmt: skip
+    ):
         assert text in recording
 
 
@@ -144,11 +166,7 @@ def test_ranges_compare_left_and_right(page: Page) -> None:
 
 def test_isb_items_are_filled_in_or_left_blank(page: Page) -> None:
     text = page.text["isb"]
-    for part in (
-        "S1 on LeftLeg at (0, 20, -200) mm in its frame",
-        "100 Hz",
-        "10.1016/j.jbiomech.2024.112225",
-    ):
+    for part in ("S1 on LeftLeg at (0, 20, -200) mm in its frame", "100 Hz", "10.1016/j.jbiomech.2024.112225"):
         assert part in text
     topics = isb_items(INPUTS, "rtof", True, "none")
     unknown = [name for items in topics.values() for name, known in items.items() if known is None]
@@ -288,10 +306,17 @@ def test_a_browser_renders_all_plots(case: str, html: str, tmp_path: Path) -> No
         motion: MotionSequence = walk()[:1] if case == "single frame" else walk()[:20]
         if case == "nothing known":
             poses = motion.poses
-            motion = replace(motion, q=np.full_like(motion.q, np.nan), poses=replace(
-                poses, p_world_joint=np.full_like(poses.p_world_joint, np.nan),
-                R_world_bone=np.full_like(poses.R_world_bone, np.nan), provenance=None, valid=None,
-            ))  # fmt: skip
+            motion = replace(
+                motion,
+                q=np.full_like(motion.q, np.nan),
+                poses=replace(
+                    poses,
+                    p_world_joint=np.full_like(poses.p_world_joint, np.nan),
+                    R_world_bone=np.full_like(poses.R_world_bone, np.nan),
+                    provenance=None,
+                    valid=None,
+                ),
+            )
         html = report(folder_of(motion, tmp_path / "out"), made=TODAY)
     path = tmp_path / "page #1.html"
     path.write_text(html, encoding="utf-8")

@@ -27,9 +27,7 @@ LONG = "Anderson-Featherstonehaugh" * 3
 CAUSE = "a long reason that goes on and on, " * 8
 SENSORS = [
     {"name": f"S{i}", "segment": name, "lever_arm_m": [0.01, 0.02, 0.03], "rate_hz": 100.0}
-    for i, name in enumerate(
-        ("LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm")
-    )
+    for i, name in enumerate(("LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg", "LeftForeArm", "RightForeArm"))
 ]
 INPUTS = {
     "software": "rtof_kin 9.9",
@@ -91,9 +89,7 @@ def choose(page: BrowserPage, convention: str) -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_is_cut_or_broken_at_any_width(
-    opened: BrowserPage, url: str, width: int, tmp_path: Path
-) -> None:
+def test_nothing_is_cut_or_broken_at_any_width(opened: BrowserPage, url: str, width: int, tmp_path: Path) -> None:
     opened.resize(width, 900)
     picture = opened.picture(tmp_path / f"{width}.png")
     assert picture.stat().st_size > 50_000
@@ -110,9 +106,7 @@ def test_nothing_is_cut_or_broken_at_any_width(
 
 def test_a_phone_shows_the_main_angles_within_a_few_screens(opened: BrowserPage) -> None:
     height = "document.documentElement.scrollHeight"
-    count = (
-        "[...document.querySelectorAll('#angle-charts figure')].filter(one => one.checkVisibility()).length"
-    )
+    count = "[...document.querySelectorAll('#angle-charts figure')].filter(one => one.checkVisibility()).length"
     every = opened.value(count)
     opened.resize(WIDTHS[0], 900)
     short, few = opened.value(height), opened.value(count)
@@ -160,9 +154,7 @@ def test_pages_of_paper_are_full(opened: BrowserPage, tmp_path: Path) -> None:
     for page in PdfReader(tmp_path / "page.pdf").pages[:-1]:
         lowest: list[float] = []
         page.extract_text(
-            visitor_text=lambda text, cm, tm, *_, to=lowest: (
-                to.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
-            )
+            visitor_text=lambda text, cm, tm, *_, to=lowest: to.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
         )
         height = float(page.mediabox[3])
         body = [y / height for y in lowest if y / height > 0.06]  # above the foot
@@ -220,8 +212,9 @@ def test_the_curve_of_the_opposite_sign_is_turned_over(opened: BrowserPage) -> N
     )
     (_, low, first), (_, high, last) = usual
     assert [(text, -int(degrees), at) for text, degrees, at in turned] == [
-        ("lowest", int(high), last), ("highest", int(low), first)
-    ]  # fmt: skip
+        ("lowest", int(high), last),
+        ("highest", int(low), first),
+    ]
 
 
 def test_each_chart_has_its_extremes_in_words(opened: BrowserPage) -> None:
@@ -239,9 +232,7 @@ def test_each_chart_has_its_extremes_in_words(opened: BrowserPage) -> None:
 
 
 def test_the_scene_turns_by_keys_and_buttons_and_does_not_trap_the_page(opened: BrowserPage) -> None:
-    assert (
-        opened.value("getComputedStyle(document.getElementById('scene')).touchAction") == "pan-y pinch-zoom"
-    )
+    assert opened.value("getComputedStyle(document.getElementById('scene')).touchAction") == "pan-y pinch-zoom"
     opened.value("document.getElementById('scene').scrollIntoView({block: 'center'})")
     box = "(box => [box.x + box.width / 2, box.y + box.height / 2])"
     x, y = opened.value(f"{box}(document.getElementById('scene').getBoundingClientRect())")
@@ -324,7 +315,6 @@ def test_values_are_read_off_at_the_time_of_the_slider(opened: BrowserPage) -> N
     caption = "document.querySelector('#angle-charts figcaption').textContent"
     assert "positive" in opened.value(caption)
     opened.value(
-        "(slider => { slider.value = 30; slider.dispatchEvent(new Event('input')); })"
-        "(document.getElementById('time'))"
+        "(slider => { slider.value = 30; slider.dispatchEvent(new Event('input')); })(document.getElementById('time'))"
     )
     assert re.match(r"[\d.]+ s: .*deg", opened.value(caption))

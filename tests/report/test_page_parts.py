@@ -32,7 +32,7 @@ from rtof_kin.report.plot_data import (
     player_data,
     shown_frames,
     widest_bands,
-)  # fmt: skip
+)
 
 ROWS = {row.name: row for row in angle_table(SkeletonModel.default().table).rows}
 
@@ -52,9 +52,7 @@ def test_an_angle_has_a_name_in_each_convention(
     name: str, clinical: str, opensim: str, opposite: bool, shown: str
 ) -> None:
     found = angle_name(ROWS[name])
-    assert (found.clinical, found.opensim, found.opposite, found.shown) == (
-        clinical, opensim, opposite, shown
-    )  # fmt: skip
+    assert (found.clinical, found.opensim, found.opposite, found.shown) == (clinical, opensim, opposite, shown)
     assert found.opensim_title == (opensim or f"{clinical} (no OpenSim coordinate)")
 
 
@@ -66,8 +64,7 @@ def test_every_convention_shows_each_name_once() -> None:
 
 
 @given(
-    arrays.arrays(np.float64, st.integers(1, 60), elements=st.floats(-300, 300) | st.just(np.nan)),
-    st.integers(1, 9),
+    arrays.arrays(np.float64, st.integers(1, 60), elements=st.floats(-300, 300) | st.just(np.nan)), st.integers(1, 9)
 )
 def test_the_envelope_of_a_curve_has_its_extremes_in_order(values: np.ndarray, step: int) -> None:
     half = np.where(np.isfinite(values), np.abs(values), np.nan)
@@ -93,8 +90,9 @@ def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.Monke
     a = analysis.angles.names.index("right_knee_flexion")
     assert analysis.angles.sigma is not None
     for packed, given_ in (
-        (right["y"], analysis.angles.values[:, a]), (right["half"], 1.96 * analysis.angles.sigma[:, a])
-    ):  # fmt: skip
+        (right["y"], analysis.angles.values[:, a]),
+        (right["half"], 1.96 * analysis.angles.sigma[:, a]),
+    ):
         values = unpacked(packed, 10)
         assert len(values) == len(found["times"]) <= 40
         assert values.max() == pytest.approx(np.degrees(given_).max(), abs=0.06)
@@ -130,9 +128,7 @@ def test_unreliable_samples_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_long_way_is_played_without_gaps() -> None:
     motion = walk()
     far = motion.poses.p_world_joint + np.linspace(0, 200, len(motion.times))[:, None, None] * [1.0, 0, 0]
-    player = player_data(
-        replace(motion, poses=replace(motion.poses, p_world_joint=far)), slice(None), floor=0.0
-    )
+    player = player_data(replace(motion, poses=replace(motion.poses, p_world_joint=far)), slice(None), floor=0.0)
     p = unpacked(player["p"], player["scale"], (len(motion.times), -1, 3))
     step = 1 / player["scale"]
     np.testing.assert_allclose(p - p[:1, :1], far - far[:1, :1], atol=1.01 * step)
@@ -203,10 +199,7 @@ def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -
     motion = walk()
     analysis = analyse_motion(replace(motion, confidence=certain_to(2.0, motion)))
     end = UncertainEnd(1.0, np.radians(141.0), np.radians(200.0))
-    rows = [
-        replace(row, uncertain_high=end) if row.name == "right_hip_flexion" else row
-        for row in analysis.ranges
-    ]
+    rows = [replace(row, uncertain_high=end) if row.name == "right_hip_flexion" else row for row in analysis.ranges]
     html = ranges_section(rows, analysis.angles.rows)
     (hip,) = re.findall(r"<tr[^>]*>(?:(?!</tr>).)*>hip flexion .*?</tr>", html, re.DOTALL)
     assert "<small>the highest 1.0 s is uncertain (up to 141)</small>" in hip

@@ -132,19 +132,14 @@ def fake(
     return FakeRecording(Imus(names), Imus(()) if camera else None, names), runs
 
 
-@pytest.mark.parametrize(
-    ("sensors", "camera"), [(1, True), (2, True), (2, False), (5, True), (5, False), (9, True)]
-)
+@pytest.mark.parametrize(("sensors", "camera"), [(1, True), (2, True), (2, False), (5, True), (5, False), (9, True)])
 @pytest.mark.parametrize("greedy", [True, False, None])
 def test_number_of_runs_is_known_beforehand(
-    monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles, sensors: int, camera: bool,
-    greedy: bool | None,
-) -> None:  # fmt: skip
+    monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles, sensors: int, camera: bool, greedy: bool | None
+) -> None:
     recording, runs = fake(monkeypatch, angles, np.full(sensors, 0.1), camera)
     progress: list[tuple[int, int]] = []
-    study = study_sensors(
-        recording, greedy=greedy, progress=lambda done, total, what: progress.append((done, total))
-    )
+    study = study_sensors(recording, greedy=greedy, progress=lambda done, total, what: progress.append((done, total)))
     most = number_of_runs(sensors, camera, greedy)
     assert len(runs) == len(set(runs)) == study.runs <= most
     assert len(runs) == most or greedy is not False
@@ -390,9 +385,7 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     built = fragment_energy._frame_energy.cache_info().misses
     lifter = planted.PlantedLifter(truth)
     study = study_sensors(recording, lifter=lifter, folder=tmp_path)
-    assert (
-        fragment_energy._frame_energy.cache_info().misses <= built + 1
-    )  # all sets share one compiled problem
+    assert fragment_energy._frame_energy.cache_info().misses <= built + 1  # all sets share one compiled problem
     assert study.has_truth
     assert [len(found.sensors) for found in study.path] == [2, 1, 0]
     assert np.isfinite(study.full.error).any()
@@ -412,9 +405,7 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for path in tmp_path.glob("[01][01].*"):
         if path.stem != "11":
             path.unlink()
-    assert study_data(study_sensors(recording, lifter=lifter, folder=tmp_path, workers=2)) == study_data(
-        study
-    )
+    assert study_data(study_sensors(recording, lifter=lifter, folder=tmp_path, workers=2)) == study_data(study)
 
 
 def test_identity_of_a_study_depends_on_the_data_and_the_settings() -> None:

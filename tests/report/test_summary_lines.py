@@ -39,9 +39,10 @@ def summary(
     mode: str = "rtof", camera: bool = True, results: Any = None, cameras: int | None = None, **subject: Any
 ) -> Summary:
     inputs = {
-        "subject": subject, "camera": {"width_px": 1920} if camera else None,
+        "subject": subject,
+        "camera": {"width_px": 1920} if camera else None,
         "sensors": [{"name": name, "segment": name} for name in SENSORS],
-    } | ({} if cameras is None else {"cameras": cameras})  # fmt: skip
+    } | ({} if cameras is None else {"cameras": cameras})
     return Summary("walk", mode, "", Session(), inputs, results)
 
 
@@ -88,10 +89,7 @@ def test_who_names_what_is_known_and_what_is_not() -> None:
         (walking(6.0, treadmill=True), "Walking on the spot or on a treadmill: 8 strides."),
         (squatting(4), "4 bends of both knees (squats); no walking; staying in place, without turns."),
         (walking(2.4), "Walking: 2 strides, 2.6 m forward, without turns."),
-        (
-            walking(6.0, speed=-1.0),
-            "Neither walking nor squats were recognised; 6.0 m backward, without turns.",
-        ),
+        (walking(6.0, speed=-1.0), "Neither walking nor squats were recognised; 6.0 m backward, without turns."),
         (knees(40, 40), "Neither walking nor squats were recognised; staying in place, without turns."),
     ],
 )
@@ -148,9 +146,7 @@ def test_angles_that_turned_on_beyond_their_interval_have_no_finding() -> None:
     turned = replace(analysis.angles, values=values)
     turned_on = replace(analysis, angles=turned, ranges=ranges_of_motion(turned))
     assert found_in(turned_on) == ()
-    assert "whole turns" in next(
-        r.why_not_comparable for r in turned_on.ranges if r.name == "left_knee_flexion"
-    )
+    assert "whole turns" in next(r.why_not_comparable for r in turned_on.ranges if r.name == "left_knee_flexion")
 
 
 def test_expected_accuracy_is_the_half_width_of_bands() -> None:
@@ -176,9 +172,7 @@ def test_findings_are_differences_that_exceed_their_bands() -> None:
     assert found.startswith(
         f"Knee flexion: range 90° right, 60° left, that is 30 ± {BAND_95 * 4:.0f}° less on the left."
     )
-    assert (
-        "No other difference is shown: 16 angles of the left and right were compared by their range" in found
-    )
+    assert "No other difference is shown: 16 angles of the left and right were compared by their range" in found
 
 
 def test_the_report_has_the_differences_of_the_sides_that_the_command_prints() -> None:
@@ -190,8 +184,7 @@ def test_the_report_has_the_differences_of_the_sides_that_the_command_prints() -
     assert found is not None
     assert found.by == printed.by
     assert [
-        [(one.name, one.verdict, one.changes[0].difference) for one in which.angles]
-        for which in (found, printed)
+        [(one.name, one.verdict, one.changes[0].difference) for one in which.angles] for which in (found, printed)
     ] == [[(one.name, one.verdict, one.changes[0].difference) for one in printed.angles]] * 2
 
 
@@ -202,9 +195,7 @@ def test_no_difference_is_claimed_where_nothing_could_be_compared() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("right", "left", "sigma"), [(60.0, 60.0, 2.0), (66.0, 60.0, 2.0), (64.0, 60.0, 0.2)]
-)
+@pytest.mark.parametrize(("right", "left", "sigma"), [(60.0, 60.0, 2.0), (66.0, 60.0, 2.0), (64.0, 60.0, 0.2)])
 def test_small_or_uncertain_differences_are_no_findings(right: float, left: float, sigma: float) -> None:
     found = lines(certain(knees(right, left), sigma))["Findings"].text
     assert found.startswith("No difference is shown: 16 angles of the left and right were compared")
@@ -275,9 +266,7 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
     )
     warned = lines(knees(60, 60), overall=Headline(Grade.WARN, text, ()))["Careful"]
     assert warned.grade is None  # it is beside how good
-    assert warned.text.startswith(
-        "Left hip internal/external rotation: beyond its anatomical limit, largest 37°."
-    )
+    assert warned.text.startswith("Left hip internal/external rotation: beyond its anatomical limit, largest 37°.")
     assert lines(knees(60, 60))["Careful"] == SummaryLine("Careful", "No warning.", None)
     assert lines(certain(knees(60, 60), 2.0))["Careful"].text == (
         "Bands of shoulder plane of elevation and shoulder axial rotation are wider than ± 30°."
@@ -297,8 +286,9 @@ def test_the_position_in_the_room_has_a_verdict_of_its_own() -> None:
     both = Headline(Grade.WARN, f"Hips: share of frames unseen 30 %; {room}", (), Grade.WEAK, room)
     found = summary_lines(analyse_motion(knees(60, 60)), summary(), both, Session())
     assert [(line.label, line.grade) for line in found if line.grade] == [
-        ("How good", Grade.WARN), ("Position in the room", Grade.WEAK)
-    ]  # fmt: skip
+        ("How good", Grade.WARN),
+        ("Position in the room", Grade.WEAK),
+    ]
     text = {line.label: line.text for line in found}
     assert text["Position in the room"] == "± 0.4 m, nothing in the recording verifies it."
     assert text["Careful"] == "Pelvis: share of frames unseen 30 %."
@@ -307,17 +297,23 @@ def test_the_position_in_the_room_has_a_verdict_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("technical", "plain"),
     [
-        ("LeftFoot: share of frames unseen 30 % (above 10 %) at 2.1 s: occluded",
-         "left foot: share of frames unseen 30 % at 2.1 s: occluded"),
+        (
+            "LeftFoot: share of frames unseen 30 % (above 10 %) at 2.1 s: occluded",
+            "left foot: share of frames unseen 30 % at 2.1 s: occluded",
+        ),
         ("It is at z = -0.41 m, by the body's size", "It is 0.41 m below height 0, by the body's size"),
         ("joints 30 %: interpolated, or from the prior", "joints 30 %: assumed, not measured"),
-        ("joints relative to the root: error expected by the stated standard deviations, RMS 70 mm",
-         "posture: expected error 70 mm"),
+        (
+            "joints relative to the root: error expected by the stated standard deviations, RMS 70 mm",
+            "posture: expected error 70 mm",
+        ),
         ("knee 12 deg/s and 3 deg; more fails in body, image", "knee 12°/s and 3°"),
-        ("all landmarks: reprojection error, median 7 px",
-         "all points of the body: distance of the body model from the image, median 7 px"),
+        (
+            "all landmarks: reprojection error, median 7 px",
+            "all points of the body: distance of the body model from the image, median 7 px",
+        ),
     ],
-)  # fmt: skip
+)
 def test_sentences_of_the_audit_are_said_in_plain_words(technical: str, plain: str) -> None:
     assert plain_words(technical, angle_table(BODY.table)) == plain
 

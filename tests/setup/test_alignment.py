@@ -95,9 +95,7 @@ def test_a_segment_that_is_hardly_seen_names_its_sensor() -> None:
         align_sensors(poses, seen, log, joints(truth), skeleton(), refine=False)
 
 
-def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise ViewError("the person is behind the camera")
 
@@ -111,9 +109,7 @@ def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(
     assert all(sensor.doubt for sensor in found.sensors)
 
 
-def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
     motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = worn(motion)
     extra = replace(log.streams[0], name="on the shoulder")  # where the solver takes no sensor

@@ -69,10 +69,14 @@ def test_sensors_without_acceleration_need_an_image() -> None:
 def test_sensors_at_rest_are_named_and_not_guessed_silently() -> None:
     log = walking_log(LEGS)
     still = [
-        replace(s, R_inertial_sensor=np.repeat(s.R_inertial_sensor[:1], len(s), axis=0),
-                f_sensor=np.repeat(s.f_sensor[:1], len(s), axis=0))
-        for s in log.streams if s.R_inertial_sensor is not None and s.f_sensor is not None
-    ]  # fmt: skip
+        replace(
+            s,
+            R_inertial_sensor=np.repeat(s.R_inertial_sensor[:1], len(s), axis=0),
+            f_sensor=np.repeat(s.f_sensor[:1], len(s), axis=0),
+        )
+        for s in log.streams
+        if s.R_inertial_sensor is not None and s.f_sensor is not None
+    ]
     found = assign_sensors(replace(log, streams=(*still[:1], *log.streams[1:])), walk().skeleton)
     assert found.doubt.startswith("R_LowLeg does not move: record a few steps")
 

@@ -44,9 +44,7 @@ def test_exchanged_samples_of_a_recording_get_each_other_s_calibration() -> None
     assert corrected.calibration is not None
     assert right.calibration is not None
     a, b = SOME.index("L_UpLeg"), SOME.index("R_UpLeg")
-    np.testing.assert_allclose(
-        corrected.calibration.R_sensor_bone[[a, b]], right.calibration.R_sensor_bone[[b, a]]
-    )
+    np.testing.assert_allclose(corrected.calibration.R_sensor_bone[[a, b]], right.calibration.R_sensor_bone[[b, a]])
     assert corrected.calibration.joints[a] == "RightUpLeg"
 
 

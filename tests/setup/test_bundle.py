@@ -98,9 +98,10 @@ def test_the_delay_of_the_second_video_is_found() -> None:
     p, late = truth(), 0.02
     seen = images(p)
     seen = replace(
-        seen, uv_px=seen.uv_px - late * np.stack([0 * seen.drift, seen.drift]),
+        seen,
+        uv_px=seen.uv_px - late * np.stack([0 * seen.drift, seen.drift]),
         shapes=np.stack([p, p @ so3.exp(OFF[0]).T]),
-    )  # fmt: skip
+    )
     found = adjusted(seen, p, sigma_tilt=1.0)
     assert found.x[DELAY] == pytest.approx(late, abs=2e-3)
 
@@ -108,18 +109,14 @@ def test_the_delay_of_the_second_video_is_found() -> None:
 def test_unseen_joints_do_not_count() -> None:
     p = truth(40)
     seen, blind = images(p, 3.0, 0.02), np.random.default_rng(4).random((2, 40, len(NAMES))) < 0.3
-    spoilt = replace(
-        seen, weight=np.where(blind, 0.0, seen.weight), uv_px=np.where(blind[..., None], 1e4, seen.uv_px)
-    )
+    spoilt = replace(seen, weight=np.where(blind, 0.0, seen.weight), uv_px=np.where(blind[..., None], 1e4, seen.uv_px))
     zeroed = replace(spoilt, uv_px=np.where(blind[..., None], 0.0, spoilt.uv_px))
     np.testing.assert_allclose(adjusted(spoilt, p).x, adjusted(zeroed, p).x, atol=1e-9)
 
 
 def test_more_frames_and_independent_ones_are_surer() -> None:
     seen = [images(p, 5.0, 0.03) for p in (truth(20), truth(60))]
-    few, many = (
-        np.diag(adjusted(s, p).covariance) for s, p in zip(seen, (truth(20), truth(60)), strict=True)
-    )
+    few, many = (np.diag(adjusted(s, p).covariance) for s, p in zip(seen, (truth(20), truth(60)), strict=True))
     assert np.all(many[TURN] < few[TURN])
     as_one = np.diag(adjusted(seen[1], truth(60), frames_as_one=10.0).covariance)
     assert np.all(as_one[MOVE] > many[MOVE])

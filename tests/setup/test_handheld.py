@@ -61,9 +61,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Array]:
     return path, R[0].T @ R
 
 
-def test_turning_focal_length_and_tilt_are_found_from_nothing(
-    filmed: tuple[Path, Array], tmp_path: Path
-) -> None:
+def test_turning_focal_length_and_tilt_are_found_from_nothing(filmed: tuple[Path, Array], tmp_path: Path) -> None:
     path, R_true = filmed
     found = turning_of_video(path, PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv"))
     assert found.camera.K[0, 0] == pytest.approx(360, rel=0.02)

@@ -82,14 +82,15 @@ def test_two_people_stop_it_with_the_picture_written(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "recording.toml").exists()
 
 
-@pytest.mark.parametrize("changes, message", [
-    ({"size_px": None}, "keypoints do not say how large the image is; give the video beside them"),
-    ({"rate_hz": None}, "has no times; give the video beside it, or its rate by --rate 60"),
-    ({"height": 172.0}, "--height 172: is no human height in metres; give e.g. --height 1.72"),
-])  # fmt: skip
-def test_what_is_missing_is_asked_for_in_one_sentence(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"size_px": None}, "keypoints do not say how large the image is; give the video beside them"),
+        ({"rate_hz": None}, "has no times; give the video beside it, or its rate by --rate 60"),
+        ({"height": 172.0}, "--height 172: is no human height in metres; give e.g. --height 1.72"),
+    ],
+)
+def test_what_is_missing_is_asked_for_in_one_sentence(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     given = write_keypoints(tmp_path / "walk.npz", walker(), rate_hz=None)
     with pytest.raises(InvalidInputError, match=message):
         set_up(tmp_path / "out", replace(SETTINGS, **({"rate_hz": 30.0} | changes)), given)
@@ -147,7 +148,5 @@ def test_a_discarded_video_leaves_no_name(tmp_path: Path) -> None:
     assert "secret_patient.mp4" in text["kept"]
     everything = b"".join(path.read_bytes() for path in (tmp_path / "discarded").iterdir())
     assert b"secret_patient" not in everything
-    assert (tmp_path / "kept" / "frames.png").read_bytes() != (
-        tmp_path / "discarded" / "frames.png"
-    ).read_bytes()
+    assert (tmp_path / "kept" / "frames.png").read_bytes() != (tmp_path / "discarded" / "frames.png").read_bytes()
     assert json.loads((tmp_path / "discarded" / "findings.json").read_text())["doubtful"]

@@ -66,18 +66,14 @@ def test_synchronised_cameras_keep_their_times_however_short_the_take(tmp_path: 
 def test_an_uncalibrated_camera_is_found_and_its_place_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def find(
-        first: Recording, seen: KeypointSequence, lifter: object, *, around: float | None
-    ) -> SecondCamera:
+    def find(first: Recording, seen: KeypointSequence, lifter: object, *, around: float | None) -> SecondCamera:
         asked.append(around)
         view = replace(seen, times=seen.times - LATER)
         sigmas = np.full(3, 0.1), np.full(3, np.radians(2.0)), np.full(2, 0.05)
         return SecondCamera(first.video.camera, view, -LATER, 0.004, *sigmas, 0.01, "look at it")
 
     monkeypatch.setattr(join, "find_second_camera", find)
-    unsure = replace(
-        FIRST, keypoints=replace(FIRST.video, camera=replace(FIRST.video.camera, uncertainty=UNSURE))
-    )
+    unsure = replace(FIRST, keypoints=replace(FIRST.video, camera=replace(FIRST.video.camera, uncertainty=UNSURE)))
     joined = join_recordings(unsure, second())
     apart = so3.angle_between(FIRST.video.camera.R_camera_world, SIDE.R_camera_world)
     axes = FIRST.video.camera.R_camera_world[2] @ SIDE.R_camera_world[2]
@@ -94,10 +90,6 @@ def test_an_uncalibrated_camera_is_found_and_its_place_is_told(monkeypatch: pyte
 
 def test_sensors_belong_to_the_first_recording() -> None:
     T = len(TRUTH.times)
-    imus = ImuSequence(
-        TRUTH.times, np.tile(np.eye(3), (T, 1, 1, 1)), np.tile([0, 0, 9.81], (T, 1, 1)), ("a",)
-    )
-    with pytest.raises(
-        InvalidInputError, match="recording two: has sensors; give the one with sensors as the first"
-    ):
+    imus = ImuSequence(TRUTH.times, np.tile(np.eye(3), (T, 1, 1, 1)), np.tile([0, 0, 9.81], (T, 1, 1)), ("a",))
+    with pytest.raises(InvalidInputError, match="recording two: has sensors; give the one with sensors as the first"):
         join_recordings(FIRST, replace(second(0.0), imus=imus))

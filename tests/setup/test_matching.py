@@ -22,11 +22,13 @@ def planted(S: int, K: int) -> tuple[np.ndarray, np.ndarray]:
 def test_probabilities_are_those_of_enumeration() -> None:
     single, pair = planted(3, 5)
     every = np.array(list(permutations(range(5), 3)))
-    score = np.array([
-        sum(single[s, k] for s, k in enumerate(labels))
-        + sum(pair[s, t, labels[s], labels[t]] for s in range(3) for t in range(s))
-        for labels in every
-    ])  # fmt: skip
+    score = np.array(
+        [
+            sum(single[s, k] for s, k in enumerate(labels))
+            + sum(pair[s, t, labels[s], labels[t]] for s in range(3) for t in range(s))
+            for labels in every
+        ]
+    )
     exact = np.array([[softmax(score)[every[:, s] == k].sum() for k in range(5)] for s in range(3)])
     found = match(single, pair)
     np.testing.assert_allclose(found.probability, exact, atol=0.02)

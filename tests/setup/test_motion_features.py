@@ -15,9 +15,7 @@ GAIN = 6
 
 def test_features_are_the_same_for_any_mounting_and_heading() -> None:
     logs = walking_log(), turned(walking_log(), 6)
-    single, pair = (
-        [features(sensor_motions(log)) for log in logs] for features in (single_features, pair_features)
-    )
+    single, pair = ([features(sensor_motions(log)) for log in logs] for features in (single_features, pair_features))
     np.testing.assert_allclose(single[0], single[1], atol=1e-6)
     off = np.abs(pair[0] - pair[1])[~np.eye(13, dtype=bool)]
     assert np.quantile(off, 0.95) < 0.2  # headings are tried on a grid

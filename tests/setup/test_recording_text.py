@@ -15,9 +15,7 @@ TABLES = {
     "name": Field('a "b" \\ ü\n# no comment'),
     "subject": {"height_m": Field(1.72, Origin.GIVEN, summary="1.72 m tall")},
     "camera": {
-        "focal_px": Field(
-            1480.25, Origin.ASSUMED, "a view of " + "many " * 40 + "degrees", "the focal length"
-        ),
+        "focal_px": Field(1480.25, Origin.ASSUMED, "a view of " + "many " * 40 + "degrees", "the focal length"),
         "K": Field([[1e-9, 0.1 + 0.2, 0.0], [1.0, -0.0, 3.0]], Origin.FILE, "calib.toml"),
         "uncertainty": {"focal": Field(0.15)},
     },
@@ -49,9 +47,7 @@ def test_a_comment_cannot_smuggle_a_value_in() -> None:
 
 
 def test_the_summary_has_the_named_fields_of_all_tables_in_their_order() -> None:
-    assert list(summaries(TABLES)) == [
-        (Origin.GIVEN, "1.72 m tall"), (Origin.ASSUMED, "the focal length")
-    ]  # fmt: skip
+    assert list(summaries(TABLES)) == [(Origin.GIVEN, "1.72 m tall"), (Origin.ASSUMED, "the focal length")]
 
 
 def test_what_toml_has_no_words_for_is_refused() -> None:

@@ -101,6 +101,4 @@ def test_cameras_that_never_see_the_person_together_are_refused() -> None:
     first = recording().video
     hidden = planted.unseen(first, slice(100, None), slice(3, None))
     with pytest.raises(CalibrationError, match="together in"):
-        find_second_camera(
-            recording(keypoints=hidden), planted.unseen(second(), slice(0, 100), slice(3, None)), LIFTER
-        )
+        find_second_camera(recording(keypoints=hidden), planted.unseen(second(), slice(0, 100), slice(3, None)), LIFTER)

@@ -118,9 +118,7 @@ def test_a_sensor_that_does_not_move_is_left_out_and_named(take: Take) -> None:
     first = take.log.names[0]
     found = take.set_up(still(take.log, first), take.map)
     assert first not in found.imus.names
-    assert found.doubts[0] == (
-        f"{first}: does not move and is left out; check that it was on the person and recording"
-    )
+    assert found.doubts[0] == (f"{first}: does not move and is left out; check that it was on the person and recording")
 
 
 def test_sensors_that_do_not_move_are_refused(take: Take) -> None:
@@ -152,16 +150,13 @@ def test_sensors_of_another_take_or_day_stop_the_setup(
     assert ("1100 days apart" in str(error.value)) == bool(days)
 
 
-def test_sensors_that_fit_but_state_another_day_are_doubted_first(
-    take: Take, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sensors_that_fit_but_state_another_day_are_doubted_first(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: ClockEstimate(-3.0, 0.0, 0.01, 50.0))
     start = datetime(2024, 1, 31, 12, tzinfo=UTC)
     log = replace(take.log, start_utc=start - timedelta(days=9))
     found = set_up_sensors(log, take.map, take.poses, take.keypoints, take.recording.skeleton, start)
     assert found.doubts[0] == (
-        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, "
-        "9 days apart"
+        "video and sensors are of different days: the video of 2024-01-31, the sensors of 2024-01-22, 9 days apart"
     )
 
 
@@ -172,8 +167,9 @@ def test_a_clock_in_doubt_claims_no_milliseconds(take: Take, monkeypatch: pytest
     start = found.fields["start_s"]
     assert isinstance(start, Field)
     assert (start.origin, start.summary) == (
-        sensors.Origin.ASSUMED, "the sensors began 3.0 s before the video, ± 2.4 s, other offsets fit too"
-    )  # fmt: skip
+        sensors.Origin.ASSUMED,
+        "the sensors began 3.0 s before the video, ± 2.4 s, other offsets fit too",
+    )
     assert " ms" not in start.note
     assert found.doubts[0] == "when the sensors began is in doubt: the motion repeats itself"
 
@@ -181,9 +177,7 @@ def test_a_clock_in_doubt_claims_no_milliseconds(take: Take, monkeypatch: pytest
 def test_a_file_that_ended_before_the_video_is_refused(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     early = ClockEstimate(-20.0, 0.0, 0.005, 10.0)
     monkeypatch.setattr(sensors, "find_clock", lambda *_, **__: early)
-    sentence = (
-        "from -20.0 to -6.0 s of the video's clock, the video from 8.0 to 16.0 s; give the files of one"
-    )
+    sentence = "from -20.0 to -6.0 s of the video's clock, the video from 8.0 to 16.0 s; give the files of one"
     with pytest.raises(InvalidInputError, match=sentence):
         take.set_up(take.log, take.map)
 

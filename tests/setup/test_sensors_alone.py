@@ -33,9 +33,7 @@ def files(worn: Worn, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, P
     return write_sensors(folder / "sensors.csv", worn.imus), folder / "map.csv"
 
 
-def test_a_still_pose_gives_the_planted_mounting(
-    worn: Worn, files: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_still_pose_gives_the_planted_mounting(worn: Worn, files: tuple[Path, Path], tmp_path: Path) -> None:
     found = make_sensor_recording(Sources.of(files), SetupSettings(height=1.72), tmp_path / "rec")
     assert "the person stood in the N-pose from" in found.assumed[0]
     recording = Recording.load(tmp_path / "rec")
@@ -54,9 +52,7 @@ def test_unnamed_sensors_without_a_video_need_a_map(files: tuple[Path, Path], tm
         lines[0] = lines[0].replace(sensor, serial)
     unnamed = tmp_path / "unnamed.csv"
     unnamed.write_text("\n".join(lines).replace("Up", "x").replace("Low", "y").replace("Leg", "z"))
-    with pytest.raises(
-        InvalidInputError, match="it must be known which sensor is where; name their segments"
-    ):
+    with pytest.raises(InvalidInputError, match="it must be known which sensor is where; name their segments"):
         make_sensor_recording(Sources.of([unnamed]), SetupSettings(), tmp_path / "rec")
     assert not (tmp_path / "rec").exists()
 

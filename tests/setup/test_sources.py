@@ -17,9 +17,12 @@ from rtof_kin.setup.sources import SourceKind, Sources, recognise_source
 
 CAMERA = planted.camera()
 OPENCAP = {
-    "intrinsicMat": CAMERA.K, "distortion": np.zeros((1, 5)), "rotation": CAMERA.R_camera_world,
-    "translation": np.zeros((3, 1)), "imageSize": np.array([[1080], [1920]]),
-}  # fmt: skip
+    "intrinsicMat": CAMERA.K,
+    "distortion": np.zeros((1, 5)),
+    "rotation": CAMERA.R_camera_world,
+    "translation": np.zeros((3, 1)),
+    "imageSize": np.array([[1080], [1920]]),
+}
 MAP = b"serial,segment\n00B42279,pelvis\n00B4227D,right shank\n"
 LANDMARKS = b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25}]}]}'
 OF_ONE_FILE = {
@@ -43,10 +46,7 @@ OF_ONE_FILE = {
     "n.csv": (MAP, SourceKind.SENSOR_MAP),
     "o.txt": (b"00B42279 pelvis\n00B4227D right shank\n", SourceKind.SENSOR_MAP),
     # the phone that filmed
-    "x.csv": (
-        b'"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"\n',
-        SourceKind.PHONE,
-    ),
+    "x.csv": (b'"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"\n', SourceKind.PHONE),
     "Gyroscope.csv": (b"time,seconds_elapsed,z,y,x\n1,0,1,2,3\n", SourceKind.PHONE),
     # others
     "p.pickle": (pickle.dumps({"a": 1}), SourceKind.UNKNOWN),
@@ -85,11 +85,16 @@ def test_arrays_and_folders(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     write_files(tmp_path / "phone", {"Gyroscope.csv": OF_ONE_FILE["Gyroscope.csv"][0]})
     kinds = {
-        "a.npz": SourceKind.KEYPOINTS, "b.npz": SourceKind.UNKNOWN, "c.npy": SourceKind.KEYPOINTS,
-        "d.toml": SourceKind.CAMERA, "json": SourceKind.KEYPOINTS, "take": SourceKind.RECORDING,
-        "take/recording.toml": SourceKind.RECORDING, "empty": SourceKind.UNKNOWN,
+        "a.npz": SourceKind.KEYPOINTS,
+        "b.npz": SourceKind.UNKNOWN,
+        "c.npy": SourceKind.KEYPOINTS,
+        "d.toml": SourceKind.CAMERA,
+        "json": SourceKind.KEYPOINTS,
+        "take": SourceKind.RECORDING,
+        "take/recording.toml": SourceKind.RECORDING,
+        "empty": SourceKind.UNKNOWN,
         "phone": SourceKind.PHONE,
-    }  # fmt: skip
+    }
     assert {name: recognise_source(tmp_path / name) for name in kinds} == kinds
 
 
@@ -113,9 +118,13 @@ def test_the_files_of_a_take_are_sorted_in_any_order(tmp_path: Path) -> None:
     names = ("mtw", "a.mp4", "n.csv", "phone", "dot", "k.yml", "f.json")
     found = Sources.of(tmp_path / name for name in names)
     assert found == Sources(
-        video=tmp_path / "a.mp4", keypoints=tmp_path / "f.json", sensors=(tmp_path / "mtw", tmp_path / "dot"),
-        camera=tmp_path / "k.yml", sensor_map=tmp_path / "n.csv", phone=tmp_path / "phone",
-    )  # fmt: skip
+        video=tmp_path / "a.mp4",
+        keypoints=tmp_path / "f.json",
+        sensors=(tmp_path / "mtw", tmp_path / "dot"),
+        camera=tmp_path / "k.yml",
+        sensor_map=tmp_path / "n.csv",
+        phone=tmp_path / "phone",
+    )
     assert set(found.paths) == {tmp_path / name for name in names}
     assert found.name == "a"
     assert Sources.of([str(tmp_path / "dot")]).name == "dot"

@@ -42,11 +42,16 @@ def test_the_offset_is_found_whatever_the_heading(heading: float, later: float) 
 def test_other_rates_are_compared_too() -> None:
     second = elsewhere(lifted(9), 1.0, 2.0)
     slow = replace(
-        second, times=second.times[::3], p_world_joint=second.p_world_joint[::3],
-        R_world_bone=second.R_world_bone[::3], provenance=second.provenance[::3],
-        valid=second.valid[::3], orientation_observed=second.orientation_observed[::3],
-        direction_observed=second.direction_observed[::3], sigma_rad=second.sigma_rad[::3],
-    )  # fmt: skip
+        second,
+        times=second.times[::3],
+        p_world_joint=second.p_world_joint[::3],
+        R_world_bone=second.R_world_bone[::3],
+        provenance=second.provenance[::3],
+        valid=second.valid[::3],
+        orientation_observed=second.orientation_observed[::3],
+        direction_observed=second.direction_observed[::3],
+        sigma_rad=second.sigma_rad[::3],
+    )
     assert find_video_offset(lifted(5), slow).offset == pytest.approx(-2.0, abs=0.012)
 
 

@@ -59,8 +59,7 @@ def test_without_errors_points_are_projected_from_their_places() -> None:
     for name, side, sign in (("nose", "", 1), ("right_wrist", "Right", 1), ("left_heel", "Left", -1)):
         row = rows[name.split("_")[-1]]
         anchor, frame, second = (
-            SKELETON.index(row[field].replace("Right", side))[0]
-            for field in ("anchor", "frame", "second_frame")
+            SKELETON.index(row[field].replace("Right", side))[0] for field in ("anchor", "frame", "second_frame")
         )
         mirrored = [1, sign, 1]
         p = POSES.R_world_bone[:, frame] @ np.multiply(row["mean_mm"], mirrored)
@@ -70,9 +69,9 @@ def test_without_errors_points_are_projected_from_their_places() -> None:
 
 
 def test_the_mirror_image_of_a_motion_gives_the_mirror_image_of_the_detections() -> None:
-    swapped = SKELETON.index(*(
-        name.replace("Left", "X").replace("Right", "Left").replace("X", "Right") for name in SKELETON.names
-    ))  # fmt: skip
+    swapped = SKELETON.index(
+        *(name.replace("Left", "X").replace("Right", "Left").replace("X", "Right") for name in SKELETON.names)
+    )
     M, flip = np.diag([1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, 1.0])
     poses = PoseSequence(
         POSES.times, POSES.p_world_joint[:, swapped] @ M, M @ POSES.R_world_bone[:, swapped] @ M, POSES.names
@@ -164,9 +163,7 @@ def test_a_body_in_profile_hides_its_other_side_which_errs_more_and_is_less_visi
     assert hidden(LEFT)[right_knee]
     assert not hidden(LEFT)[left_knee]
     assert not hidden(FRONT)[[right_knee, left_knee]].any()
-    size = np.sqrt(
-        np.mean([errors_mm(replace(NONE, coloured=1.0), LEFT, s) ** 2 for s in range(6)], axis=(0, 1, 3))
-    )
+    size = np.sqrt(np.mean([errors_mm(replace(NONE, coloured=1.0), LEFT, s) ** 2 for s in range(6)], axis=(0, 1, 3)))
     seen = np.mean([found(DetectorErrors(), camera=LEFT, seed=s)[1] for s in range(4)], axis=(0, 1))
     assert size[right_knee] > 1.3 * size[left_knee]
     assert seen[right_knee] < seen[left_knee] - 0.2
@@ -179,9 +176,7 @@ def test_left_and_right_are_exchanged_in_profile_only_as_often_as_in_the_table()
     for seed in range(10):
         uv, _ = found(replace(NONE, exchanges=1.0), camera=LEFT, seed=seed)
         swapped = np.abs(uv - exact[:, TABLE.mirror])[:, legs].max(axis=(1, 2)) < 1e-6
-        assert np.all(swapped | (np.abs(uv - exact)[:, legs].max(axis=(1, 2)) < 1e-6)), (
-            "all of a limb at once"
-        )
+        assert np.all(swapped | (np.abs(uv - exact)[:, legs].max(axis=(1, 2)) < 1e-6)), "all of a limb at once"
         starts += int(np.count_nonzero(np.diff(swapped.astype(int)) > 0))
         minutes += len(uv) / 3600
         np.testing.assert_allclose(found(replace(NONE, exchanges=1.0), seed=seed)[0], found(NONE)[0])
@@ -193,9 +188,7 @@ def test_left_and_right_are_exchanged_in_profile_only_as_often_as_in_the_table()
 
 def test_limbs_jump_and_the_person_is_lost_for_some_frames() -> None:
     exact = found(NONE)[0]
-    jumped = np.mean(
-        [np.abs(found(replace(NONE, jumps=1.0), seed=s)[0] - exact) > 1e-6 for s in range(6)], (0, 1, 3)
-    )
+    jumped = np.mean([np.abs(found(replace(NONE, jumps=1.0), seed=s)[0] - exact) > 1e-6 for s in range(6)], (0, 1, 3))
     assert 0.01 < jumped[point("left_wrist")] < 0.04
     assert jumped[TABLE.points_of(["face", "shoulder", "hip"])].max() == 0
     aside = Camera.looking_at(FRONT.center_world, HIPS + 2.7 * UP, 1250.0)

@@ -214,8 +214,9 @@ def test_resampling_takes_every_nth_frame_or_interpolates_rigidly():
     R = clip.poses.R_world_bone
     p = kinematics.positions(PARENTS, clip.joint_offsets, clip.poses.p_world_joint[:, 0], R)
     np.testing.assert_allclose(p, clip.poses.p_world_joint, atol=1e-9)
-    step, whole = (so3.angle_between(M[1, index("LeftLeg")], M[0, index("LeftLeg")])
-                   for M in (R, source.poses.R_world_bone))  # fmt: skip
+    step, whole = (
+        so3.angle_between(M[1, index("LeftLeg")], M[0, index("LeftLeg")]) for M in (R, source.poses.R_world_bone)
+    )
     assert step / whole == pytest.approx(0.4, abs=0.05)
 
 
@@ -242,11 +243,14 @@ def test_names_of_another_vendor_are_mapped_and_prefixes_removed(prefix, tmp_pat
         mocap.read_mocap(path, names={"thigh.R": "RightUpLeg"})
 
 
-@pytest.mark.parametrize(("name", "old", "new", "message"), [
-    ("walk.fbx", "", "", r"read from \.bvh and \.amc files"),
-    ("a.bvh", "LHipJoint", "Hip", r"unknown skeleton .*known families: cmu_bvh.*names=\.\.\."),
-    ("b.bvh", "JOINT RightFoot", "JOINT RFoot", "family cmu_bvh without RightFoot"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("walk.fbx", "", "", r"read from \.bvh and \.amc files"),
+        ("a.bvh", "LHipJoint", "Hip", r"unknown skeleton .*known families: cmu_bvh.*names=\.\.\."),
+        ("b.bvh", "JOINT RightFoot", "JOINT RFoot", "family cmu_bvh without RightFoot"),
+    ],
+)
 def test_unknown_files_and_skeletons_are_refused(name, old, new, message, tmp_path):
     (tmp_path / name).write_text(WALK.read_text().replace(old, new))
     with pytest.raises(FileFormatError, match=message):

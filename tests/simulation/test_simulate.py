@@ -76,8 +76,7 @@ def test_aligned_samples_equal_the_central_differences_of_the_truth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "start", "largest"),
-    [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)],
+    ("rate_hz", "start", "largest"), [(240.0, 0.9, 0.05), (100.0, 0.3, 0.15), (60.0, 0.5, 0.4), (50.0, 0.2, 0.4)]
 )
 def test_samples_at_other_instants_are_close(rate_hz: float, start: float, largest: float) -> None:
     settings = replace(NOISELESS, imu_rate_hz=rate_hz, imu_start_frames=(start, start))
@@ -139,9 +138,15 @@ def test_a_late_video_shows_earlier_instants() -> None:
 
 
 def everything(recording: Recording) -> Array:
-    parts = (recording.keypoints.uv_px, recording.keypoints.confidence, recording.imus.times,
-             recording.imus.R_inertial_sensor, recording.imus.f_sensor,
-             recording.calibration.R_sensor_bone, recording.calibration.R_world_inertial)  # fmt: skip
+    parts = (
+        recording.keypoints.uv_px,
+        recording.keypoints.confidence,
+        recording.imus.times,
+        recording.imus.R_inertial_sensor,
+        recording.imus.f_sensor,
+        recording.calibration.R_sensor_bone,
+        recording.calibration.R_world_inertial,
+    )
     return np.concatenate([part.ravel() for part in parts])
 
 
@@ -157,9 +162,7 @@ def test_a_subset_of_the_sensors_has_the_same_errors_as_the_whole_set() -> None:
     few = simulated(replace(SimulationSettings.perfect(), sensors=("R_LowLeg", "Pelvis")))
     assert few.imus.names == ("R_LowLeg", "Pelvis")
     np.testing.assert_array_equal(whole.imus.select(few.imus.names).f_sensor, few.imus.f_sensor)
-    np.testing.assert_array_equal(
-        whole.imus.select(few.imus.names).R_inertial_sensor, few.imus.R_inertial_sensor
-    )
+    np.testing.assert_array_equal(whole.imus.select(few.imus.names).R_inertial_sensor, few.imus.R_inertial_sensor)
 
 
 TIMES = np.arange(6000) / 60
@@ -248,10 +251,12 @@ def local_motion(amplitude: float, seed: int = 3) -> Array:
 
 def slips(joint: str, axis: Array, amplitude: float = 0.5, seeds: int = 12) -> Array:
     R = local_motion(amplitude)
-    return np.array([
-        so3.log(noises.mounting_errors(np.random.default_rng(s), SLOW, joint, axis, R, FIXED_IMU))
-        for s in range(seeds)
-    ])  # fmt: skip
+    return np.array(
+        [
+            so3.log(noises.mounting_errors(np.random.default_rng(s), SLOW, joint, axis, R, FIXED_IMU))
+            for s in range(seeds)
+        ]
+    )
 
 
 @pytest.mark.parametrize("joint", ["Head", "LeftArm", "RightForeArm", "LeftLeg", "RightFoot"])
@@ -378,9 +383,15 @@ MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap"
 def test_motion_capture_file_becomes_a_recording(name: str, rate_hz: float, smooth_hz: float | None) -> None:
     def recorded(camera: Camera | int) -> Recording:
         return simulate_file(
-            MOCAP / name, settings=SimulationSettings.perfect(), seed=5, camera=camera,
-            rate_hz=rate_hz, video_rate_hz=rate_hz, smooth_hz=smooth_hz, acknowledgement="CMU",
-        )  # fmt: skip
+            MOCAP / name,
+            settings=SimulationSettings.perfect(),
+            seed=5,
+            camera=camera,
+            rate_hz=rate_hz,
+            video_rate_hz=rate_hz,
+            smooth_hz=smooth_hz,
+            acknowledgement="CMU",
+        )
 
     recordings = [recorded(0), recorded(1), recorded(CAMERA)]
     for recording in recordings:
@@ -402,15 +413,18 @@ GAP = np.where(np.arange(120)[:, None, None] == 7, np.nan, POSES.p_world_joint)
 JITTER = 0.02 * np.random.default_rng(0).normal(size=(120, 1, 3))
 
 
-@pytest.mark.parametrize(("settings", "poses", "error", "message"), [
-    ({"sensors": ("L_LowArn",)}, POSES, UnknownNameError, "Did you mean 'L_LowArm'"),
-    ({"landmarks": ("Noze",)}, POSES, UnknownNameError, "Did you mean 'Nose'"),
-    ({}, POSES[:3], InvalidInputError, "3 poses; 4 at least"),
-    ({"video_lag_frames": (3.0, 3.0)}, POSES[:6], InvalidInputError, "too few for a lag of 0.05 s"),
-    ({}, planted.moving(SkeletonModel.human36m(), 10).poses, InvalidInputError, "skeleton total_capture"),
-    ({}, replace(POSES, p_world_joint=GAP), InvalidInputError, "frame 7 is not complete; cut the motion"),
-    ({}, replace(POSES, p_world_joint=POSES.p_world_joint + JITTER), InvalidInputError, "needs `low_passed`"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("settings", "poses", "error", "message"),
+    [
+        ({"sensors": ("L_LowArn",)}, POSES, UnknownNameError, "Did you mean 'L_LowArm'"),
+        ({"landmarks": ("Noze",)}, POSES, UnknownNameError, "Did you mean 'Nose'"),
+        ({}, POSES[:3], InvalidInputError, "3 poses; 4 at least"),
+        ({"video_lag_frames": (3.0, 3.0)}, POSES[:6], InvalidInputError, "too few for a lag of 0.05 s"),
+        ({}, planted.moving(SkeletonModel.human36m(), 10).poses, InvalidInputError, "skeleton total_capture"),
+        ({}, replace(POSES, p_world_joint=GAP), InvalidInputError, "frame 7 is not complete; cut the motion"),
+        ({}, replace(POSES, p_world_joint=POSES.p_world_joint + JITTER), InvalidInputError, "needs `low_passed`"),
+    ],
+)
 def test_wrong_input(
     settings: dict[str, tuple[str, ...]], poses: PoseSequence, error: type[Exception], message: str
 ) -> None:

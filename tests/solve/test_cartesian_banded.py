@@ -149,9 +149,7 @@ def test_energy_is_accurate_far_from_the_origin() -> None:
 
 def bones_of(skeleton: SkeletonModel, joints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
     return tuple(
-        (joint, child)
-        for joint in skeleton.index(*joints)
-        for child in kinematics.children_of(skeleton.parents, joint)
+        (joint, child) for joint in skeleton.index(*joints) for child in kinematics.children_of(skeleton.parents, joint)
     )
 
 
@@ -159,13 +157,16 @@ def body_problem(joints: tuple[str, ...], set_: CartesianSettings, frames: int =
     return BandedProblem(FragmentProblem(BODY.parents, frames, bones_of(BODY, joints), set_), "never")
 
 
-@pytest.mark.parametrize("joints, change, frames, group", [
-    (planted.LIMBS, {}, 8, 3),
-    (planted.LIMBS[:2], {"jerk_target": "zero", "huber_reprojection": 2.0}, 12, 2),
-    ((), {}, 8, 1),
-    (planted.LIMBS, {"bone_lengths": "weighted"}, 8, 21),
-    ((), {"prior": "bones"}, 8, 21),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "joints, change, frames, group",
+    [
+        (planted.LIMBS, {}, 8, 3),
+        (planted.LIMBS[:2], {"jerk_target": "zero", "huber_reprojection": 2.0}, 12, 2),
+        ((), {}, 8, 1),
+        (planted.LIMBS, {"bone_lengths": "weighted"}, 8, 21),
+        ((), {"prior": "bones"}, 8, 21),
+    ],
+)
 def test_bandwidth_by_group(joints: tuple[str, ...], change: dict[str, Any], frames: int, group: int) -> None:
     # 27 below the diagonal for the printed energy with eight limb sensors, 189 with lengths.
     banded = body_problem(joints, replace(PRINTED, **change), frames)

@@ -23,8 +23,7 @@ Array = NDArray[np.float64]
 SKELETON = SkeletonModel.human36m()
 N, J = 8, len(SKELETON.names)
 BONES = tuple(
-    (joint, kinematics.children_of(SKELETON.parents, joint)[0])
-    for joint in SKELETON.index("LElbow", "RKnee", "LHip")
+    (joint, kinematics.children_of(SKELETON.parents, joint)[0]) for joint in SKELETON.index("LElbow", "RKnee", "LHip")
 )
 RATE, SIGMA_PX = 60.0, 7.0
 SETTINGS = {
@@ -80,10 +79,9 @@ def numpy_terms(problem: FragmentProblem, X: Array, v: dict[str, Array]) -> dict
         "acceleration": acceleration,
         "bone": bone,
         "smooth": float(v["w_smooth"] @ np.sum(jerk**2, axis=(1, 2))) / s.sigma_jerk**2,
-        "length": float(v["w_length"] @ np.sum(length**2, axis=1)) / s.sigma_length**2
-        * (s.bone_lengths == "weighted"),
+        "length": float(v["w_length"] @ np.sum(length**2, axis=1)) / s.sigma_length**2 * (s.bone_lengths == "weighted"),
         "prior": float(np.mean(prior**2)),
-    }  # fmt: skip
+    }
     return {term: k * values[term] for term, k in zip(TERMS, v["k"], strict=True)}
 
 
@@ -200,20 +198,23 @@ def test_rigid_pairs_have_constant_distances() -> None:
     assert len(rigid_pairs(SKELETON.parents)) == len(rigid)
 
 
-@pytest.mark.parametrize("change, message", [
-    ({"jerk_target": "imu"}, "jerk_target: 'imu' is none of zero, sensor"),
-    ({"bone_lengths": "fixed"}, "bone_lengths: 'fixed' is none of weighted, constraint, free"),
-    ({"prior": "root"}, "prior: 'root' is none of bones, positions"),
-    ({"padding": "zeros"}, "padding: 'zeros' is none of masked, replicate"),
-    ({"k_V": -0.1}, "k_V must not be negative"),
-    ({"k_A": np.inf}, "k_A must not be negative, and finite"),
-    ({"huber_reprojection": 0.0}, "huber_reprojection must be positive; None stands for plain"),
-    ({"sigma_reprojection_range": (9.0, 2.0)}, "the smaller one first"),
-    ({"sigma_bone": 0.0}, "sigma_bone must be positive"),
-    ({"sigma_prior": np.nan}, "sigma_prior must be positive"),
-    ({"tolerance": 0.0}, "tolerance must be positive"),
-    ({"max_iterations": -1}, "max_iterations not negative"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"jerk_target": "imu"}, "jerk_target: 'imu' is none of zero, sensor"),
+        ({"bone_lengths": "fixed"}, "bone_lengths: 'fixed' is none of weighted, constraint, free"),
+        ({"prior": "root"}, "prior: 'root' is none of bones, positions"),
+        ({"padding": "zeros"}, "padding: 'zeros' is none of masked, replicate"),
+        ({"k_V": -0.1}, "k_V must not be negative"),
+        ({"k_A": np.inf}, "k_A must not be negative, and finite"),
+        ({"huber_reprojection": 0.0}, "huber_reprojection must be positive; None stands for plain"),
+        ({"sigma_reprojection_range": (9.0, 2.0)}, "the smaller one first"),
+        ({"sigma_bone": 0.0}, "sigma_bone must be positive"),
+        ({"sigma_prior": np.nan}, "sigma_prior must be positive"),
+        ({"tolerance": 0.0}, "tolerance must be positive"),
+        ({"max_iterations": -1}, "max_iterations not negative"),
+    ],
+)
 def test_invalid_settings_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         replace(CartesianSettings(), **change)

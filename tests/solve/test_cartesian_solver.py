@@ -74,10 +74,10 @@ def documented(
     return residuals
 
 
-@pytest.mark.parametrize("change, max_iterations", [
-    ({}, 60),
-    ({"prior": "positions", "huber_reprojection": None, "k_V": 0.3, "k_S": 0.1, "k_I": 0.9}, 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change, max_iterations",
+    [({}, 60), ({"prior": "positions", "huber_reprojection": None, "k_V": 0.3, "k_S": 0.1, "k_I": 0.9}, 2)],
+)
 def test_reports_have_the_documented_energy_and_gradient(change: dict[str, Any], max_iterations: int) -> None:
     s = Scene(SMALL, 8)
     confidence = np.random.default_rng(0).uniform(0.2, 1.0, s.seen.confidence.shape)
@@ -135,8 +135,7 @@ def test_exact_observations_recover_the_truth(scene: Scene) -> None:
 def test_errors_decrease_from_lifter_to_sf2_to_optimum(scene: Scene, solution: FragmentSolution) -> None:
     out = solution.poses.p_world_joint
     errors = [
-        planted.root_relative_mm(p, scene.p)
-        for p in (out, scene.start.p_world_joint, scene.lifted.p_world_joint)
+        planted.root_relative_mm(p, scene.p) for p in (out, scene.start.p_world_joint, scene.lifted.p_world_joint)
     ]
     assert errors[0] < 0.6 * errors[1] < 0.6 * errors[2]
     absolute = [planted.mpjpe_mm(p, scene.p) for p in (out, scene.start.p_world_joint)]
@@ -212,9 +211,7 @@ def test_unobserved_joints_and_frames_are_bridged(scene: Scene) -> None:
         error = np.linalg.norm(out[:, joint] - scene.p[:, joint], axis=-1).mean()
         before = np.linalg.norm(scene.start.p_world_joint[:, joint] - scene.p[:, joint], axis=-1)
         assert error < 0.6 * before.mean()
-    gap, start_gap = (
-        planted.root_relative_mm(p[20:32], scene.p[20:32]) for p in (out, scene.start.p_world_joint)
-    )
+    gap, start_gap = (planted.root_relative_mm(p[20:32], scene.p[20:32]) for p in (out, scene.start.p_world_joint))
     assert gap < start_gap
 
 
@@ -240,8 +237,6 @@ def test_failed_fragment_returns_the_initial_poses() -> None:
     plain = replace(PLAIN, huber_reprojection=None)
     solver = FragmentSolver(SMALL, 8, plain, SMALL_SENSORS)
     solution = solver.solve(s.start, replace(s.seen, uv_px=uv), s.imus)
-    assert [f.status for f in solution.fragments] == [
-        SolverStatus.CONVERGED, SolverStatus.FAILED, SolverStatus.FAILED,
-    ]  # fmt: skip
+    assert [f.status for f in solution.fragments] == [SolverStatus.CONVERGED, SolverStatus.FAILED, SolverStatus.FAILED]
     assert solution.status is SolverStatus.FAILED
     np.testing.assert_allclose(solution.poses.p_world_joint[4:], s.start.p_world_joint[4:], atol=1e-12)

@@ -32,12 +32,14 @@ def a_body(sensors: tuple[str, ...], hinged: bool, anchored: bool, seen: tuple[s
     index, landmarks = js.BODY.index, js.BODY.landmarks
     shape = Shape(
         landmarks=tuple((index(landmarks[n][0])[0], n in js.BODY.names) for n in seen),
-        sensors=tuple(index(*sensors)), torso=tuple(index("Hips")) if anchored else (),
+        sensors=tuple(index(*sensors)),
+        torso=tuple(index("Hips")) if anchored else (),
         bones=(tuple(index("RightLeg", "RightFoot")),) if anchored else (),  # type: ignore[arg-type]
         feet=tuple(index("RightFoot")) if anchored else (),
-        robust_orientation=js.DELTA_ORIENTATION, floor_cutoff=js.CUTOFF,
+        robust_orientation=js.DELTA_ORIENTATION,
+        floor_cutoff=js.CUTOFF,
         contacts=() if seen else tuple(index("RightFoot")),
-    )  # fmt: skip
+    )
     space = StateSpace(js.BODY, MOVING, hinged)
     return js.Built(space, shape, FrameEnergy(space, shape), seen)
 
@@ -68,9 +70,7 @@ class Both:
             self._simd[frames] = SimdProblem(self.functions, b.energy, frames, sigma)
         return self._plain[frames], self._simd[frames]
 
-    def bound(
-        self, frames: int = 11, step: float = 0.05, seed: int = 0
-    ) -> tuple[JointProblem, SimdProblem, Array]:
+    def bound(self, frames: int = 11, step: float = 0.05, seed: int = 0) -> tuple[JointProblem, SimdProblem, Array]:
         """Both with the same data, and a state beside where those come from."""
         x = js.states(self.built.space, frames, seed, step)
         data = js.random_data(self.built, x, seed + 50)

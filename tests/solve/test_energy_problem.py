@@ -88,9 +88,7 @@ def test_banded_solution_equals_the_dense_one(fragment: Fragment, damping: float
     solved = problem.factorise(damping).solve(right)
     residual = H @ solved.ravel() - right.ravel()
     assert np.abs(residual).max() < 1e-6 * np.abs(H).max() * np.abs(solved).max()
-    np.testing.assert_allclose(
-        solved.ravel(), np.linalg.solve(H, right.ravel()), atol=1e-5 * np.abs(solved).max()
-    )
+    np.testing.assert_allclose(solved.ravel(), np.linalg.solve(H, right.ravel()), atol=1e-5 * np.abs(solved).max())
 
 
 def test_values_are_added_to_the_diagonal_blocks(fragment: Fragment) -> None:

@@ -58,8 +58,9 @@ def quick(space: str) -> FragmentSolver:
 
 def test_default_space_is_joint_where_a_pose_prior_exists() -> None:
     for skeleton, kind, settings in (
-        (BODY, JointSpaceSolver, JointSpaceSettings()), (SMALL, CartesianSolver, CartesianSettings()),
-    ):  # fmt: skip
+        (BODY, JointSpaceSolver, JointSpaceSettings()),
+        (SMALL, CartesianSolver, CartesianSettings()),
+    ):
         solver = FragmentSolver(skeleton, 8)
         assert isinstance(solver._solver, kind)
         assert solver.settings == settings
@@ -177,9 +178,12 @@ def test_sensors_may_be_several_sequences(scene: Scene, solver: FragmentSolver) 
 def one_sensor(imus: BoneImuSequence, joint: str) -> BoneImuSequence:
     s = [imus.joints.index(joint)]
     return replace(
-        imus, joints=(joint,), R_world_bone=imus.R_world_bone[:, s], a_world=imus.a_world[:, s],
+        imus,
+        joints=(joint,),
+        R_world_bone=imus.R_world_bone[:, s],
+        a_world=imus.a_world[:, s],
         p_bone_sensor=imus.p_bone_sensor[s],
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("frames", [1, 4, 11])

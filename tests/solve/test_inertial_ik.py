@@ -22,9 +22,7 @@ from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSetting
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()
 EVERYWHERE = ("Hips", "Spine3", "Head", *planted.LIMBS, "LeftFoot", "RightFoot")
-CHILD = {
-    joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0])[0] for joint in planted.LIMBS
-}
+CHILD = {joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0])[0] for joint in planted.LIMBS}
 
 
 @pytest.fixture(scope="module")
@@ -116,12 +114,8 @@ def test_threshold_compares_directions(truth: MotionSequence, threshold: float, 
 def test_children_of_a_replaced_bone_keep_direction(truth: MotionSequence, lifted: PoseSequence) -> None:
     out = refine(lifted, turned(sensors(truth, ("LeftArm",)), 1.0))
     assert angle(bone_directions(out, "LeftArm"), bone_directions(lifted, "LeftArm")).min() > 0.2
-    np.testing.assert_allclose(
-        bone_directions(out, "LeftForeArm"), bone_directions(lifted, "LeftForeArm"), atol=1e-9
-    )
-    np.testing.assert_allclose(
-        bone_directions(out, "RightArm"), bone_directions(lifted, "RightArm"), atol=1e-9
-    )
+    np.testing.assert_allclose(bone_directions(out, "LeftForeArm"), bone_directions(lifted, "LeftForeArm"), atol=1e-9)
+    np.testing.assert_allclose(bone_directions(out, "RightArm"), bone_directions(lifted, "RightArm"), atol=1e-9)
 
 
 def test_bone_lengths_and_root_are_kept(truth: MotionSequence, lifted: PoseSequence) -> None:

@@ -27,10 +27,19 @@ BODY = SkeletonModel.default()
 N = 16
 SIGMA_PX, SIGMA_RAD = 3.0, np.radians(3.0)
 HONEST = JointSpaceSettings(
-    sigma_reprojection=SIGMA_PX, robust_reprojection=50.0, sigma_swing=SIGMA_RAD, sigma_twist=SIGMA_RAD,
-    robust_orientation=50.0, sigma_torso=None, sigma_bone=None, prior_inflation=5.0, jerk=20.0,
-    limits=False, refit_root=False, smooth_start_hz=29.0,
-)  # fmt: skip
+    sigma_reprojection=SIGMA_PX,
+    robust_reprojection=50.0,
+    sigma_swing=SIGMA_RAD,
+    sigma_twist=SIGMA_RAD,
+    robust_orientation=50.0,
+    sigma_torso=None,
+    sigma_bone=None,
+    prior_inflation=5.0,
+    jerk=20.0,
+    limits=False,
+    refit_root=False,
+    smooth_start_hz=29.0,
+)
 """Settings with the true sizes of errors and hardly any smoothing."""
 
 

@@ -94,9 +94,8 @@ def test_marginalisation_keeps_the_covariance_of_the_remaining_frames() -> None:
     expected, found = long.covariance(4), short.covariance(0)
     scale = np.sqrt(np.einsum("tii->ti", expected))
     np.testing.assert_allclose(
-        found / (scale[:, :, None] * scale[:, None]), expected / (scale[:, :, None] * scale[:, None]),
-        rtol=0, atol=2e-3,
-    )  # fmt: skip
+        found / (scale[:, :, None] * scale[:, None]), expected / (scale[:, :, None] * scale[:, None]), rtol=0, atol=2e-3
+    )
 
 
 def test_marginalisation_keeps_the_step_of_the_remaining_frames() -> None:

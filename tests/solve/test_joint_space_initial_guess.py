@@ -37,9 +37,7 @@ def stopped(seen: NDArray[np.bool_]) -> PoseSequence:
     return replace(TRUTH, p_world_joint=TRUTH.p_world_joint[last], R_world_bone=TRUTH.R_world_bone[last])
 
 
-def bridged(
-    start: PoseSequence, seen: NDArray[np.bool_], imus: BoneImuSequence
-) -> tuple[PoseSequence, Array]:
+def bridged(start: PoseSequence, seen: NDArray[np.bool_], imus: BoneImuSequence) -> tuple[PoseSequence, Array]:
     """Poses and sigma of the root, with keypoints in the frames `seen` and the root not refitted."""
     uv = np.where(seen[:, None, None], np.full((T, 21, 2), 500.0), np.nan)
     keypoints = KeypointSequence(planted.camera(), TRUTH.times, uv, np.ones((T, 21)), BODY.names)
@@ -75,9 +73,10 @@ def test_unobserved_turn_is_recovered_from_limb_sensors() -> None:
     """A quarter turn in two seconds, trunk and all; no sensor sits on the trunk."""
     about = so3.about_axis("z", np.radians(90) * np.clip((TRUTH.times - 2) / 2, 0, 1))
     turned = replace(
-        TRUTH, R_world_bone=about[:, None] @ TRUTH.R_world_bone,
+        TRUTH,
+        R_world_bone=about[:, None] @ TRUTH.R_world_bone,
         p_world_joint=np.einsum("tij,tkj->tki", about, TRUTH.p_world_joint),
-    )  # fmt: skip
+    )
     seen = hidden((2.2, 3.8))
     last = np.maximum.accumulate(np.where(seen, np.arange(T), 0))
     frozen = replace(turned, R_world_bone=turned.R_world_bone[last])

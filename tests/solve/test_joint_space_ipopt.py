@@ -69,11 +69,12 @@ def gentle(b: js.Built, x: Array, seed: int, rng: np.random.Generator) -> Fragme
     uv = np.swapaxes(js.CAMERA.project(np.array(points)), 0, 1)
     joints = len(b.space.joints) - 1
     observation = {
-        **data.observation, "uv_px": uv + 2 * rng.normal(size=uv.shape),
+        **data.observation,
+        "uv_px": uv + 2 * rng.normal(size=uv.shape),
         "quat_sensor": so3.to_quat_wxyz(R[:, list(b.shape.sensors)]),
         "quat_torso": so3.to_quat_wxyz(R[:, list(b.shape.torso)]),
         "w_visual": np.full(uv.shape[:2], 1 / 9),
-    }  # fmt: skip
+    }
     rest = np.tile([[1.0], [0.0], [0.0], [0.0]], joints)
     constant = {**data.constant, "precision": 10 * np.eye(3 * joints), "quat_mean": rest}
     return replace(data, observation=observation, constant=constant)
@@ -137,9 +138,8 @@ def test_recordings_are_solved_by_either_backend() -> None:
     found = {}
     for backend, tolerance in (("ipopt", 1e-7), ("realtime", 1e-11)):
         settings = JointSpaceSettings(
-            sigma_reprojection=3.0, annealing=0, max_iterations=200, tolerance=tolerance,
-            limits=False, backend=backend,
-        )  # fmt: skip
+            sigma_reprojection=3.0, annealing=0, max_iterations=200, tolerance=tolerance, limits=False, backend=backend
+        )
         found[backend] = FragmentSolver(js.BODY, 8, settings).solve(truth.poses, seen, imus)
         assert found[backend].status is SolverStatus.CONVERGED
     p, q = (solution.poses.p_world_joint for solution in found.values())
@@ -225,9 +225,7 @@ def test_hessian_is_the_upper_gauss_newton_triangle() -> None:
     assert sparse.sparsity().is_triu()
     np.testing.assert_array_equal(upper, np.triu(upper))
     about = js.terms_about(oracles.start.built, oracles.start.x, oracles.start.data)
-    _, expected = js.derivatives(
-        lambda d: about(oracles.unit * (oracles.y + d)), oracles.size, 1e-5 / oracles.unit
-    )
+    _, expected = js.derivatives(lambda d: about(oracles.unit * (oracles.y + d)), oracles.size, 1e-5 / oracles.unit)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(upper / scale, np.triu(expected) / scale, atol=2e-4)
     # Entries outside the sparsity pattern are zero.

@@ -41,9 +41,8 @@ def observed(
 
 
 def weights(
-    sigma_rad: Array | None = None, imus: BoneImuSequence | None = None,
-    settings: JointSpaceSettings = SETTINGS,
-) -> Array:  # fmt: skip
+    sigma_rad: Array | None = None, imus: BoneImuSequence | None = None, settings: JointSpaceSettings = SETTINGS
+) -> Array:
     """(T, 2) of the pelvis and the upper trunk."""
     return observed(start(sigma_rad), imus, settings).rows["w_torso"]
 
@@ -176,9 +175,7 @@ PLACES = ("Hips", "Head", "LeftArm", "LeftForeArm", "LeftFoot", "RightLeg")
 def with_places(places: tuple[str, ...], *sensors: str, **more: Any) -> Observations:
     imus = worn(*sensors) if sensors else None
     seen = planted.keypoints(POSES, 2.0)
-    return Observations(
-        BODY, N, SETTINGS, InitialGuess(start(), np.zeros(T)), seen, imus, places=places, **more
-    )
+    return Observations(BODY, N, SETTINGS, InitialGuess(start(), np.zeros(T)), seen, imus, places=places, **more)
 
 
 SETS = [(), ("LeftForeArm",), ("LeftArm", "LeftForeArm", "Head"), PLACES]

@@ -34,9 +34,16 @@ DEFAULT = JointSpaceSettings()
 GIVEN = replace(DEFAULT, sigma_reprojection=3.0)
 QUICK = replace(DEFAULT, annealing=3, max_iterations=3)
 EXACT = replace(
-    DEFAULT, sigma_reprojection=0.5, sigma_swing=0.01, sigma_twist=0.01, sigma_acceleration=0.2,
-    prior_inflation=20.0, sigma_torso=None, sigma_bone=None, max_iterations=100,
-)  # fmt: skip
+    DEFAULT,
+    sigma_reprojection=0.5,
+    sigma_swing=0.01,
+    sigma_twist=0.01,
+    sigma_acceleration=0.2,
+    prior_inflation=20.0,
+    sigma_torso=None,
+    sigma_bone=None,
+    max_iterations=100,
+)
 """Settings for exact observations."""
 LIMIT = np.radians(0.1)
 """By how much a limit may be missed, rad."""
@@ -61,9 +68,7 @@ class Scene:
         self, solver: FragmentSolver | JointSpaceSettings = DEFAULT, frames: int = T, **given: Any
     ) -> FragmentSolution:
         """From its start and noisy observations, or from those given."""
-        observed: dict[str, Any] = {
-            "start": self.start, "keypoints": self.seen, "bone_imus": self.imus, **given
-        }  # fmt: skip
+        observed: dict[str, Any] = {"start": self.start, "keypoints": self.seen, "bone_imus": self.imus, **given}
         cut: dict[str, Any] = {k: v and v[:frames] for k, v in observed.items()}
         return (solver if isinstance(solver, FragmentSolver) else body(solver)).solve(**cut)
 
@@ -119,9 +124,7 @@ def test_errors_are_far_smaller_than_those_of_the_initial_guess(seed: int) -> No
     assert out.status is SolverStatus.CONVERGED
     assert s.relative_mm(out.poses) < 0.25 * s.relative_mm(s.start)
     assert s.mm(out.poses) < 0.15 * s.mm(s.start)
-    result, start, true = (
-        flexion(poses.p_world_joint, BODY) for poses in (out.poses, s.start, s.truth.poses)
-    )
+    result, start, true = (flexion(poses.p_world_joint, BODY) for poses in (out.poses, s.start, s.truth.poses))
     assert np.nanmean(np.abs(result - true)) < 0.7 * np.nanmean(np.abs(start - true))
     assert 1.5 < min(sigmas(out)) < max(sigmas(out)) < 4.5, "it is 3 px"
 
@@ -143,12 +146,12 @@ def test_result_is_equivariant_to_the_world_frame(scene: Scene) -> None:
     fine = replace(GIVEN, max_iterations=100, tolerance=1e-9)
     here = scene.solve(fine, 24).poses.p_world_joint
     there = scene.solve(
-        fine, 24, keypoints=replace(scene.seen, camera=moved),
-        start=replace(
-            start, p_world_joint=start.p_world_joint @ R.T + t, R_world_bone=R @ start.R_world_bone
-        ),
+        fine,
+        24,
+        keypoints=replace(scene.seen, camera=moved),
+        start=replace(start, p_world_joint=start.p_world_joint @ R.T + t, R_world_bone=R @ start.R_world_bone),
         bone_imus=replace(imus, R_world_bone=R @ imus.R_world_bone, a_world=imus.a_world @ R.T),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(there.poses.p_world_joint, here @ R.T + t, atol=5e-4)
 
 
@@ -266,10 +269,7 @@ def test_landmarks_are_weighted_by_confidence(scene: Scene) -> None:
 @pytest.mark.parametrize("silent", [3, 8])
 def test_sensors_without_data_have_no_effect(scene: Scene, silent: int) -> None:
     imus, of = scene.imus, np.s_[:, :silent]
-    mute = replace(
-        imus, R_world_bone=changed(imus.R_world_bone, of, np.nan),
-        a_world=changed(imus.a_world, of, np.nan),
-    )  # fmt: skip
+    mute = replace(imus, R_world_bone=changed(imus.R_world_bone, of, np.nan), a_world=changed(imus.a_world, of, np.nan))
     rest = imus.select(imus.joints[silent:]) if silent < 8 else None
     assert_same_positions(scene.solve(frames=24, bone_imus=mute), scene.solve(frames=24, bone_imus=rest))
 
@@ -377,10 +377,18 @@ def test_overflow_affects_its_own_fragments_only(scene: Scene, what: str, size: 
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
-@pytest.mark.parametrize("field", [
-    "sigma_reprojection", "sigma_swing", "sigma_acceleration", "robust_orientation", "jerk",
-    "prior_inflation", "tolerance",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "field",
+    [
+        "sigma_reprojection",
+        "sigma_swing",
+        "sigma_acceleration",
+        "robust_orientation",
+        "jerk",
+        "prior_inflation",
+        "tolerance",
+    ],
+)
 def test_settings_must_be_positive_and_finite(field: str, value: float) -> None:
     change: dict[str, Any] = {field: value}
     with pytest.raises(InvalidInputError, match=f"{field} must be positive and finite"):

@@ -50,9 +50,15 @@ def energy(squared: Array) -> Array:
 def observations(compile: str) -> tuple[Observations, Any]:
     settings = JointSpaceSettings(compile=compile)  # type: ignore[arg-type]
     data = Observations(
-        BODY, N, settings, InitialGuess(POSES, np.zeros(N)), planted.keypoints(POSES), None,
-        terms=(RANGE,), observed={"anchor": PointData(ranges(error=0.3), 0.1)},
-    )  # fmt: skip
+        BODY,
+        N,
+        settings,
+        InitialGuess(POSES, np.zeros(N)),
+        planted.keypoints(POSES),
+        None,
+        terms=(RANGE,),
+        observed={"anchor": PointData(ranges(error=0.3), 0.1)},
+    )
     _, _, values = data.fragment(0)
     data.problem.bind(values)
     return data, data.problem

@@ -17,9 +17,15 @@ POSES = PoseSequence(np.zeros(1), np.zeros((1, 1, 3)), np.eye(3)[None, None], ("
 
 def report(status: SolverStatus = SolverStatus.CONVERGED, k: float = 1.0) -> FragmentReport:
     return FragmentReport(
-        first_frame=0, status=status, energy={"visual": k, "smooth": 2 * k}, iterations=int(k),
-        seconds=0.1 * k, sigma_reprojection=4.0, optimality=k, infeasibility=0.0,
-    )  # fmt: skip
+        first_frame=0,
+        status=status,
+        energy={"visual": k, "smooth": 2 * k},
+        iterations=int(k),
+        seconds=0.1 * k,
+        sigma_reprojection=4.0,
+        optimality=k,
+        infeasibility=0.0,
+    )
 
 
 def test_a_solution_sums_up_its_fragments() -> None:

@@ -37,11 +37,12 @@ def confidence(size: float = 1.0) -> Confidence:
 
 def inflation(**others: dict[str, Widening]) -> CovarianceInflation:
     """Factors 1, 2 and 3 by who saw it, and no floor; `others` are of turns, by who saw them."""
-    return CovarianceInflation({
-        who: {kind: {OTHER: Widening(i, 0.0), **(others.get(who, {}) if kind == "turn" else {})}
-              for kind in kinds}
-        for i, (who, kinds) in enumerate(SEEN.items(), start=1)
-    })  # fmt: skip
+    return CovarianceInflation(
+        {
+            who: {kind: {OTHER: Widening(i, 0.0), **(others.get(who, {}) if kind == "turn" else {})} for kind in kinds}
+            for i, (who, kinds) in enumerate(SEEN.items(), start=1)
+        }
+    )
 
 
 def test_a_covariance_is_scaled_on_both_sides_and_gets_a_floor() -> None:
@@ -189,9 +190,7 @@ def test_invalid_depths_are_refused(depths: dict[str, float]) -> None:
         CovarianceInflation(inflation().widenings, depths=depths)
 
 
-@pytest.mark.parametrize(
-    "shares", [{"sensed": {"position": 0.1}}, {"fused": {"turn": -0.1}}, {"us": {"turn": 1.0}}]
-)
+@pytest.mark.parametrize("shares", [{"sensed": {"position": 0.1}}, {"fused": {"turn": -0.1}}, {"us": {"turn": 1.0}}])
 def test_invalid_shares_are_refused(shares: dict[str, dict[str, float]]) -> None:
     with pytest.raises(InvalidInputError, match="share"):
         CovarianceInflation(inflation().widenings, shares)

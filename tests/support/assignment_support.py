@@ -72,9 +72,7 @@ def some() -> Recording:
     recording = walk()
     assert recording.imus is not None
     assert recording.calibration is not None
-    return replace(
-        recording, imus=recording.imus.select(SOME), calibration=recording.calibration.select(SOME)
-    )
+    return replace(recording, imus=recording.imus.select(SOME), calibration=recording.calibration.select(SOME))
 
 
 def exchanged(recording: Recording, a: str, b: str) -> Recording:

@@ -37,11 +37,7 @@ def write_recordings(root: Path, **doing: str) -> Path:
 
 
 def batch_of(
-    source: Path,
-    out: Path,
-    chain: str = "reconstruct, analyse, report",
-    shard: str = "1/1",
-    version: str = "1",
+    source: Path, out: Path, chain: str = "reconstruct, analyse, report", shard: str = "1/1", version: str = "1"
 ) -> Batch:
     steps = read_chain(chain, COMMANDS)
     return Batch(source, find_recordings(source, out), steps, out, version, Shard.of(shard))
@@ -49,9 +45,7 @@ def batch_of(
 
 def calls(folder: Path) -> Counter[str]:
     """Number of calls by 'name command'."""
-    return Counter(
-        path.name.rpartition("-")[0].replace("+", "/").replace("-", " ") for path in folder.iterdir()
-    )
+    return Counter(path.name.rpartition("-")[0].replace("+", "/").replace("-", " ") for path in folder.iterdir())
 
 
 def obey(line: list[str]) -> int:

@@ -61,16 +61,27 @@ class BrowserPage:
     """One page; `errors` are what its console and its policy complained about."""
 
     def __init__(
-        self, profile: Path, width: int, height: int, dark: bool = False,
-        flags: Sequence[str] = ("--disable-gpu",),
-    ):  # fmt: skip
+        self, profile: Path, width: int, height: int, dark: bool = False, flags: Sequence[str] = ("--disable-gpu",)
+    ):
         assert BROWSER is not None
         self._process = subprocess.Popen(
-            [BROWSER, "--headless", "--no-sandbox", *flags, "--disable-quic", "--no-first-run",
-             "--disable-background-networking", "--disable-component-update", "--disable-sync",
-             "--remote-debugging-port=0", f"--user-data-dir={profile}", "about:blank"],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [
+                BROWSER,
+                "--headless",
+                "--no-sandbox",
+                *flags,
+                "--disable-quic",
+                "--no-first-run",
+                "--disable-background-networking",
+                "--disable-component-update",
+                "--disable-sync",
+                "--remote-debugging-port=0",
+                f"--user-data-dir={profile}",
+                "about:blank",
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         self._open = ExitStack()
         self._open.callback(self._end)
         port, path = self._endpoint(profile / "DevToolsActivePort")
@@ -151,11 +162,7 @@ class BrowserPage:
         """Wait until an expression holds."""
         deadline = time.monotonic() + seconds
         while not self.value(expression):
-            assert time.monotonic() < deadline, (
-                expression,
-                self.errors,
-                self.value("document.body.innerText"),
-            )
+            assert time.monotonic() < deadline, (expression, self.errors, self.value("document.body.innerText"))
             time.sleep(0.05)
 
     def press(self, key: str) -> None:
@@ -164,12 +171,8 @@ class BrowserPage:
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Drag with the left button."""
-        for kind, (x, y), buttons in (
-            ("mousePressed", start, 1), ("mouseMoved", end, 1), ("mouseReleased", end, 0),
-        ):  # fmt: skip
-            self.call(
-                "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1
-            )
+        for kind, (x, y), buttons in (("mousePressed", start, 1), ("mouseMoved", end, 1), ("mouseReleased", end, 0)):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
 
     def picture(self, file: Path, whole: bool = True) -> Path:
         """Write a picture of the page."""

@@ -39,9 +39,7 @@ OPEN = {
     "ankle height": {"sigma_ankle_height": 0.03},
 }
 """Kind -> what leaves it open."""
-NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {
-    "sigma_twist": 0.1
-}
+NOTHING = {name: None for name in vars(CalibrationPriors()) if name.startswith("sigma_")} | {"sigma_twist": 0.1}
 
 
 def only(*kinds: str, **more: float) -> CalibrationPriors:
@@ -90,9 +88,7 @@ def misaligned(recording: Recording, **wrong: Array) -> Recording:
     return replace(
         recording,
         calibration=replace(
-            given,
-            R_world_inertial=heading @ given.R_world_inertial,
-            R_sensor_bone=given.R_sensor_bone @ mounting,
+            given, R_world_inertial=heading @ given.R_world_inertial, R_sensor_bone=given.R_sensor_bone @ mounting
         ),
     )
 

@@ -25,9 +25,14 @@ def angles_of(
     nothing = np.zeros(values.shape)
     bands = None if sigma is None else np.full(values.shape, np.radians(sigma))
     return ClinicalAngles(
-        times, values, nothing.astype(np.uint8), nothing.astype(np.bool_), tuple(ROWS[n] for n in columns),
-        sigma=bands, **fields,
-    )  # fmt: skip
+        times,
+        values,
+        nothing.astype(np.uint8),
+        nothing.astype(np.bool_),
+        tuple(ROWS[n] for n in columns),
+        sigma=bands,
+        **fields,
+    )
 
 
 def one(

@@ -44,9 +44,7 @@ def landmarks_px(names: tuple[str, ...], motion: MotionSequence, camera: Camera)
 @cache
 def walking() -> MotionSequence:
     """A test subject's walk (50 frames at 30 Hz), on the shipped skeleton."""
-    clip = read_mocap(
-        Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh", output_rate_hz=None
-    )
+    clip = read_mocap(Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh", output_rate_hz=None)
     return SkeletonModel.default().motion(clip.poses[:50])
 
 

@@ -24,8 +24,9 @@ def colours(count: int) -> Array:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=-1)
 
 
-def saved(path: Path, nodes: list[Any], constants: dict[str, Any], size: tuple[int, int],
-          outputs: dict[str, list[Any]]) -> None:  # fmt: skip
+def saved(
+    path: Path, nodes: list[Any], constants: dict[str, Any], size: tuple[int, int], outputs: dict[str, list[Any]]
+) -> None:
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
     graph = helper.make_graph(
         nodes,
@@ -68,9 +69,15 @@ def people_model(path: Path, boxes: list[list[float]]) -> None:
 
 
 def write_video(
-    path: Path, images: list[Any], *, times_ms: list[int] | None = None, rotation: int = 0,
-    metadata: dict[str, str] | None = None, codec: str = "mpeg4", aspect: Fraction | None = None,
-) -> Path:  # fmt: skip
+    path: Path,
+    images: list[Any],
+    *,
+    times_ms: list[int] | None = None,
+    rotation: int = 0,
+    metadata: dict[str, str] | None = None,
+    codec: str = "mpeg4",
+    aspect: Fraction | None = None,
+) -> Path:
     """Write images (height, width, 3), BGR, at 25 Hz or at the given times, with a phone's metadata."""
     options = {"movflags": "use_metadata_tags"} if path.suffix == ".mp4" else {}
     with av.open(str(path), "w", options=options) as container:

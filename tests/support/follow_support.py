@@ -21,10 +21,7 @@ JITTER = (0.0, 0.011, -0.009, 0.006, -0.013, 0.004)
 def walk_at(speed: float, number: int, certain: bool = True, **how: Any) -> MotionSequence:
     """Planted walking of 4.5 s; the number changes it a little, as trials differ."""
     motion = walking(
-        4.5,
-        speed=speed * (1 + JITTER[number % 6]),
-        stride_time=1.2 * (1 - JITTER[(number + 2) % 6] / 2),
-        **how,
+        4.5, speed=speed * (1 + JITTER[number % 6]), stride_time=1.2 * (1 - JITTER[(number + 2) % 6] / 2), **how
     )
     return replace(motion, confidence=certain_to(2.0, motion)) if certain else motion
 
@@ -37,9 +34,7 @@ def visit(name: str, speed: float, first: int = 0, trials: int = 2, **setup: Any
     return Visit(name, tuple(own))
 
 
-def visit_folders(
-    folder: Path, speeds: Mapping[str, float], trials: Sequence[int] = (0, 1), **inputs: Any
-) -> Path:
+def visit_folders(folder: Path, speeds: Mapping[str, float], trials: Sequence[int] = (0, 1), **inputs: Any) -> Path:
     """Folder of visits by name of the visit -> speed, with outputs as of reconstruct."""
     for number, (name, speed) in enumerate(speeds.items()):
         for own in trials:

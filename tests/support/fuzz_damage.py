@@ -20,12 +20,27 @@ MEMORY_BYTES = 2**30
 
 NUMBER = re.compile(rb"-?\d+(\.\d*)?([eE][-+]?\d+)?")
 EXTREME = (
-    b"1e400", b"NaN", b"-1", b"0", b"999999999999", b"text", b"", b"inf", b"1e300", b"-1e-300",
-    b"9" * 5000, b"0x10", b"null", b"[]", b"{}", b"\xb5", b"true", b'"', b"-0.5",
-)  # fmt: skip
-JUNK = (
-    b"\0", b"\0" * 64, b"\xff\xfe", b"\xb5", b"\r", b"\n", b"\t", b'"', b"{", b"[" * 3000, b"(" * 3000,
-)  # fmt: skip
+    b"1e400",
+    b"NaN",
+    b"-1",
+    b"0",
+    b"999999999999",
+    b"text",
+    b"",
+    b"inf",
+    b"1e300",
+    b"-1e-300",
+    b"9" * 5000,
+    b"0x10",
+    b"null",
+    b"[]",
+    b"{}",
+    b"\xb5",
+    b"true",
+    b'"',
+    b"-0.5",
+)
+JUNK = (b"\0", b"\0" * 64, b"\xff\xfe", b"\xb5", b"\r", b"\n", b"\t", b'"', b"{", b"[" * 3000, b"(" * 3000)
 """Inserted bytes: NULs, invalid UTF-8, line ends, brackets."""
 
 
@@ -45,13 +60,12 @@ def damaged(draw: st.DrawFn, content: bytes) -> Content:
 
 def _damaged(draw: st.DrawFn, content: bytes) -> bytes:
     at = draw(st.integers(0, max(len(content) - 1, 0)))
-    kind = draw(st.sampled_from(
-        ["numbers", "bytes", "cut", "junk", "swap", "repeat", "drop", "other"]
-    ))  # fmt: skip
+    kind = draw(st.sampled_from(["numbers", "bytes", "cut", "junk", "swap", "repeat", "drop", "other"]))
     if kind == "numbers":
         numbers = list(NUMBER.finditer(content[:200_000]))
-        for found in sorted(draw(st.lists(st.sampled_from(numbers), max_size=3)) if numbers else [],
-                            key=lambda m: -m.start()):  # fmt: skip
+        for found in sorted(
+            draw(st.lists(st.sampled_from(numbers), max_size=3)) if numbers else [], key=lambda m: -m.start()
+        ):
             extreme = draw(st.sampled_from(EXTREME))
             content = content[: found.start()] + extreme + content[found.end() :]
         return content

@@ -155,11 +155,17 @@ T: [ 0.5, 1.5, 4. ]
 
 
 _HALPE = detector_table().layout("halpe26").names[5:19]
-PIXEL_TRC = "\n".join([
-    "PathFileType\t4\t(X/Y/Z)\ta.trc", "DataRate\tNumFrames\tNumMarkers\tUnits", "30\t1\t14\tm",
-    "Frame#\tTime\t" + "\t\t\t".join(_HALPE) + "\t\t",
-    "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, 15)), "0\t0.0" + "\t151.5\t212.5\t0" * 14, "",
-]).encode()  # fmt: skip
+PIXEL_TRC = "\n".join(
+    [
+        "PathFileType\t4\t(X/Y/Z)\ta.trc",
+        "DataRate\tNumFrames\tNumMarkers\tUnits",
+        "30\t1\t14\tm",
+        "Frame#\tTime\t" + "\t\t\t".join(_HALPE) + "\t\t",
+        "\t\t" + "\t".join(f"X{i}\tY{i}\tZ{i}" for i in range(1, 15)),
+        "0\t0.0" + "\t151.5\t212.5\t0" * 14,
+        "",
+    ]
+).encode()
 
 
 def sensor_file(title: str) -> Files:
@@ -223,9 +229,12 @@ def written(title: str, name: str, write: Callable[[Path], object], read: Callab
 
 def _opencap() -> bytes:
     camera = {
-        "intrinsicMat": CAMERA.K, "distortion": CAMERA.distortion[None], "rotation": CAMERA.R_camera_world,
-        "translation": 1000 * CAMERA.t_camera_world[:, None], "imageSize": np.array([[1080.0], [1920.0]]),
-    }  # fmt: skip
+        "intrinsicMat": CAMERA.K,
+        "distortion": CAMERA.distortion[None],
+        "rotation": CAMERA.R_camera_world,
+        "translation": 1000 * CAMERA.t_camera_world[:, None],
+        "imageSize": np.array([[1080.0], [1920.0]]),
+    }
     return pickle.dumps(camera, 4)
 
 
@@ -251,8 +260,9 @@ def _take(path: Path) -> object:
 
 
 _MEMBERS: Mapping[str, bytes] = {
-    "recordings/S01-1/recording.toml": b"schema_version = 1\n", "results/1/motion.npz": b"PK",
-}  # fmt: skip
+    "recordings/S01-1/recording.toml": b"schema_version = 1\n",
+    "results/1/motion.npz": b"PK",
+}
 
 
 def _manifest() -> bytes:
@@ -291,12 +301,11 @@ READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
     written("motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), read_motion_npz),
-    written(
-        "joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()),
-        read_joint_trajectory_csv,
-    ),
+    written("joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()), read_joint_trajectory_csv),
     given(
-        "object npz", "a.npz", lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object)),
+        "object npz",
+        "a.npz",
+        lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object)),
         lambda p: read_object_npz(p, ["a"]),
     ),
     # --- motion capture
@@ -315,21 +324,17 @@ READERS = (
     written("camera TOML", "a.toml", lambda p: write_camera_toml(p, {"left": CAMERA}), read_camera_toml),
     given("OpenCV YAML", "a.yml", OPENCV, read_opencv_yaml),
     given(
-        "OpenCV JSON", "a.json",
+        "OpenCV JSON",
+        "a.json",
         b'{"width": 64, "height": 48, "K": [[9, 0, 3], [0, 9, 2], [0, 0, 1]],\n'
         b'"rvec": [0.1, 0, 0], "tvec": [0, 0, 4], "D": {"rows": 1, "data": [0.1, 0, 0, 0]}}',
         read_opencv_yaml,
     ),
     given("OpenCap", "a.pickle", _opencap, lambda p: read_opencap(p, up="z")),
     # --- datasets
-    given(
-        "Total Capture positions", "a.txt", TC("gt_skel_gbl_pos.txt"),
-        lambda p: total_capture.read_joints(p, 3),
-    ),
+    given("Total Capture positions", "a.txt", TC("gt_skel_gbl_pos.txt"), lambda p: total_capture.read_joints(p, 3)),
     given("Total Capture sensors", "a.sensors", TC("_xsens.sensors"), total_capture.read_sensors),
-    given(
-        "Total Capture IMU calibration", "a.txt", TC("calib_imu_bone.txt"), total_capture.read_imu_calibration
-    ),
+    given("Total Capture IMU calibration", "a.txt", TC("calib_imu_bone.txt"), total_capture.read_imu_calibration),
     given("Total Capture cameras", "a.cal", TC("calibration.cal"), total_capture.read_cameras),
     Reader("Human3.6M archives", _human36m, _read_human36m),
     Reader(
@@ -350,13 +355,15 @@ READERS = (
     # --- detectors
     Reader("OpenPose", one("p_0_keypoints.json", OPENPOSE), read_detector_file),
     given(
-        "COCO results", "a.json",
+        "COCO results",
+        "a.json",
         b'[{"image_id": 0, "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1},\n'
         b'{"image_id": "1.jpg", "keypoints": [1.5, 2.5, 0.5, 3, 4, 1], "idx": 1}]',
         read_detector_file,
     ),
     given(
-        "MediaPipe", "a.json",
+        "MediaPipe",
+        "a.json",
         b'{"frames": [{"time": 0.1, "landmarks": [{"x": 0.5, "y": 0.25, "visibility": 1},\n'
         b'{"x": 0.75, "y": 0.25, "visibility": 0.5}]}]}',
         lambda p: read_detector_file(p, 640, 480),
@@ -364,11 +371,11 @@ READERS = (
     given("detector npz", "a.npz", lambda: npz(uv_px=UV), read_detector_file),
     written("detector npy", "a.npy", lambda p: np.save(p, UV), read_detector_file),
     given(
-        "detector csv", "a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n",
-        read_detector_file,
+        "detector csv", "a.csv", b"time,nose_x,nose_y,nose_score\n0.0,151.5,212.5,0.5\n0.1,,,0\n", read_detector_file
     ),
     given(
-        "rows of points", "a.csv",
+        "rows of points",
+        "a.csv",
         b"frame,time,landmark,x,y,visibility\n0,0.0,0,151.5,212.5,0.5\n0,0.0,1,153,,0\n1,0.1,0,150,1,1\n",
         read_detector_file,
     ),
@@ -377,9 +384,7 @@ READERS = (
     # --- tables of this package
     given("skeleton table", "a.toml", _model("skeleton.toml"), read_skeleton_table),
     given("detector table", "a.toml", _model("detectors.toml"), read_detector_table),
-    given(
-        "point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())
-    ),
+    given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
     written("bundle", "a.rtof", lambda p: _bundle(p, _manifest()), _unbundled),
@@ -400,7 +405,7 @@ READERS = (
     Reader("inspect a.csv", lambda: sensor_file("plain CSV"), lambda d: inspect(d / "trial.csv")),
     written("inspect take", "take", _take, inspect),
     Reader("MVNX", lambda: sensor_file("Xsens MVNX"), lambda d: read_mvnx_file(d / "trial.mvnx")),
-)  # fmt: skip
+)
 
 
 def write_files(folder: Path, files: Files) -> None:

@@ -14,9 +14,7 @@ from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE, GaitReference
 Array = NDArray[np.float64]
 ABOUT: dict[str, Any] = {"licence": "CC0-1.0", "source": "planted", "system": "rtof_kin 0"}
 PHASE = 2 * np.pi * PERCENT / 100
-MEAN = np.radians(
-    [a + b * np.sin(PHASE + c) for a, b, c in zip(range(9), range(4, 31, 3), range(9), strict=True)]
-)
+MEAN = np.radians([a + b * np.sin(PHASE + c) for a, b, c in zip(range(9), range(4, 31, 3), range(9), strict=True)])
 """(9, 51) rad, mean curves of planted healthy people."""
 
 
@@ -28,9 +26,7 @@ def people_curves(count: int, seed: int, size_deg: float = 4.0) -> Array:
     return np.asarray(MEAN + np.radians(size_deg) * (own * [1, 0.5, 0.5, 0.25]) @ shapes)
 
 
-def cycles_of(
-    curves: Array, sigma_deg: float | None = None, strides: int = 3, speed: float = 1.2
-) -> GaitCycles:
+def cycles_of(curves: Array, sigma_deg: float | None = None, strides: int = 3, speed: float = 1.2) -> GaitCycles:
     """Equal strides of one person with curves (2, 9, 51), right and left."""
     sides = ("right", "left") * strides
     each = np.array([curves[int(side == "left")] for side in sides])

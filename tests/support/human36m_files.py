@@ -42,8 +42,10 @@ def body(subject: str) -> SkeletonModel:
     """A subject-specific body, with hips and shoulders unlike the table."""
     rng = np.random.default_rng(int(subject[1:]))
     skeleton = SkeletonModel.human36m().with_height(1.6 + 0.03 * int(subject[1:]))
-    own = {name: skeleton.joint_offsets[skeleton.index(name)[0]] + rng.normal(size=3) * 0.02
-           for name in ("RHip", "LHip", "Spine", "Neck", "LShoulder", "RShoulder")}  # fmt: skip
+    own = {
+        name: skeleton.joint_offsets[skeleton.index(name)[0]] + rng.normal(size=3) * 0.02
+        for name in ("RHip", "LHip", "Spine", "Neck", "LShoulder", "RShoulder")
+    }
     return skeleton.with_offsets(own)
 
 
@@ -108,9 +110,7 @@ def write_positions(root: Path, positions: Mapping[str, Mapping[str, Any]]) -> N
     np.savez_compressed(root / "data_3d_h36m.npz", **contents)
 
 
-def write_keypoints(
-    root: Path, entries: Mapping[str, Any], kind: str = "gt", metadata: Any = METADATA
-) -> None:
+def write_keypoints(root: Path, entries: Mapping[str, Any], kind: str = "gt", metadata: Any = METADATA) -> None:
     """``data_2d_h36m_<kind>.npz``."""
     contents: dict[str, Any] = {"positions_2d": entries, "metadata": metadata}
     np.savez_compressed(root / f"data_2d_h36m_{kind}.npz", **contents)
@@ -139,12 +139,17 @@ def camera_source(subjects: tuple[str, ...]) -> tuple[list[Any], dict[str, Any]]
     """The two tables of the Python source."""
     intrinsics = [
         {
-            "id": name, "center": list(CENTRE_PX[i]), "focal_length": list(FOCAL_PX[i]),
-            "radial_distortion": list(RADIAL[i]), "tangential_distortion": list(TANGENTIAL[i]),
-            "res_w": SIZES_PX[i][0], "res_h": SIZES_PX[i][1], "azimuth": 70,
+            "id": name,
+            "center": list(CENTRE_PX[i]),
+            "focal_length": list(FOCAL_PX[i]),
+            "radial_distortion": list(RADIAL[i]),
+            "tangential_distortion": list(TANGENTIAL[i]),
+            "res_w": SIZES_PX[i][0],
+            "res_h": SIZES_PX[i][1],
+            "azimuth": 70,
         }
         for i, name in enumerate(CAMERA_IDS)
-    ]  # fmt: skip
+    ]
     extrinsics: dict[str, Any] = {"S2": [{}, {}, {}, {}]}
     for subject in subjects:
         extrinsics[subject] = [

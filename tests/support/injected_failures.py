@@ -35,9 +35,16 @@ class Failures:
         return isinstance(path, str | os.PathLike) and os.path.realpath(path).startswith(self.root)
 
     def open(
-        self, file: Any, mode: str = "r", buffering: int = -1, encoding: Any = None, errors: Any = None,
-        newline: Any = None, closefd: bool = True, opener: Any = None,
-    ) -> Any:  # fmt: skip
+        self,
+        file: Any,
+        mode: str = "r",
+        buffering: int = -1,
+        encoding: Any = None,
+        errors: Any = None,
+        newline: Any = None,
+        closefd: bool = True,
+        opener: Any = None,
+    ) -> Any:
         """`open` whose files count what reaches the system."""
         if not self.concerns(file) or not set(mode) & set("wxa+"):
             return REAL_OPEN(file, mode, buffering, encoding, errors, newline, closefd, opener)

@@ -34,9 +34,7 @@ ALL_SENSORS = (*planted.LIMBS, "Hips", "Head", "LeftFoot")
 
 
 def pseudo_huber(delta: float) -> Loss:
-    return lambda s: (
-        2 * delta**2 * (np.sqrt(1 + s / delta**2) - 1), 1 / np.sqrt(1 + s / delta**2)
-    )  # fmt: skip
+    return lambda s: (2 * delta**2 * (np.sqrt(1 + s / delta**2) - 1), 1 / np.sqrt(1 + s / delta**2))
 
 
 def cauchy(s: Array) -> tuple[Array, Array]:
@@ -100,9 +98,11 @@ def built(kind: str) -> Built:
     inner = {BODY.names[p] for p in BODY.parents if p >= 0}
     moving = inner if kind == "bare" else set(BODY.names)
     sensors = {
-        "bare": (), "whole": ALL_SENSORS, "balls": ("LeftForeArm", "RightLeg"),
+        "bare": (),
+        "whole": ALL_SENSORS,
+        "balls": ("LeftForeArm", "RightLeg"),
         "feet": ("Hips", "LeftLeg", "RightLeg", "RightForeArm"),
-    }[kind]  # fmt: skip
+    }[kind]
     landmarks = () if kind == "feet" else (*BODY.names, *(EXTRA if kind == "whole" else ()))
     space = StateSpace(BODY, [n for n in BODY.names if n in moving], hinged=kind != "balls")
     bones = (("LeftArm", "LeftForeArm"), ("RightLeg", "RightFoot"))
@@ -171,27 +171,37 @@ def random_data(b: Built, x: Array, seed: int = 1) -> FragmentData:
     a_world = np.array([np.diff(at, n=2, axis=0) * RATE**2 for at in sensors]).reshape(S, N - 2, 3)
     data = FragmentData(
         observation={
-            "uv_px": uv, "w_visual": weights(5.0, N, L), "knee_visual": np.full(N, DELTA_PX),
-            "quat_sensor": turned(b.shape.sensors, 0.3), "w_sensor": weights(1.0, N, S),
+            "uv_px": uv,
+            "w_visual": weights(5.0, N, L),
+            "knee_visual": np.full(N, DELTA_PX),
+            "quat_sensor": turned(b.shape.sensors, 0.3),
+            "w_sensor": weights(1.0, N, S),
             "quat_torso": turned(b.shape.torso, 0.2),
             "w_torso": weights(0.2, N)[:, None] * share[:, : len(b.shape.torso)],
             "b_world": b_world + 0.1 * rng.normal(size=b_world.shape),
             "w_bone": weights(0.08, N)[:, None] * np.linspace(1.0, 0.5, len(b.shape.bones)),
-            "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)), "w_root": weights(0.15, N),
-            "w_floor": np.tile(weights(0.03, N)[:, None], len(b.shape.feet)), "w_prior": weights(1.0, N),
+            "p_root": x[:, :3] + 0.2 * rng.normal(size=(N, 3)),
+            "w_root": weights(0.15, N),
+            "w_floor": np.tile(weights(0.03, N)[:, None], len(b.shape.feet)),
+            "w_prior": weights(1.0, N),
         },
         constant={
-            "offsets": BODY.joint_offsets.T, "K": CAMERA.K, "R_camera_world": CAMERA.R_camera_world,
+            "offsets": BODY.joint_offsets.T,
+            "K": CAMERA.K,
+            "R_camera_world": CAMERA.R_camera_world,
             "t_camera_world": CAMERA.t_camera_world,
             "whitening": np.array([W.ravel(order="F") for W in whitening]).reshape(-1, 9).T,
-            "levers": levers, "places": places.T, "quat_mean": mean.T,
-            "precision": root @ root.T + 0.5 * np.eye(len(root)), "floor": np.array([0.15]),
+            "levers": levers,
+            "places": places.T,
+            "quat_mean": mean.T,
+            "precision": root @ root.T + 0.5 * np.eye(len(root)),
+            "floor": np.array([0.15]),
         },
         a_world=np.swapaxes(a_world, 0, 1) + 3 * rng.normal(size=(N - 2, S, 3)),
         w_acceleration=weights(1.5, N - 2, S),
         w_jerk=(rng.random(N - 3) > 0.2).astype(float),
         rate_hz=RATE,
-    )  # fmt: skip
+    )
     feet = list(b.shape.contacts)
     data.observation["p_contact"] = p[:, feet] + 0.05 * rng.normal(size=(N, len(feet), 3))
     data.observation["w_contact"] = weights(0.02, N, len(feet))
@@ -286,9 +296,7 @@ def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         w = np.sqrt(data.w_acceleration[:, s, None])
         out.append(Term("acceleration", w * r, pseudo_huber(DELTA_ACCELERATION)))
     steps = [np.diff(x[:, :3], axis=0)]
-    before, after = (
-        Rotation.from_quat(part[:, 3:].reshape(-1, 4), scalar_first=True) for part in (x[:-1], x[1:])
-    )
+    before, after = (Rotation.from_quat(part[:, 3:].reshape(-1, 4), scalar_first=True) for part in (x[:-1], x[1:]))
     turns = (before.inv() * after).as_rotvec().reshape(len(x) - 1, -1, 3)
     for a, axis in enumerate(b.space.hinge_axis):
         steps.append(turns[:, a] if axis < 0 else turns[:, a, axis : axis + 1])

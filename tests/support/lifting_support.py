@@ -28,9 +28,7 @@ TABLE = read_skeleton_table(model_path("skeleton.toml"))
 TABLE_17 = read_skeleton_table(model_path("human36m.toml"))
 
 
-def moving(
-    seed: int, frames: int, table: SkeletonTable = TABLE, rate_hz: float = 60.0
-) -> tuple[Array, Array]:
+def moving(seed: int, frames: int, table: SkeletonTable = TABLE, rate_hz: float = 60.0) -> tuple[Array, Array]:
     """Root (T, 3) and orientations (T, J, 3, 3) of a person who stands and waves."""
     rng = np.random.default_rng(seed)
     J, time = len(table.names), np.arange(frames) / rate_hz
@@ -66,11 +64,7 @@ def tiny_corpus(
 
 
 def untrained_lifter(
-    seed: int = 0,
-    channels: int = 16,
-    table: SkeletonTable = TABLE,
-    rate_hz: float = 60.0,
-    causal: bool = False,
+    seed: int = 0, channels: int = 16, table: SkeletonTable = TABLE, rate_hz: float = 60.0, causal: bool = False
 ) -> Lifter:
     """A lifter with random weights: symmetries do not depend on training."""
     body = tiny_corpus(table=table).body()

@@ -41,9 +41,7 @@ def frame_samples(seconds: float, recording: Recording | None = None) -> list[Sa
     """The first frames of the video."""
     video = (recording or demo()).video
     return [
-        FrameSample(float(t), video.uv_px[i], video.confidence[i])
-        for i, t in enumerate(video.times)
-        if t < seconds
+        FrameSample(float(t), video.uv_px[i], video.confidence[i]) for i, t in enumerate(video.times) if t < seconds
     ]
 
 

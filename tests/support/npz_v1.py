@@ -15,10 +15,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.formats.video_arrays import video_arrays
 
-POSES = (
-    "times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed",
-    "direction_observed",
-)  # fmt: skip
+POSES = ("times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed", "direction_observed")
 COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")
 CAMERA = ("K", "R_camera_world", "t_camera_world", "distortion")
 
@@ -71,9 +68,11 @@ def write_measurements(path: Path, m: Measurements) -> None:
 
 def camera_header(camera: Any) -> dict[str, Any]:
     return {name: getattr(camera, name).tolist() for name in CAMERA} | {
-        "width_px": int(camera.width_px), "height_px": int(camera.height_px), "assumed": camera.assumed,
+        "width_px": int(camera.width_px),
+        "height_px": int(camera.height_px),
+        "assumed": camera.assumed,
         "stabilised": camera.stabilised,
-    }  # fmt: skip
+    }
 
 
 def short(values: Array) -> Any:

@@ -51,9 +51,7 @@ def posed_by_states(model: osim.Model, path: Path) -> dict[str, np.ndarray]:
         markers.append(marker_places(model, state))
         found = model.getMarkerSet()
         velocities.append([vector(found.get(k).getVelocityInGround(state)) for k in range(found.getSize())])
-    return {
-        "times": np.array(times), "markers": np.array(markers), "velocities": np.array(velocities)
-    }  # fmt: skip
+    return {"times": np.array(times), "markers": np.array(markers), "velocities": np.array(velocities)}
 
 
 def places_in_state(model: osim.Model, coordinates: list[osim.Coordinate]) -> list[int]:

@@ -31,16 +31,17 @@ BITS = 6
 
 
 def motion_with(
-    skeleton: SkeletonModel, frames: int, how: dict[str, Provenance] | None = None,
-    sigma: float | None = None, way: float = 0.0,
-) -> MotionSequence:  # fmt: skip
+    skeleton: SkeletonModel,
+    frames: int,
+    how: dict[str, Provenance] | None = None,
+    sigma: float | None = None,
+    way: float = 0.0,
+) -> MotionSequence:
     """`planted.seen` where some joints have another provenance, positions a given error, m, and the person
     moves to the left by a way, m."""
     motion = planted.seen(skeleton, frames)
     moved = np.linspace(0, way, frames)[:, None, None] * np.array([0.0, 1.0, 0.0])
-    motion = replace(
-        motion, poses=replace(motion.poses, p_world_joint=motion.poses.p_world_joint + moved)
-    )  # fmt: skip
+    motion = replace(motion, poses=replace(motion.poses, p_world_joint=motion.poses.p_world_joint + moved))
     provenance = motion.poses.provenance.copy()
     for name, value in (how or {}).items():
         (j,) = skeleton.index(name)
@@ -65,9 +66,15 @@ def upright_camera(width_px: int, height_px: int) -> Camera:
 
 
 def write_output(
-    folder: Path, motion: MotionSequence, cameras: Sequence[Camera] = (), *, video_offset: float = 0.0,
-    faults: Sequence[StreamFault] = (), verdict: dict[str, Any] | None = None, mode: str = "rtof",
-) -> Path:  # fmt: skip
+    folder: Path,
+    motion: MotionSequence,
+    cameras: Sequence[Camera] = (),
+    *,
+    video_offset: float = 0.0,
+    faults: Sequence[StreamFault] = (),
+    verdict: dict[str, Any] | None = None,
+    mode: str = "rtof",
+) -> Path:
     """What `reconstruct` writes and an overlay reads."""
     folder.mkdir(parents=True)
     write_motion_npz(folder / "motion.npz", motion, mode=mode)
@@ -77,10 +84,9 @@ def write_output(
         uv = camera.project(poses.p_world_joint)
         views.append(
             KeypointSequence(
-                camera, poses.times, uv, np.ones(uv.shape[:2]), poses.names,
-                own_times=poses.times + video_offset,
+                camera, poses.times, uv, np.ones(uv.shape[:2]), poses.names, own_times=poses.times + video_offset
             )
-        )  # fmt: skip
+        )
     made = Measurements(poses.times, tuple(views), faults=tuple(faults))
     write_measurements_npz(folder / "measurements.npz", made)
     summary = {"recording": "John Doe", "mode": mode} | ({"verdict": verdict} if verdict else {})
@@ -109,9 +115,14 @@ def number_of(image: Image) -> int:
 
 
 def write_film(
-    path: Path, images: Sequence[Image], times_ms: Sequence[int], *, rotation: int = 0,
-    metadata: dict[str, str] | None = None, sound: bool = False,
-) -> Path:  # fmt: skip
+    path: Path,
+    images: Sequence[Image],
+    times_ms: Sequence[int],
+    *,
+    rotation: int = 0,
+    metadata: dict[str, str] | None = None,
+    sound: bool = False,
+) -> Path:
     """Write upright images, BGR, as a phone does: turned, with a matrix that undoes it, metadata, sound."""
     with av.open(str(path), "w", options={"movflags": "use_metadata_tags"}) as container:
         container.metadata.update(metadata or {})

@@ -26,10 +26,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 
 Array = NDArray[np.float64]
-LIMBS = (
-    "LeftArm", "RightArm", "LeftForeArm", "RightForeArm",
-    "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg",
-)  # fmt: skip
+LIMBS = ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
 """Segments that carry the paper's eight sensors."""
 RATE_HZ = 60.0
 
@@ -196,11 +193,7 @@ class PlantedLifter:
     """
 
     def __init__(
-        self,
-        truth: MotionSequence,
-        blind: slice = slice(0),
-        turned: Array | None = None,
-        sigma_rad: float = 0.1,
+        self, truth: MotionSequence, blind: slice = slice(0), turned: Array | None = None, sigma_rad: float = 0.1
     ) -> None:
         self.times, self.p = truth.times, lifted(truth)
         self.blind = blind

@@ -26,11 +26,14 @@ Array = NDArray[np.float64]
 SECONDS = (4.0, 7.0)
 """Of the demo that a take is made of."""
 COORDINATES = {
-    "hip_flexion_r": "right_hip_flexion", "hip_flexion_l": "left_hip_flexion",
-    "knee_angle_r": "right_knee_flexion", "knee_angle_l": "left_knee_flexion",
-    "ankle_angle_r": "right_ankle_dorsiflexion", "elbow_flex_r": "right_elbow_flexion",
+    "hip_flexion_r": "right_hip_flexion",
+    "hip_flexion_l": "left_hip_flexion",
+    "knee_angle_r": "right_knee_flexion",
+    "knee_angle_l": "left_knee_flexion",
+    "ankle_angle_r": "right_ankle_dorsiflexion",
+    "elbow_flex_r": "right_elbow_flexion",
     "elbow_flex_l": "left_elbow_flexion",
-}  # fmt: skip
+}
 """Columns of a .mot of another system -> clinical angle, all of one sign."""
 
 
@@ -56,14 +59,10 @@ def known() -> Known:
     assert demo.truth is not None
     own = (demo.truth.times >= start - 1e-9) & (demo.truth.times <= stop + 1e-9)
     truth = demo.truth
-    poses = PoseSequence(
-        truth.times[own] - start, truth.p_world_joint[own], truth.R_world_bone[own], truth.names
-    )
+    poses = PoseSequence(truth.times[own] - start, truth.p_world_joint[own], truth.R_world_bone[own], truth.names)
     video = part.video
     video = KeypointSequence(video.camera, video.times - start, video.uv_px, video.confidence, video.names)
-    imus = ImuSequence(
-        part.imus.times - start, part.imus.R_inertial_sensor, part.imus.f_sensor, part.imus.names
-    )
+    imus = ImuSequence(part.imus.times - start, part.imus.R_inertial_sensor, part.imus.f_sensor, part.imus.names)
     return Known(demo, video, imus, poses, clinical_angles(all_observed(poses), demo.skeleton))
 
 
@@ -81,9 +80,7 @@ def write_detections(path: Path, scale: float = 1.0, shift: float = 0.0) -> Path
     return path
 
 
-def write_mot(
-    path: Path, columns: dict[str, Array], times: Array, degrees: str = "yes", header: bool = True
-) -> Path:
+def write_mot(path: Path, columns: dict[str, Array], times: Array, degrees: str = "yes", header: bool = True) -> Path:
     """A table as OpenSim's inverse kinematics writes it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}"]
@@ -109,15 +106,14 @@ def write_opencap(root: Path, offset: float = 0.0, shift: float = 0.0, trial: st
     height = known().recording.skeleton.height
     (subject / "sessionMetadata.yaml").write_text(f"height_m: {height:.3f}\nmass_kg: 70.0\n")
     camera = known().video.camera
-    R_board_world = np.array(
-        [[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]
-    )  # y of the board points down
+    R_board_world = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # y of the board points down
     saved = {
-        "intrinsicMat": camera.K, "distortion": camera.distortion[None],
+        "intrinsicMat": camera.K,
+        "distortion": camera.distortion[None],
         "imageSize": np.array([[camera.height_px], [camera.width_px]]),
         "rotation": camera.R_camera_world @ R_board_world.T,
         "translation": camera.t_camera_world[:, None] * 1000,
-    }  # fmt: skip
+    }
     (folder / "cameraIntrinsicsExtrinsics.pickle").write_bytes(pickle.dumps(saved))
     path = subject / "OpenSimData" / "Mocap" / "IK" / f"{trial}.mot"
     write_mot(path, true_columns(offset), known().poses.times + shift)
@@ -129,20 +125,14 @@ def write_vidimu(root: Path, activity: str = "A01") -> str:
     key = f"S40_{activity}_T01"
     folder = root / "dataset" / "videoandimus" / "S40"
     folder.mkdir(parents=True, exist_ok=True)
-    joints = {
-        "qsHIPS": "Hips", "qsRUL": "RightUpLeg", "qsRLL": "RightLeg", "qsLUL": "LeftUpLeg", "qsLLL": "LeftLeg"
-    }  # fmt: skip
+    joints = {"qsHIPS": "Hips", "qsRUL": "RightUpLeg", "qsRLL": "RightLeg", "qsLUL": "LeftUpLeg", "qsLLL": "LeftLeg"}
     poses = known().poses
     lines = ["QUAT,w,x,y,z,timestamp"]
-    quats = {
-        name: so3.to_quat_wxyz(poses.R_world_bone[:, poses.names.index(joint)])
-        for name, joint in joints.items()
-    }
+    quats = {name: so3.to_quat_wxyz(poses.R_world_bone[:, poses.names.index(joint)]) for name, joint in joints.items()}
     lines += [f"{name},{','.join(map(repr, quat[0].tolist()))},0.0" for name, quat in quats.items()]
     for t, time in enumerate(poses.times):
         lines += [
-            f"{name},{','.join(map(repr, quat[t].tolist()))},{1660000000 + time:.3f}"
-            for name, quat in quats.items()
+            f"{name},{','.join(map(repr, quat[t].tolist()))},{1660000000 + time:.3f}" for name, quat in quats.items()
         ]
     (folder / f"{key}.raw").write_text("\r\n".join(lines) + "\r\n")
     fixed = {"arm_flex_r": np.zeros(len(poses.times)), "mtp_angle_r": np.zeros(len(poses.times))}
@@ -153,21 +143,26 @@ def write_vidimu(root: Path, activity: str = "A01") -> str:
 MOVI_SCALE = 0.4
 """Of the known image, so that it fits into that of MoVi."""
 MOVI_JOINTS = {
-    "left_hip": "LeftUpLeg", "left_knee": "LeftLeg", "left_ankle": "LeftFoot", "right_hip": "RightUpLeg",
-    "right_knee": "RightLeg", "right_ankle": "RightFoot", "left_shoulder": "LeftArm",
+    "left_hip": "LeftUpLeg",
+    "left_knee": "LeftLeg",
+    "left_ankle": "LeftFoot",
+    "right_hip": "RightUpLeg",
+    "right_knee": "RightLeg",
+    "right_ankle": "RightFoot",
+    "left_shoulder": "LeftArm",
     "left_elbow": "LeftForeArm",
-    "left_wrist": "LeftHand", "right_shoulder": "RightArm", "right_elbow": "RightForeArm",
+    "left_wrist": "LeftHand",
+    "right_shoulder": "RightArm",
+    "right_elbow": "RightForeArm",
     "right_wrist": "RightHand",
-}  # fmt: skip
+}
 
 
 def write_movi(root: Path, order: tuple[str, ...], **changed: object) -> str:
     """A person of MoVi with two motions, the second one known; returns the name of its take in PG1."""
     poses, camera = known().poses, known().video.camera
     times = np.arange(0, poses.times[-1], 1 / 120)
-    p = np.stack(
-        [np.interp(times, poses.times, c) for c in poses.p_world_joint.reshape(len(poses.times), -1).T], 1
-    )
+    p = np.stack([np.interp(times, poses.times, c) for c in poses.p_world_joint.reshape(len(poses.times), -1).T], 1)
     p = 1000 * p.reshape(len(times), -1, 3)
     points = np.zeros((120 + len(times), len(order), 3))
     for column, name in enumerate(order):
@@ -179,7 +174,7 @@ def write_movi(root: Path, order: tuple[str, ...], **changed: object) -> str:
         "flags120": np.array([[1, 120], [121, 120 + len(times)]]),
         "flags30": np.array([[1, 30], [31, 30 + count30]]),
         "virtualMarkerLocation": points,
-    } | changed  # fmt: skip
+    } | changed
     cell = np.empty((1, 1), dtype=object)
     cell[0, 0] = {name: value for name, value in move.items() if value is not None}
     root.mkdir(parents=True, exist_ok=True)
@@ -189,19 +184,24 @@ def write_movi(root: Path, order: tuple[str, ...], **changed: object) -> str:
     K[:2, 2] += 1.0
     np.savez(root / "cameraParams_PG1.npz", IntrinsicMatrix=K.T, RadialDistortion=camera.distortion[:2])
     np.savez(
-        root / "Extrinsics_PG1.npz", rotationMatrix=camera.R_camera_world.T,
+        root / "Extrinsics_PG1.npz",
+        rotationMatrix=camera.R_camera_world.T,
         translationVector=camera.t_camera_world * 1000,
-    )  # fmt: skip
+    )
     return "Subject_1_02_walking_PG1"
 
 
 GAITEX_BODIES = {
-    "pelvis": ("Hips", "XSens_Pelvis"), "torso": ("Spine3", "XSens_Sternum"),
-    "femur_r": ("RightUpLeg", "XSens_UpperLeg_Right"), "femur_l": ("LeftUpLeg", "XSens_UpperLeg_Left"),
-    "tibia_r": ("RightLeg", "XSens_LowerLeg_Right"), "tibia_l": ("LeftLeg", "XSens_LowerLeg_Left"),
-    "calcn_r": ("RightFoot", "XSens_Foot_Right"), "calcn_l": ("LeftFoot", "XSens_Foot_Left"),
+    "pelvis": ("Hips", "XSens_Pelvis"),
+    "torso": ("Spine3", "XSens_Sternum"),
+    "femur_r": ("RightUpLeg", "XSens_UpperLeg_Right"),
+    "femur_l": ("LeftUpLeg", "XSens_UpperLeg_Left"),
+    "tibia_r": ("RightLeg", "XSens_LowerLeg_Right"),
+    "tibia_l": ("LeftLeg", "XSens_LowerLeg_Left"),
+    "calcn_r": ("RightFoot", "XSens_Foot_Right"),
+    "calcn_l": ("LeftFoot", "XSens_Foot_Left"),
     "toes_r": ("RightFoot", "XSens_Hand_Right"),
-}  # fmt: skip
+}
 
 
 def write_gaitex(root: Path, start: float = 0.4) -> str:

@@ -80,10 +80,17 @@ def measured(motion: MotionSequence, cameras: int = 1, truth: bool = True) -> Me
     shifted = poses.p_world_joint + np.array([0.0, 0.1, 0.0])
     known = PoseSequence(poses.times, shifted, poses.R_world_bone, poses.names) if truth else None
     return Measurements(
-        poses.times, (view,) * cameras, tuple(SENSORS), tuple(SENSORS.values()),
-        poses.R_world_bone[:, joints] @ mounting, mounting, np.array([[0.05, 0.0, -0.2], [0.0, -0.1, 0.03]]),
-        known, (), 0.02,
-    )  # fmt: skip
+        poses.times,
+        (view,) * cameras,
+        tuple(SENSORS),
+        tuple(SENSORS.values()),
+        poses.R_world_bone[:, joints] @ mounting,
+        mounting,
+        np.array([[0.05, 0.0, -0.2], [0.0, -0.1, 0.03]]),
+        known,
+        (),
+        0.02,
+    )
 
 
 def written(folder: Path, motion: MotionSequence, measurements: Measurements | None = None) -> Path:

@@ -175,7 +175,7 @@ RECORDINGS = {
     [imus]
     {SENSORS}
     """,
-}  # fmt: skip
+}
 
 
 def write_files(folder: Path) -> None:
@@ -183,9 +183,7 @@ def write_files(folder: Path) -> None:
     video = planted.recording(planted.moving(SkeletonModel.default(), T)).video
     np.savez(folder / "keypoints.npz", uv_px=video.uv_px, confidence=np.full((T, 21), 0.9))
     np.savez(
-        folder / "imus.npz",
-        quat_wxyz=np.tile([1.0, 0, 0, 0], (T, 2, 1)),
-        f_sensor=np.tile([0, 0, 9.81], (T, 2, 1)),
+        folder / "imus.npz", quat_wxyz=np.tile([1.0, 0, 0, 0], (T, 2, 1)), f_sensor=np.tile([0, 0, 9.81], (T, 2, 1))
     )
     poses = planted.moving(SkeletonModel.default(), T).poses
     np.savez(
@@ -204,8 +202,7 @@ def write_files(folder: Path) -> None:
         folder / "turning.npz", CameraMotion(times, so3.exp(0.1 * np.sin(times)[:, None] * [0, 1.0, 0]))
     )
     rows = [
-        ",".join(map(str, row))
-        for row in np.column_stack([times, np.tile([0, 0.1, 0, 0, 9.81, 0], (len(times), 1))])
+        ",".join(map(str, row)) for row in np.column_stack([times, np.tile([0, 0.1, 0, 0, 9.81, 0], (len(times), 1))])
     ]
     (folder / "gyro.csv").write_text("\n".join(["time,wx,wy,wz,fx,fy,fz", *rows]))
     (folder / "trial").mkdir()

@@ -53,9 +53,7 @@ def lines(rows: Array, delimiter: str) -> list[str]:
     return [delimiter.join(f"{cell:.12g}" for cell in row) for row in rows]
 
 
-def mt_text(
-    one: Truth, counters: Array, orientation: str = "Quat", delimiter: str = "\t", rate: str = "60.0"
-) -> str:
+def mt_text(one: Truth, counters: Array, orientation: str = "Quat", delimiter: str = "\t", rate: str = "60.0") -> str:
     names = ["PacketCounter", *(f"{kind}_{axis}" for kind in ("Acc", "Gyr", "Mag") for axis in "XYZ")]
     if orientation == "Quat":
         names += [f"Quat_q{i}" for i in range(4)]
@@ -83,10 +81,9 @@ def dot_text(one: Truth, stamps: Array, counters: Array | None = None, raw: bool
     names += [f"{'Acc' if raw else 'FreeAcc'}_{axis}" for axis in "XYZ"]
     names += ["Gyr_X", "Gyr_Y", "Gyr_Z", "Mag_X", "Mag_Y", "Mag_Z", "Status"]
     counters = np.arange(len(stamps)) + 1 if counters is None else counters
-    rows = np.column_stack([
-        counters, stamps, one.quat_wxyz, one.f if raw else one.a, np.rad2deg(one.w), one.m,
-        np.zeros(len(stamps)),
-    ])  # fmt: skip
+    rows = np.column_stack(
+        [counters, stamps, one.quat_wxyz, one.f if raw else one.a, np.rad2deg(one.w), one.m, np.zeros(len(stamps))]
+    )
     head = ["sep=,", "DeviceTag:,Thigh", "OutputRate:,60Hz", "© Xsens", "", ",".join(names)]
     return "\n".join([*head, *lines(rows, ",")])
 
@@ -160,8 +157,11 @@ def write_csv(folder: Path, truths: list[Truth]) -> Path:
     names, columns = ["time"], [np.arange(len(truths[0].f))[:, None] / RATE]
     for serial, one in zip(SERIALS, truths, strict=True):
         for kind, axes, values in (
-            ("f", "xyz", one.f), ("w", "xyz", one.w), ("m", "xyz", one.m), ("q", "wxyz", one.quat_wxyz),
-        ):  # fmt: skip
+            ("f", "xyz", one.f),
+            ("w", "xyz", one.w),
+            ("m", "xyz", one.m),
+            ("q", "wxyz", one.quat_wxyz),
+        ):
             names += [f"{serial}_{kind}{axis}" for axis in axes]
             columns.append(values)
     path = folder / "trial.csv"
@@ -214,9 +214,11 @@ def write_xdf(folder: Path, truths: list[Truth]) -> Path:
         units = ["g"] * 3 + ["deg/s"] * 3 + [""] * 7
         times = 5000.0 + np.arange(len(values)) / RATE
         offsets = [(5000.0, 0.25), (5010.0, 0.25)]
-        streams.append(xdf_file.Stream(
-            number, serial, (*labels, "qw", "qx", "qy", "qz"), times, values, tuple(units), offsets=offsets
-        ))  # fmt: skip
+        streams.append(
+            xdf_file.Stream(
+                number, serial, (*labels, "qw", "qx", "qy", "qz"), times, values, tuple(units), offsets=offsets
+            )
+        )
     path = folder / "trial.xdf"
     path.write_bytes(xdf_file.content(*streams))
     return path

@@ -65,15 +65,15 @@ def write_demo(folder: Path, first: int, last: int, begun: float = 37.0) -> tupl
     keypoints, imus = demo.video, demo.imus
     frames = (keypoints.times >= first) & (keypoints.times <= last)
     np.savez(
-        folder / "keypoints.npz", uv_px=keypoints.uv_px[frames], confidence=keypoints.confidence[frames],
+        folder / "keypoints.npz",
+        uv_px=keypoints.uv_px[frames],
+        confidence=keypoints.confidence[frames],
         times=keypoints.times[frames],
-    )  # fmt: skip
+    )
     rng, near = np.random.default_rng(0), (imus.times >= first - 3) & (imus.times <= last + 3)
     turns = so3.about_axis("z", rng.uniform(-np.pi, np.pi, len(imus.names)))
     serials = tuple(f"00B4{22000 + 7 * s}" for s in range(len(imus.names)))
-    turned = ImuSequence(
-        imus.times[near] + begun, turns @ imus.R_inertial_sensor[near], imus.f_sensor[near], serials
-    )
+    turned = ImuSequence(imus.times[near] + begun, turns @ imus.R_inertial_sensor[near], imus.f_sensor[near], serials)
     segments = dict(zip(serials, demo.calibration.select(imus.names).joints, strict=True))
     return folder / "keypoints.npz", write_sensors(folder / "sensors.csv", turned), segments
 

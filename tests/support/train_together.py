@@ -26,10 +26,18 @@ from lifting.train import train
 from rtof_kin.core.errors import RtofError
 
 QUICK = TrainConfig(
-    windows=288, batch=48, threads=1, channels=12, skeletons=0, report_every=1, validations=2,
-    validation_windows=16, bfloat16=False, same_windows=True,
+    windows=288,
+    batch=48,
+    threads=1,
+    channels=12,
+    skeletons=0,
+    report_every=1,
+    validations=2,
+    validation_windows=16,
+    bfloat16=False,
+    same_windows=True,
     augment=replace(plain(), mirror=0.5, sensors=SensorConfig()),
-)  # fmt: skip
+)
 CONFIGS = {
     "same": QUICK,
     "own": replace(QUICK, same_windows=False),
@@ -74,9 +82,16 @@ def main(folder: Path) -> None:
 def together(folder: Path) -> None:
     """The same by two processes with the environment that ``torchrun`` gives, which this one starts."""
     config = LaunchConfig(
-        min_nodes=1, max_nodes=1, nproc_per_node=2, rdzv_backend="c10d", rdzv_endpoint="localhost:0",
-        run_id="together", max_restarts=0, monitor_interval=0.1, start_method="fork",
-    )  # fmt: skip
+        min_nodes=1,
+        max_nodes=1,
+        nproc_per_node=2,
+        rdzv_backend="c10d",
+        rdzv_endpoint="localhost:0",
+        run_id="together",
+        max_restarts=0,
+        monitor_interval=0.1,
+        start_method="fork",
+    )
     elastic_launch(config, main)(folder)
 
 

@@ -26,9 +26,7 @@ coordinate = st.floats(20, 80)
 
 @given(coordinate, coordinate, coordinate, coordinate, st.floats(0.8, 6))
 @settings(max_examples=60, deadline=None)
-def test_line_has_the_area_and_middle_of_a_capsule(
-    ax: float, ay: float, bx: float, by: float, radius: float
-) -> None:
+def test_line_has_the_area_and_middle_of_a_capsule(ax: float, ay: float, bx: float, by: float, radius: float) -> None:
     canvas = black()
     canvas.line((ax, ay), (bx, by), Stroke(WHITE, radius))
     cover = coverage(canvas)

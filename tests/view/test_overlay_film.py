@@ -15,15 +15,7 @@ import numpy as np
 import pytest
 
 av: Any = pytest.importorskip("av")
-from overlay_support import (  # noqa: E402
-    motion_with,
-    number_of,
-    numbered,
-    read_film,
-    upright_camera,
-    write_film,
-    write_output,
-)
+from overlay_support import motion_with, number_of, numbered, read_film, upright_camera, write_film, write_output  # noqa: E402
 
 from rtof_kin.body.skeleton import MotionSequence, SkeletonModel  # noqa: E402
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError  # noqa: E402
@@ -121,9 +113,7 @@ def test_bones_lie_where_the_projection_says_at_the_time_of_the_frame(
             assert distance < min(np.linalg.norm(found - np.array(c)) for c in others)
 
 
-def test_a_skeleton_of_another_frame_would_be_noticed(
-    drawn: Drawn, skeleton: SkeletonModel, camera: Camera
-) -> None:
+def test_a_skeleton_of_another_frame_would_be_noticed(drawn: Drawn, skeleton: SkeletonModel, camera: Camera) -> None:
     images, _, _ = drawn
     times = np.linspace(0, 0.45, 46)
     at = np.array([middles(skeleton, camera, t)["RightLeg"] for t in times])
@@ -155,13 +145,7 @@ def test_sound_place_date_and_rotation_are_gone(drawn: Drawn, video: Path) -> No
 
 @pytest.mark.skipif(which("ffprobe") is None, reason="needs ffprobe")
 def test_ffprobe_reads_the_same(drawn: Drawn) -> None:
-    order = [
-        "ffprobe",
-        "-v",
-        "error",
-        "-show_entries",
-        "frame=pts_time:stream=width,height,pix_fmt,color_space",
-    ]
+    order = ["ffprobe", "-v", "error", "-show_entries", "frame=pts_time:stream=width,height,pix_fmt,color_space"]
     done = subprocess.run([*order, "-of", "json", str(drawn[2])], capture_output=True, check=True, text=True)
     found = json.loads(done.stdout)
     assert done.stderr == ""
@@ -235,9 +219,7 @@ def test_slow_motion_keeps_its_stamps_and_shows_real_time(
     """Frames 1/30 s apart in the file that were taken at 240 Hz."""
     images = [numbered(WIDTH, HEIGHT, i) for i in range(9)]
     times = [round(1000 * i / 30) for i in range(9)]
-    slow = write_film(
-        tmp_path / "slow.mp4", images, times, metadata={"com.android.capture.fps": "240.0"}
-    )  # fmt: skip
+    slow = write_film(tmp_path / "slow.mp4", images, times, metadata={"com.android.capture.fps": "240.0"})
     write_overlay(out, tmp_path / "o.mp4", slow, settings=NO_LABELS)
     drawn, stamps = read_film(tmp_path / "o.mp4")
     np.testing.assert_allclose(stamps, np.array(times) / 1000, atol=2e-3)
@@ -249,9 +231,7 @@ def test_the_face_of_the_video_is_gone_and_all_of_it_outside_the_motion(
     out: Path, camera: Camera, skeleton: SkeletonModel, tmp_path: Path
 ) -> None:
     rng = np.random.default_rng(0)
-    noise = np.kron(rng.integers(0, 2, (HEIGHT // 6, WIDTH // 6, 1)), np.full((6, 6, 3), 255)).astype(
-        np.uint8
-    )
+    noise = np.kron(rng.integers(0, 2, (HEIGHT // 6, WIDTH // 6, 1)), np.full((6, 6, 3), 255)).astype(np.uint8)
     times = [0, 100, 200, 300, 400, 600]
     video = write_film(tmp_path / "v.mp4", [noise] * 6, times)
     write_overlay(out, tmp_path / "o.mp4", video, settings=replace(NO_LABELS, blur_face=True))
@@ -369,9 +349,7 @@ def test_faults_are_shown_while_they_last(skeleton: SkeletonModel, camera: Camer
     np.testing.assert_array_equal(shown, [6 <= i <= 12 for i in range(20)])
 
 
-def test_sensors_alone_have_a_virtual_camera_and_no_video(
-    skeleton: SkeletonModel, video: Path, tmp_path: Path
-) -> None:
+def test_sensors_alone_have_a_virtual_camera_and_no_video(skeleton: SkeletonModel, video: Path, tmp_path: Path) -> None:
     motion = motion_with(skeleton, 6, dict.fromkeys(skeleton.names, Provenance.IMU))
     folder = write_output(tmp_path / "out", motion, mode="imu")
     with pytest.raises(InvalidInputError, match=r"sensors alone.*--no-video"):

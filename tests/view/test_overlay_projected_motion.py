@@ -108,9 +108,7 @@ def test_what_nobody_observed_is_not_drawn(skeleton: SkeletonModel, camera: Came
 def test_ends_of_limbs_are_drawn_as_observed_only_if_their_orientation_is(
     skeleton: SkeletonModel, camera: Camera
 ) -> None:
-    assert set(limb_ends(skeleton)) == {
-        "HeadTop", "RightHandEnd", "LeftHandEnd", "RightToe", "LeftToe",
-    }  # fmt: skip
+    assert set(limb_ends(skeleton)) == {"HeadTop", "RightHandEnd", "LeftHandEnd", "RightToe", "LeftToe"}
     assert len(limb_ends(SkeletonModel.human36m())) == 5
     motion = motion_with(skeleton, 3)
     unseen = np.array(motion.poses.orientation_observed)
@@ -123,9 +121,7 @@ def test_ends_of_limbs_are_drawn_as_observed_only_if_their_orientation_is(
     assert {projected.names[b] for a, b in projected.bones if projected.names[a] == "Head"} == {"HeadTop"}
 
 
-def test_covariance_in_the_picture_is_that_of_projected_samples(
-    skeleton: SkeletonModel, camera: Camera
-) -> None:
+def test_covariance_in_the_picture_is_that_of_projected_samples(skeleton: SkeletonModel, camera: Camera) -> None:
     motion = motion_with(skeleton, 3, sigma=0.01)
     assert motion.confidence is not None
     root = np.diag([0.05, 0.01, 0.02]) + 0.01

@@ -53,10 +53,7 @@ def test_damaged_files_are_told_and_nothing_is_unpickled(tmp_path: Path) -> None
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(data)
-    with (
-        closing(NpzBlocks(path, ["table"])) as blocks,
-        pytest.raises(FileFormatError, match="table: damaged"),
-    ):
+    with closing(NpzBlocks(path, ["table"])) as blocks, pytest.raises(FileFormatError, match="table: damaged"):
         blocks.scan()
     np.savez(path, table=np.array([{}], dtype=object))
     with pytest.raises(FileFormatError, match="no table of numbers"):
@@ -68,9 +65,7 @@ def test_damaged_files_are_told_and_nothing_is_unpickled(tmp_path: Path) -> None
     with pytest.raises(FileFormatError, match="NPZ archive"):
         NpzBlocks(path, ["table"])
     buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 9)}
-    )
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 9)})
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("table.npy", buffer.getvalue())
     with pytest.raises(FileFormatError, match="not that of its bytes"):
@@ -100,9 +95,7 @@ def test_frames_of_a_motion_are_those_of_its_reader(out: Path) -> None:
 def test_frames_of_measurements_are_those_of_their_reader(out: Path) -> None:
     whole = read_measurements_npz(out / MEASUREMENTS)
     with MeasurementBlocks(out / MEASUREMENTS) as blocks:
-        assert (blocks.length, blocks.first.sensors, blocks.first.floor_height) == (
-            1300, ("thigh", "arm"), 0.02,
-        )  # fmt: skip
+        assert (blocks.length, blocks.first.sensors, blocks.first.floor_height) == (1300, ("thigh", "arm"), 0.02)
         while blocks.available < 900:
             pass
         part = blocks.frames(600, 900)

@@ -41,8 +41,9 @@ def test_meshes_are_closed_and_face_outwards(mesh: Mesh) -> None:
     triangles = mesh.vertices[mesh.faces]
     volumes = np.einsum("fi,fi->f", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
     assert np.all(volumes > -1e-12)  # all are seen from outside: these solids are convex about the origin
-    low, high = {True: (4.0, 4.19), False: (4.19, 8.0)}[len(mesh.vertices) == len(sphere().vertices)
-        and np.allclose(mesh.vertices, sphere().vertices)]  # fmt: skip
+    low, high = {True: (4.0, 4.19), False: (4.19, 8.0)}[
+        len(mesh.vertices) == len(sphere().vertices) and np.allclose(mesh.vertices, sphere().vertices)
+    ]
     assert low * 0.9 < volumes.sum() <= high + 1e-9
     assert np.abs(mesh.vertices).max() == pytest.approx(1.0)
 
@@ -90,9 +91,7 @@ def test_missing_and_doubtful_poses_are_hidden_and_faint() -> None:
 def test_ellipsoids_are_the_95_percent_regions() -> None:
     motion = walking(FRAMES)
     assert motion.confidence is not None
-    content = block_content(
-        motion.poses, motion.skeleton, segment_solids(motion.skeleton), 0, motion.confidence
-    )
+    content = block_content(motion.poses, motion.skeleton, segment_solids(motion.skeleton), 0, motion.confidence)
     found = content.in_world
     assert found is not None
     assert content.to_root is not None

@@ -51,9 +51,20 @@ def test_addresses_of_this_machine(text: str, url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["ws://10.0.0.1:80/k", "ws://example.org:80/k", "ws://127.0.0.1/k", "https://127.0.0.1:1/k", "",
-             "ws://:x/k", "ws://127.0.0.1.evil.org:80/k", "ws://2130706433:80/k", "ws://127.0.0.1:87", "87"],
-)  # fmt: skip
+    "text",
+    [
+        "ws://10.0.0.1:80/k",
+        "ws://example.org:80/k",
+        "ws://127.0.0.1/k",
+        "https://127.0.0.1:1/k",
+        "",
+        "ws://:x/k",
+        "ws://127.0.0.1.evil.org:80/k",
+        "ws://2130706433:80/k",
+        "ws://127.0.0.1:87",
+        "87",
+    ],
+)
 def test_addresses_of_other_machines_are_refused(text: str) -> None:
     with pytest.raises(InvalidInputError, match="not an address of this machine"):
         live_address(text)

@@ -107,12 +107,8 @@ def test_colour_of_a_segment_is_that_of_its_provenance(scene: MotionScene, files
 
 def test_truth_and_second_motion_are_beside_it(scene: MotionScene, files: Opened) -> None:
     scene.show(30, 10.0)
-    body, truth, second = (
-        part.body.handle for part in (scene.person, scene.truth, scene.second) if part is not None
-    )
-    np.testing.assert_allclose(
-        truth.batched_positions - body.batched_positions, [[0, 0.1, 0]] * 21, atol=1e-5
-    )
+    body, truth, second = (part.body.handle for part in (scene.person, scene.truth, scene.second) if part is not None)
+    np.testing.assert_allclose(truth.batched_positions - body.batched_positions, [[0, 0.1, 0]] * 21, atol=1e-5)
     np.testing.assert_allclose(  # began 0.4 s later at the same place
         second.batched_positions - body.batched_positions, [[-0.4, 0, 0]] * 21, atol=1e-5
     )
@@ -134,9 +130,7 @@ def test_sensors_sit_on_their_segments_with_measured_axes(scene: MotionScene, fi
     given = files.measurements.frames(40, 41)
     poses = files.motion.frames(40, 41).poses
     joints = files.motion.skeleton.index(*given.segments)
-    at = poses.p_world_joint[0, joints] + np.einsum(
-        "sij,sj->si", poses.R_world_bone[0, joints], given.p_bone_sensor
-    )
+    at = poses.p_world_joint[0, joints] + np.einsum("sij,sj->si", poses.R_world_bone[0, joints], given.p_bone_sensor)
     axes = scene.sensors.layer.axes
     np.testing.assert_allclose(axes.batched_positions, at, atol=1e-5)
     np.testing.assert_allclose(so3.from_quat_wxyz(axes.batched_wxyzs), given.R_world_sensor[0], atol=1e-5)
@@ -162,10 +156,7 @@ def test_handheld_camera_turns_with_its_frames() -> None:
     turn = so3.exp(np.linspace(-0.2, 0.2, FRAMES)[:, None] * np.array([0.2, 1.0, 0.1]))
     still = CameraMotion(motion.times, turn).R_first_still
     R_world_true = camera().R_camera_world.T @ still.T @ turn
-    true = [
-        replace(camera(), R_camera_world=R.T, t_camera_world=-R.T @ camera().center_world)
-        for R in R_world_true
-    ]
+    true = [replace(camera(), R_camera_world=R.T, t_camera_world=-R.T @ camera().center_world) for R in R_world_true]
     uv = np.stack([c.project(p) for c, p in zip(true, motion.poses.p_world_joint, strict=True)])
     held = stabilised(replace(view, uv_px=uv), CameraMotion(motion.times, turn))
     assert held.turning is not None
@@ -246,9 +237,7 @@ def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_mov
         for found in (first, last):
             at = np.searchsorted(whole.times, found.times)
             assert len(at) < 150
-            np.testing.assert_allclose(
-                found["right_knee_flexion"], whole["right_knee_flexion"][at], atol=1e-6
-            )
+            np.testing.assert_allclose(found["right_knee_flexion"], whole["right_knee_flexion"][at], atol=1e-6)
             known = np.isfinite(found.values)
             np.testing.assert_allclose(found.values[known], whole.values[at][known], atol=1e-6)
         assert not np.isfinite([last[name] for name in others]).any()  # the model's knee is a hinge
@@ -273,9 +262,7 @@ def test_viewer_plays_at_its_speed_and_follows_the_slider(server: Any, files: Op
         assert viewer.frame == 51
 
 
-def test_first_line_of_the_panel_is_the_verdict_and_files_cannot_add_markup(
-    server: Any, files: Opened
-) -> None:
+def test_first_line_of_the_panel_is_the_verdict_and_files_cannot_add_markup(server: Any, files: Opened) -> None:
     with MotionViewer(server, files):
         messages = server._websock_server._broadcast_buffer.message_from_id.values()
         texts = [m.props.content for m in messages if type(m).__name__ == "GuiHtmlMessage"]

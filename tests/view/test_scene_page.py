@@ -49,9 +49,7 @@ def complaints(page: BrowserPage) -> list[str]:
     return [error for error in page.errors if not any(noise in error for noise in NOISE)]
 
 
-def test_written_page_opens_from_the_disk_and_asks_for_nothing(
-    out: Path, page: BrowserPage, tmp_path: Path
-) -> None:
+def test_written_page_opens_from_the_disk_and_asks_for_nothing(out: Path, page: BrowserPage, tmp_path: Path) -> None:
     path = tmp_path / "page.html"
     with MotionFiles(out) as files, local_server() as server:
         made = write_static_page(server, files, path, rate_hz=10.0, start=2.0, stop=3.0)

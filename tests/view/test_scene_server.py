@@ -28,9 +28,7 @@ def server() -> Iterator[Any]:
 
 
 def client(server: Any, **how: Any) -> ClientConnection:
-    return connect(
-        address(server).replace("http", "ws"), subprotocols=PROTOCOL, proxy=None, compression=None, **how
-    )
+    return connect(address(server).replace("http", "ws"), subprotocols=PROTOCOL, proxy=None, compression=None, **how)
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="Linux's list of sockets")
@@ -92,9 +90,10 @@ def test_relay_cannot_be_asked_for(server: Any, monkeypatch: pytest.MonkeyPatch)
     assert messages.ShareUrlDisconnect not in handlers
     assert messages.ViewerCameraMessage.__name__  # the names that are looked for are still viser's
     themes = [
-        m for m in server._websock_server._broadcast_buffer.message_from_id.values()
+        m
+        for m in server._websock_server._broadcast_buffer.message_from_id.values()
         if isinstance(m, messages.ThemeConfigurationMessage)
-    ]  # fmt: skip
+    ]
     assert [theme.show_share_button for theme in themes] == [False]
     assert asked == []
 

@@ -68,9 +68,7 @@ def test_person_who_fills_half_of_the_image_is_left_out(tmp_path: Path) -> None:
     R = pan_and_shake(np.random.default_rng(4), TIMES[:30], 4.0, 1.0)
     boxes = np.tile([120.0, 0, 360, 270], (30, 1))
     write_turning_video(tmp_path / "near.mp4", R, CAMERA, RATE, boxes)
-    person = replace(
-        PERSON[:30], uv_px=boxes.reshape(30, 2, 2) * [[[1, 1], [1, 1]]] + [[[25, 20], [-25, -20]]]
-    )
+    person = replace(PERSON[:30], uv_px=boxes.reshape(30, 2, 2) * [[[1, 1], [1, 1]]] + [[[25, 20], [-25, -20]]])
     found = estimate_camera_motion(tmp_path / "near.mp4", person, CAMERA)
     assert degrees_off(found.motion.R_first_camera, R[0].T @ R).max() < 0.1
 

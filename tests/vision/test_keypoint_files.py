@@ -33,8 +33,7 @@ def openpose_folder(path: Path) -> Path:
     folder = path / "walk_json"
     folder.mkdir()
     for t in range(T):
-        people = [{"person_id": [-1], "pose_keypoints_2d": points(t, p), "face_keypoints_2d": []}
-                  for p in (0, 1)]  # fmt: skip
+        people = [{"person_id": [-1], "pose_keypoints_2d": points(t, p), "face_keypoints_2d": []} for p in (0, 1)]
         name = f"walk_{t + 100:012d}_keypoints.json"
         (folder / name).write_text(json.dumps({"version": 1.3, "people": people}))
     return folder
@@ -66,9 +65,7 @@ def coco_annotations() -> dict[str, Any]:
 
     return {
         "images": [{"id": 900 - 7 * t} for t in range(T)],
-        "annotations": [
-            {"image_id": 900 - 7 * t, "keypoints": flags(t, p)} for p in (0, 1) for t in range(T)
-        ],
+        "annotations": [{"image_id": 900 - 7 * t, "keypoints": flags(t, p)} for p in (0, 1) for t in range(T)],
         "categories": [{"id": 1, "keypoints": list(NAMES)}],
     }
 
@@ -225,7 +222,7 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "csv half": ("p.csv", "time,nose_x\n0,1\n", "point nose: has no column of y"),
     "csv nothing": ("p.csv", "time\n0\n", "no column ends in _x or _y"),
     "csv cell": ("p.csv", "nose_x,nose_y\n0,a\n", "line 2: column nose_y: 'a' is not a number"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BROKEN)

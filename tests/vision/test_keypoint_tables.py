@@ -47,8 +47,10 @@ def of_layout(name: str) -> np.ndarray:
 def test_rows_of_points_are_a_person(tmp_path: Path) -> None:
     rows = [
         f"{t + 7},{k},{UV[t, k, 0]},{UV[t, k, 1]},{SCORES[t, k]},{t / 25}"
-        for t in (0, 1, 3) for k in range(17) if (t, k) != (1, 5)
-    ]  # fmt: skip
+        for t in (0, 1, 3)
+        for k in range(17)
+        if (t, k) != (1, 5)
+    ]
     shuffled = [rows[i] for i in RNG.permutation(len(rows))]
     found = read_detector_file(write(tmp_path / "a.csv", "frame,landmark,x,y,visibility,time", shuffled))
     assert found.uv_px.shape == (4, 1, 17, 2)
@@ -64,8 +66,10 @@ def test_caliscopes_table_of_one_camera_is_read_without_hands_and_face(tmp_path:
     uv = of_layout("mediapipe33")
     rows = [
         f"{t},2,{t},{400 + t / 30:.6f},{k},{uv[k, 0]:.3f},{uv[k, 1]:.3f},,"
-        for t in range(6) for k in range(33) if k not in (13, 32)
-    ]  # fmt: skip
+        for t in range(6)
+        for k in range(33)
+        if k not in (13, 32)
+    ]
     rows += [f"{t},2,{t},{400 + t / 30:.6f},{k},10,10,," for t in range(6) for k in (100, 220, 500)]
     path = write(tmp_path / "xy.csv", CALISCOPE, rows)
     found = read_detector_keypoints(path, Camera.looking_at([4, 0, 1], [0, 0, 1], 1000))
@@ -103,10 +107,16 @@ def test_columns_numbered_behind_a_word_are_in_the_order_of_the_numbers(tmp_path
 @pytest.mark.parametrize(
     ("line", "known"),
     [
-        ("frame,landmark,x,y", True), (CALISCOPE, True), ("time,nose_x,nose_y", True), ("x0,y0,v0", True),
-        ("frame,x,y", False), ("time,a,b", False), ("nose_x,nose_score", False), ("", False),
+        ("frame,landmark,x,y", True),
+        (CALISCOPE, True),
+        ("time,nose_x,nose_y", True),
+        ("x0,y0,v0", True),
+        ("frame,x,y", False),
+        ("time,a,b", False),
+        ("nose_x,nose_score", False),
+        ("", False),
     ],
-)  # fmt: skip
+)
 def test_the_first_line_tells_keypoints_from_other_tables(line: str, known: bool) -> None:
     assert is_keypoint_header(line) is known
 
@@ -139,8 +149,11 @@ def test_sports2ds_markers_in_pixels_are_a_halpe_body_without_eyes_and_ears(tmp_
     assert found.names == form.names
     seen = np.isfinite(found.uv_px[0, 0, :, 0])
     assert [name for name, is_seen in zip(form.names, seen, strict=True) if not is_seen] == [
-        "left_eye", "right_eye", "left_ear", "right_ear",
-    ]  # fmt: skip
+        "left_eye",
+        "right_eye",
+        "left_ear",
+        "right_ear",
+    ]
     np.testing.assert_allclose(found.uv_px[0, 0, seen], person[seen], atol=1e-5)
     keypoints = read_detector_keypoints(path, Camera.looking_at([4, 0, 1], [0, 0, 1], 1000)).keypoints
     np.testing.assert_allclose(keypoints.times, np.arange(3) / 30)

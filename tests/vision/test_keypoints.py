@@ -91,9 +91,7 @@ def test_a_recording_reads_a_detectors_file(layout: str, named: bool, tmp_path: 
     np.testing.assert_allclose(keypoints.times, 2.0 + np.arange(len(truth)) / 30)
 
 
-def test_loading_a_recording_logs_the_tracked_person(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_loading_a_recording_logs_the_tracked_person(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     shutil.copytree(REAL, tmp_path / "two_people")
     text = 'file = "two_people"\nlayout = "body25b"\nrate_hz = 60.0\nperson = 1\nframe = 3'
     with caplog.at_level(logging.INFO):
@@ -119,11 +117,12 @@ def test_loading_a_recording_logs_the_tracked_person(
         ('layout = "coco17"\nlandmarks = ["Nose"]', FileFormatError, "landmarks"),
         ('layout = "coco17"\nrate_hz = 0', FileFormatError, "rate_hz: 0 is not a positive number"),
         (
-            'layout = "human36m17"\nrate_hz = 30\n[skeleton]\ntable = "human36m"', FileFormatError,
+            'layout = "human36m17"\nrate_hz = 30\n[skeleton]\ntable = "human36m"',
+            FileFormatError,
             "for the skeleton total_capture",
         ),
     ],
-)  # fmt: skip
+)
 def test_wrong_fields_of_a_recording_are_refused(
     text: str, error: type[Exception], message: str, tmp_path: Path
 ) -> None:

@@ -18,15 +18,17 @@ TEXT = model_path("detectors.toml").read_text(encoding="utf-8")
 @pytest.mark.parametrize(
     "layout, count, index, name",
     [
-        ("body25", 25, 8, "HipCentre"), ("body25", 25, 24, "RightHeel"),
-        ("body25b", 25, 17, "UpperNeck"), ("coco17", 17, 16, "RightAnkle"),
-        ("halpe26", 26, 19, "HipCentre"), ("mediapipe33", 33, 32, "RightFootIndex"),
-        ("human36m17", 17, 6, "LeftH36mFoot"), ("landmarks", 33, 32, own("LeftToe")),
+        ("body25", 25, 8, "HipCentre"),
+        ("body25", 25, 24, "RightHeel"),
+        ("body25b", 25, 17, "UpperNeck"),
+        ("coco17", 17, 16, "RightAnkle"),
+        ("halpe26", 26, 19, "HipCentre"),
+        ("mediapipe33", 33, 32, "RightFootIndex"),
+        ("human36m17", 17, 6, "LeftH36mFoot"),
+        ("landmarks", 33, 32, own("LeftToe")),
     ],
-)  # fmt: skip
-def test_points_stand_in_the_order_that_detectors_document(
-    layout: str, count: int, index: int, name: str
-) -> None:
+)
+def test_points_stand_in_the_order_that_detectors_document(layout: str, count: int, index: int, name: str) -> None:
     points = detector_table().layout(layout).points
     assert len(points) == count
     assert points[index] == name
@@ -47,11 +49,17 @@ def test_each_side_is_the_mirror_image_of_the_other() -> None:
 @pytest.mark.parametrize(
     "name, one",
     [
-        ("LBigToe", "LeftBigToe"), ("left_big_toe", "LeftBigToe"), ("LEFT_BIG_TOE", "LeftBigToe"),
-        ("mouth_left", "LeftMouth"), ("left eye (inner)", "LeftEyeInner"), ("RHip", "RightHip"),
-        ("nose", "Nose"), ("MidHip", "MidHip"), ("L Ear", "LeftEar"),
+        ("LBigToe", "LeftBigToe"),
+        ("left_big_toe", "LeftBigToe"),
+        ("LEFT_BIG_TOE", "LeftBigToe"),
+        ("mouth_left", "LeftMouth"),
+        ("left eye (inner)", "LeftEyeInner"),
+        ("RHip", "RightHip"),
+        ("nose", "Nose"),
+        ("MidHip", "MidHip"),
+        ("L Ear", "LeftEar"),
     ],
-)  # fmt: skip
+)
 def test_names_are_independent_of_spelling(name: str, one: str) -> None:
     layout = Layout("own", "own", (one, "Neck"), ("a", "b"))
     assert layout.order(["neck", name]) == [1, 0]
@@ -71,7 +79,7 @@ def test_named_points_are_found_in_any_order(layout: str) -> None:
 @pytest.mark.parametrize(
     "before, after, message",
     [
-        ('name = "Nose"\njoint', 'joint', "the field 'name' is missing"),
+        ('name = "Nose"\njoint', "joint", "the field 'name' is missing"),
         ('joint = "Head"', 'joint = "Haed"', "joint in .*Haed"),
         ("offset_mm = [103, 0, 5]", "offset_mm = [103, 0]", "no point x, y, z"),
         ("offset_mm = [103, 0, 5]", 'offset_mm = "far"', "not of the right kind"),
@@ -81,7 +89,7 @@ def test_named_points_are_found_in_any_order(layout: str) -> None:
         ("[seen_by]", "[seen_by]\nTail = []", "landmark in .*Tail"),
         ("[naive]", "naive", "not readable as TOML"),
     ],
-)  # fmt: skip
+)
 def test_a_broken_table_is_refused_by_name(before: str, after: str, message: str, tmp_path: Path) -> None:
     assert before in TEXT
     path = tmp_path / "detectors.toml"

@@ -12,10 +12,18 @@ from rtof_kin.vision.lens_prior import STABILISED, find_phone, lens_prior, phone
 from rtof_kin.vision.video_metadata import VideoMetadata
 
 STATED_MM = {  # equivalent focal lengths of main cameras, from Apple's data sheets
-    "iPhone 6s": 29, "iPhone 8": 28, "iPhone X": 28, "iPhone XS": 26, "iPhone 11": 26, "iPhone 12": 26,
-    "iPhone 13 Pro": 26, "iPhone 14 Pro": 24, "iPhone 15": 26, "iPhone 16 Pro": 24,
+    "iPhone 6s": 29,
+    "iPhone 8": 28,
+    "iPhone X": 28,
+    "iPhone XS": 26,
+    "iPhone 11": 26,
+    "iPhone 12": 26,
+    "iPhone 13 Pro": 26,
+    "iPhone 14 Pro": 24,
+    "iPhone 15": 26,
+    "iPhone 16 Pro": 24,
     "iPhone SE (3rd generation)": 28,
-}  # fmt: skip
+}
 
 
 def of(model: str | None, **more: object) -> VideoMetadata:
@@ -74,9 +82,7 @@ def test_what_is_unknown_is_said() -> None:
     assert "nothing is known of the camera" in lens_prior(640, 480).source
     assert "Acme X1 is not in the table of phones" in lens_prior(640, 480, of("X1", make="Acme")).source
     assert "the file does not name it" in lens_prior(640, 480, of(None)).source
-    assert (
-        "field of view 67 degrees along the longer side, focal length +- 15 %" in lens_prior(640, 480).source
-    )
+    assert "field of view 67 degrees along the longer side, focal length +- 15 %" in lens_prior(640, 480).source
     with pytest.raises(InvalidInputError, match="image of 0 x 480 px"):
         lens_prior(0, 480)
 

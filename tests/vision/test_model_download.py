@@ -24,7 +24,7 @@ from rtof_kin.vision.model_download import (
     model_set,
     model_sets,
     models_folder,
-)  # fmt: skip
+)
 
 PLAIN = bytes(range(256)) * 4000  # 1 MB
 
@@ -95,11 +95,8 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
 def wanted(server: Server) -> ModelSet:
     files = (
         ModelFile("plain.task", f"{server.url}/plain.task", sha256(PLAIN), 2),
-        ModelFile(
-            "pose.onnx", f"{server.url}/pose.zip", sha256(ARCHIVE), 3, "end2end.onnx",
-            sha256(b"network" * 5000),
-        ),
-    )  # fmt: skip
+        ModelFile("pose.onnx", f"{server.url}/pose.zip", sha256(ARCHIVE), 3, "end2end.onnx", sha256(b"network" * 5000)),
+    )
     return ModelSet("test", "Test models", "BSD-3-Clause, nobody", ("numpy",), "pip install x", files)
 
 
@@ -127,9 +124,7 @@ def test_an_interrupted_download_goes_on_where_it_stopped(server: Server) -> Non
     assert cached_models(models) is None
     server.most = None
     assert (fetch_models(models) / "plain.task").read_bytes() == PLAIN
-    assert [asked for name, asked in server.asked if name == "/plain.task"] == [
-        None, "bytes=400000-", "bytes=800000-",
-    ]  # fmt: skip
+    assert [asked for name, asked in server.asked if name == "/plain.task"] == [None, "bytes=400000-", "bytes=800000-"]
 
 
 def test_a_part_that_is_already_whole_is_used(server: Server) -> None:
@@ -143,9 +138,7 @@ def test_a_part_that_is_already_whole_is_used(server: Server) -> None:
 def test_another_file_than_the_published_one_is_not_kept(server: Server) -> None:
     models = wanted(server)
     server.contents["/plain.task"] = PLAIN[:-1] + b"!"
-    with pytest.raises(
-        FileFormatError, match="plain.task: its SHA-256 .* not the published .*nothing was kept"
-    ):
+    with pytest.raises(FileFormatError, match="plain.task: its SHA-256 .* not the published .*nothing was kept"):
         fetch_models(models)
     server.contents["/plain.task"] = PLAIN * 3
     with pytest.raises(RtofError, match="plain.task: larger than 2 MB, so not the file that was published"):

@@ -22,9 +22,7 @@ SEEN = planted.keypoints(planted.human(BODY, 180).poses, sigma_px=3.0)
 LEGS = ("UpLeg", "Leg", "Foot")
 
 
-def exchanged(
-    seen: KeypointSequence, frames: slice, parts: tuple[str, ...] | None = None
-) -> KeypointSequence:
+def exchanged(seen: KeypointSequence, frames: slice, parts: tuple[str, ...] | None = None) -> KeypointSequence:
     """Left and right of some parts, or of all, exchanged in some frames."""
     source = list(range(len(seen.names)))
     for i, name in enumerate(seen.names):
@@ -150,11 +148,14 @@ def test_nine_in_ten_corrections_of_simulated_detections_are_right() -> None:
         poses = planted.human(BODY, 600, seed=seed).poses
         wrong, right = (
             simulate(
-                poses, BODY.joint_offsets, camera=standard_cameras(poses, seed)[seed % 4], seed=seed,
+                poses,
+                BODY.joint_offsets,
+                camera=standard_cameras(poses, seed)[seed % 4],
+                seed=seed,
                 settings=SimulationSettings(DetectorErrors(exchanges=factor), sensors=()),
             ).video
             for factor in (2.0, 0.0)
-        )  # fmt: skip
+        )
         mended, faults = reject_keypoint_outliers(wrong, person=False)
         before, after = (np.nansum(np.abs(seen.uv_px - right.uv_px), axis=(1, 2)) for seen in (wrong, mended))
         for fault in faults:

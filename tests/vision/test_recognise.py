@@ -29,9 +29,7 @@ def seen() -> dict[str, tuple[Array, Array]]:
 
 @pytest.mark.parametrize("layout", EVERY)
 @pytest.mark.parametrize("frames", [slice(0, 1), slice(None)])
-def test_a_layout_is_recognised_by_geometry(
-    layout: str, frames: slice, seen: dict[str, tuple[Array, Array]]
-) -> None:
+def test_a_layout_is_recognised_by_geometry(layout: str, frames: slice, seen: dict[str, tuple[Array, Array]]) -> None:
     uv, confidence = (array[frames] for array in seen[layout])
     found = recognise(uv, confidence)
     assert found.layout.name == layout
@@ -49,9 +47,15 @@ def test_turned_videos_are_recognised(quarter: int, seen: dict[str, tuple[Array,
 
 
 @pytest.mark.parametrize(
-    "named, is_", [("body25", "body25b"), ("coco17", "human36m17"), ("mediapipe33", "landmarks"),
-                   ("body25b", "body25"), ("human36m17", "coco17")],
-)  # fmt: skip
+    "named, is_",
+    [
+        ("body25", "body25b"),
+        ("coco17", "human36m17"),
+        ("mediapipe33", "landmarks"),
+        ("body25b", "body25"),
+        ("human36m17", "coco17"),
+    ],
+)
 def test_another_layout_with_as_many_points_is_refused(
     named: str, is_: str, seen: dict[str, tuple[Array, Array]]
 ) -> None:
@@ -71,9 +75,7 @@ def test_a_wrong_number_of_points_is_refused(seen: dict[str, tuple[Array, Array]
 
 @pytest.mark.parametrize("layout", ["body25", "coco17", "halpe26", "joints"])
 @pytest.mark.parametrize("named", [False, True])
-def test_a_wrong_order_of_points_is_refused(
-    layout: str, named: bool, seen: dict[str, tuple[Array, Array]]
-) -> None:
+def test_a_wrong_order_of_points_is_refused(layout: str, named: bool, seen: dict[str, tuple[Array, Array]]) -> None:
     uv, confidence = seen[layout]
     order = np.random.default_rng(1).permutation(uv.shape[1])
     with pytest.raises(InvalidInputError, match="check their order"):

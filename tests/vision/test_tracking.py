@@ -137,18 +137,14 @@ def follow(*frames: list[tuple[float, float]]) -> tuple[PersonFollower, list[flo
     follower = PersonFollower((1000.0, 800.0))
     at: list[float | None] = []
     for i, people in enumerate(frames):
-        found = [
-            Person(np.column_stack([body * size + [place, 100], np.full(5, 0.9)])) for place, size in people
-        ]
+        found = [Person(np.column_stack([body * size + [place, 100], np.full(5, 0.9)])) for place, size in people]
         index = follower.follow(found, i / 30)
         at.append(None if index is None else people[index][0])
     return follower, at
 
 
 def test_the_follower_keeps_the_person_chosen_first_whatever_the_order_and_others_do() -> None:
-    follower, at = follow(
-        [(100, 200), (480, 220)], [(485, 220), (110, 210)], [(120, 300), (490, 220)], [(495, 220)]
-    )
+    follower, at = follow([(100, 200), (480, 220)], [(485, 220), (110, 210)], [(120, 300), (490, 220)], [(495, 220)])
     assert at == [480, 485, 490, 495]
     assert (follower.chosen, follower.ambiguous) == (1, 0)
 

@@ -113,9 +113,7 @@ class Webcam:
         self.released = True
 
 
-def test_a_webcam_may_be_interrupted_and_has_clock_times(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_webcam_may_be_interrupted_and_has_clock_times(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cameras: list[Webcam] = []
 
     def opened(source: int) -> Webcam:

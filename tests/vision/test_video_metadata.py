@@ -72,10 +72,7 @@ def test_pixels_that_are_not_square_widen_the_image(tmp_path: Path) -> None:
         {"creation_time": "1904-01-01T00:00:00Z", "com.android.capture.fps": "-240"},
         {"com.apple.quicktime.creationdate": "2024-05-01T10:00:00"},  # of no time zone
         {FOCAL: "0", "com.android.capture.fps": "1e9"},
-        {
-            "com.apple.quicktime.camera.focal_length.35mm_equivalent": "inf",
-            "com.apple.quicktime.model": " \n ",
-        },
+        {"com.apple.quicktime.camera.focal_length.35mm_equivalent": "inf", "com.apple.quicktime.model": " \n "},
     ],
 )
 def test_rubbish_is_not_believed(tags: dict[str, str], tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
     """Check that an archive does not exhaust the memory.
 
     Args:
-        path: of the archive, for the error message. members: to be unpacked. limit: of their sizes, bytes.
+        limit: of their sizes, bytes.
 
     Raises:
         FileFormatError: it is too large, or large and compressed beyond any recording.
@@ -45,16 +45,11 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
     if full > limit:
         raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
     if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
-        raise FileFormatError(
-            path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened"
-        )
+        raise FileFormatError(path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened")
 
 
 def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Return the members of an archive of arrays by the name of the array.
-
-    Args:
-        path: of the archive, for the error message. archive: open.
 
     Raises:
         FileFormatError: an array twice, of which readers differ in the one they take; or too many.
@@ -64,9 +59,7 @@ def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
     found = {member.filename.removesuffix(".npy"): member for member in members}
     if len(found) < len(members):
         names = Counter(member.filename.removesuffix(".npy") for member in members)
-        raise FileFormatError(
-            path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened"
-        )
+        raise FileFormatError(path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened")
     return found
 
 
@@ -81,7 +74,6 @@ def write_archive(
     """Write a ZIP archive: the same members give the same bytes, whenever and wherever.
 
     Args:
-        path: of the archive. members: contents by name, in this order. comment: of the archive.
         overwrite: replace an existing file.
 
     Raises:
@@ -101,7 +93,7 @@ def open_archive(path: Path, limit: int) -> Iterator[zipfile.ZipFile]:
     """Open an archive of regular files with plain names inside it; errors of reading it are of the package.
 
     Args:
-        path: of the archive. limit: largest total size of the files, bytes.
+        limit: largest total size of the files, bytes.
 
     Raises:
         FileFormatError: no archive, damaged, too large, or a member that leads out of it, is a link or a
@@ -127,7 +119,7 @@ def digest_of(archive: zipfile.ZipFile, name: str, target: Path | None = None) -
     """Return the SHA-256 of a member, and write it to a file if one is named.
 
     Args:
-        archive: of `open_archive`. name: of the member. target: file to write; its folder is made.
+        archive: of `open_archive`. target: file to write; its folder is made.
     """
     digest = hashlib.sha256()
     if target is not None:

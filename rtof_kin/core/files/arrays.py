@@ -35,13 +35,11 @@ _LARGEST_CSV = 2**30
 _CSV = "a CSV file; its first line names the columns"
 
 
-def read_npz(
-    path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | None = None
-) -> dict[str, Array]:
+def read_npz(path: Path, limit: int = LARGEST_BYTES, names: Collection[str] | None = None) -> dict[str, Array]:
     """Return arrays of an .npz file as float64, by name.
 
     Args:
-        path: file. limit: largest total size of the arrays, bytes. names: of the arrays; None: all.
+        limit: largest total size of the arrays, bytes. names: of the arrays; None: all.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or numbers of another type or magnitude.
@@ -56,8 +54,8 @@ def read_npz_as_saved(
     """Return arrays of an .npz file, read-only, in their own types, by name.
 
     Args:
-        path: file. limit: largest total size of the arrays, bytes.
-        kinds: allowed types, by NumPy's letters; U is text. names: of the arrays; None: all.
+        limit: largest total size of the arrays, bytes. kinds: allowed types, by NumPy's letters; U is text.
+        names: of the arrays; None: all.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or an array of another kind.
@@ -77,9 +75,6 @@ def read_npz_as_saved(
 def npz_names(path: Path) -> tuple[str, ...]:
     """Return the names of the arrays in an .npz file without reading them.
 
-    Args:
-        path: file.
-
     Raises:
         FileFormatError: no such file, or not an archive.
     """
@@ -89,9 +84,6 @@ def npz_names(path: Path) -> tuple[str, ...]:
 
 def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays in an .npz file without reading them.
-
-    Args:
-        path: file.
 
     Raises:
         FileFormatError: no such file, or not an archive of arrays.
@@ -113,19 +105,15 @@ def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
             yield archive
     except FileFormatError:
         raise
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError
-    ) as error:  # fmt: skip
-        raise FileFormatError(
-            path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez"
-        ) from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, MemoryError, ValueError) as error:
+        raise FileFormatError(path, f"damaged, or no NPZ archive ({error}); write it again with numpy.savez") from error
 
 
 def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
     """Return the array of an .npy file as float64.
 
     Args:
-        path: file. limit: largest size, bytes.
+        limit: largest size, bytes.
 
     Raises:
         FileFormatError: see `read_npz`.
@@ -142,24 +130,18 @@ def read_npy(path: Path, limit: int = LARGEST_BYTES) -> Array:
 def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Read the header of an .npy array: shape, whether in Fortran order, and type.
 
-    Args:
-        stream: at the start of the array.
-
     Raises:
         ValueError: there is no array.
     """
     try:
         version = np.lib.format.read_magic(stream)
-        reader: Any = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
+        reader: Any = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[
+            version
+        ]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # headers written by Python 2
             shape, fortran, dtype = reader(stream)
-    except (
-        ValueError, LookupError, TypeError, SyntaxError, RecursionError, OverflowError, TokenError,
-    ) as error:  # fmt: skip
+    except (ValueError, LookupError, TypeError, SyntaxError, RecursionError, OverflowError, TokenError) as error:
         raise ValueError(f"{type(error).__name__}: {str(error)[:200]}") from error
     return shape, fortran, dtype
 
@@ -171,9 +153,9 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -
         raise FileFormatError(path, f"{name}: not a NumPy array ({error})") from error
     if dtype.hasobject or dtype.kind not in kinds:
         raise FileFormatError(
-            path, f"{name}: has type {dtype}, not numbers; pickled objects are never read, so save a "
-            "plain array of numbers"
-        )  # fmt: skip
+            path,
+            f"{name}: has type {dtype}, not numbers; pickled objects are never read, so save a plain array of numbers",
+        )
     claimed = math.prod(shape) * dtype.itemsize
     if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0:
         raise FileFormatError(path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there")
@@ -197,7 +179,7 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
     """Write arrays to a compressed .npz file.
 
     Args:
-        path: file. arrays: by name. overwrite: replace an existing file.
+        overwrite: replace an existing file.
 
     Raises:
         OutputExistsError: it exists. WritingError: it cannot be written.
@@ -210,9 +192,6 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = 
 def read_csv(path: Path) -> dict[str, Array]:
     """Return the columns of a comma-separated file with a header line; an empty cell or ``nan`` is NaN.
 
-    Args:
-        path: file.
-
     Raises:
         FileFormatError: no such file, no header, a line of another length, a cell that is not a number.
     """
@@ -223,9 +202,6 @@ def read_csv(path: Path) -> dict[str, Array]:
 
 def csv_blocks(path: Path, rows: int = 4096) -> Iterator[dict[str, Array]]:
     """Yield the columns that `read_csv` returns by blocks of rows, at least one block.
-
-    Args:
-        path: file. rows: of a block.
 
     Raises:
         FileFormatError: see `read_csv`.

@@ -18,7 +18,7 @@ def multiples(values: ArrayLike, bits: int) -> Array:
     """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
 
     Args:
-        values: of any shape. bits: after the point.
+        values: of any shape.
     """
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
@@ -40,6 +40,6 @@ def rotation_vectors(R: Array, bits: int) -> NDArray[np.float32]:
     """Return rotation vectors (..., 3), rad, shorter than quaternions; NaN where a matrix is not finite.
 
     Args:
-        R: rotation matrices (..., 3, 3). bits: after the point.
+        R: rotation matrices (..., 3, 3).
     """
     return multiples(so3.known_log(R), bits).astype(np.float32)

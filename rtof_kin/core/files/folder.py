@@ -1,7 +1,6 @@
 """Atomic output: files and folders appear complete or not at all and never replace files of the user.
 
-They are of this user alone (0600, 0700), as they are data of patients; a file that is replaced keeps its
-permissions.
+They are of this user alone (0600, 0700), as they are data of patients; a file that is replaced keeps its permissions.
 """
 
 from __future__ import annotations
@@ -17,14 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError, too_long
-from rtof_kin.core.files.manifest import (
-    Contents,
-    make_folders,
-    make_private,
-    read_contents,
-    sync,
-    write_manifest,
-)
+from rtof_kin.core.files.manifest import Contents, make_folders, make_private, read_contents, sync, write_manifest
 from rtof_kin.core.files.temporary import clear, temporary_folder
 
 _NAMED = 3
@@ -38,11 +30,7 @@ _log = logging.getLogger(__name__)
 
 
 def path_inside(folder: Path, name: str) -> Path | None:
-    """Return the path of a name inside a folder; None if it leads out of it ('..', absolute names, links).
-
-    Args:
-        folder: containing folder. name: relative path with slashes or backslashes.
-    """
+    """Return the path of a name inside a folder; None if it leads out of it ('..', absolute names, links)."""
     parts = PurePosixPath(name.replace("\\", "/"))
     if parts.is_absolute() or ".." in parts.parts or ":" in name or "\0" in name or not parts.parts:
         return None
@@ -63,7 +51,7 @@ def new_folder(
     """Yield a temporary folder that is renamed to `path` when the block ends without an error.
 
     Args:
-        path: final folder. marker: name of a file that every folder of this kind contains.
+        marker: name of a file that every folder of this kind contains.
         overwrite: replace an earlier folder of this kind, see `check_replaceable`.
         inputs: fingerprints of what it is made from, for `core.files.manifest.made_from`.
 
@@ -185,9 +173,7 @@ def _identity(path: Path) -> tuple[int, int] | None:
 
 
 def _exchange(new: Path, path: Path) -> None:
-    """Exchange two folders, atomically on Linux; elsewhere the old one is renamed to ``*.replaced-*`` for a
-    moment.
-    """
+    """Exchange two folders, atomically on Linux; elsewhere the old one is renamed to ``*.replaced-*`` for a moment."""
     try:
         _exchange_at_once(new, path)
     except OSError as error:

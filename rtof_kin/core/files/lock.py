@@ -23,18 +23,13 @@ from rtof_kin.core.errors import OutputExistsError, WritingError
 def only_one(lock: Path, what: str) -> Iterator[None]:
     """Hold a lock while the block runs.
 
-    Args:
-        lock: its file, which stays. what: is locked, for the error message.
-
     Raises:
         OutputExistsError: another process holds it; the message names it. WritingError: it cannot be made.
     """
     try:
         held = FileLock(lock, timeout=0).acquire()
     except Timeout:
-        raise OutputExistsError(
-            f"{what}: {_holder(lock)} is at work on it; wait until it ends, or end it"
-        ) from None
+        raise OutputExistsError(f"{what}: {_holder(lock)} is at work on it; wait until it ends, or end it") from None
     except OSError as error:
         raise WritingError(f"{lock}: cannot be locked ({error}); name a folder on another disk") from error
     with held:
@@ -46,11 +41,7 @@ def only_one(lock: Path, what: str) -> Iterator[None]:
 
 
 def is_held(lock: Path) -> str | None:
-    """Return the process that holds a lock, in words, or None.
-
-    Args:
-        lock: its file.
-    """
+    """Return the process that holds a lock, in words, or None."""
     try:
         with FileLock(lock, timeout=0):
             return None

@@ -36,8 +36,7 @@ def write_manifest(
     """Sync all files of a new folder, of this user alone, to the disk and list them in its manifest.
 
     Args:
-        folder: contains only files of this package. kind: its marker file.
-        inputs: fingerprints of what it is made from, by step.
+        folder: contains only files of this package.
         paths: files to list in a folder that contains others too; None: everything in it.
     """
     files = {}
@@ -57,9 +56,6 @@ def write_manifest(
 
 def read_contents(folder: Path) -> Contents:
     """Compare a folder with its manifest; links are not followed.
-
-    Args:
-        folder: to be read.
 
     Raises:
         OSError: a file cannot be read.
@@ -92,11 +88,7 @@ def read_contents(folder: Path) -> Contents:
 
 
 def made_from(folder: Path) -> dict[str, str]:
-    """Return the fingerprints of what a folder was made from, by step; empty where a file of it is missing.
-
-    Args:
-        folder: an earlier output, or none.
-    """
+    """Return the fingerprints of what a folder was made from, by step; empty where a file of it is missing."""
     try:
         content = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         complete = all((folder / name).is_file() for name in content["sha256"])
@@ -127,11 +119,7 @@ def fingerprint(*parts: object) -> str:
 
 
 def remove_written(folder: Path) -> None:
-    """Remove the files of this package, and the folder if it is empty then.
-
-    Args:
-        folder: an earlier output.
-    """
+    """Remove the files of this package, and the folder if it is empty then."""
     for path in read_contents(folder).own:
         if path.is_dir():
             with suppress(OSError):  # it contains files of the user
@@ -144,20 +132,13 @@ def remove_written(folder: Path) -> None:
 
 
 def make_private(path: Path) -> None:
-    """Let no other user read a file or folder, where the system knows of permissions.
-
-    Args:
-        path: just written by this process.
-    """
+    """Let no other user read a file or folder, where the system knows of permissions."""
     with suppress(OSError):
         path.chmod(0o700 if path.is_dir() else 0o600)
 
 
 def make_folders(path: Path) -> None:
     """Make a folder and its parents, of this user alone; those that exist stay as they are.
-
-    Args:
-        path: of the folder.
 
     Raises:
         OSError: it cannot be made.
@@ -195,11 +176,7 @@ def _read_manifest(path: Path) -> tuple[str, dict[str, str]]:
 
 
 def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a regular file; '' of anything else.
-
-    Args:
-        path: of the file.
-    """
+    """Return the SHA-256 of a regular file; '' of anything else."""
     if not path.is_file():
         return ""
     with path.open("rb") as stream:

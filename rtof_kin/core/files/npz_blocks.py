@@ -139,7 +139,7 @@ class NpzBlocks:
         """Find the arrays in the file; nothing of them is read.
 
         Args:
-            path: .npz file. members: names of arrays with one row per frame; missing ones are left out.
+            members: names of arrays with one row per frame; missing ones are left out.
             spacing: distance of the places from which rows are read, bytes of an array.
 
         Raises:
@@ -155,9 +155,7 @@ class NpzBlocks:
             self._members = self._found(members)
             lengths = {member.shape[0] for member in self._members.values()}
             if len(lengths) != 1:
-                raise FileFormatError(
-                    path, f"arrays of different lengths {sorted(lengths)}, not one per frame"
-                )
+                raise FileFormatError(path, f"arrays of different lengths {sorted(lengths)}, not one per frame")
             self.length = lengths.pop()
             failed.pop_all()
 
@@ -174,7 +172,7 @@ class NpzBlocks:
         in a thread.
 
         Args:
-            stop: ends the pass early when set. until: number of rows that are wanted; default: all.
+            until: number of rows that are wanted; default: all.
 
         Raises:
             FileFormatError: the file is damaged.
@@ -205,7 +203,7 @@ class NpzBlocks:
         """Return rows of an array.
 
         Args:
-            name: of the array. start, stop: rows, within `available`.
+            start, stop: rows, within `available`.
 
         Raises:
             FileFormatError: damaged, or a number beyond any measurement.
@@ -275,12 +273,8 @@ class NpzBlocks:
                 found = {name: self._member(archive, name, there[name]) for name in names if name in there}
         except FileFormatError:
             raise
-        except (
-            zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError, struct.error
-        ) as error:  # fmt: skip
-            raise FileFormatError(
-                self.path, f"damaged, or no NPZ archive ({error}); reconstruct again"
-            ) from error
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, ValueError, struct.error) as error:
+            raise FileFormatError(self.path, f"damaged, or no NPZ archive ({error}); reconstruct again") from error
         if not found:
             raise FileFormatError(self.path, f"has none of the arrays {', '.join(names)}")
         return found

@@ -78,7 +78,7 @@ class NpzWriter:
         """Write nothing yet.
 
         Args:
-            path: of the file. overwrite: replace an existing file.
+            overwrite: replace an existing file.
         """
         self._path, self._overwrite = path, overwrite
         self._members: dict[str, _Member] = {}
@@ -131,7 +131,7 @@ class NpzWriter:
         """Write a whole array, of any shape.
 
         Args:
-            name: that does not exist. array: values.
+            name: that does not exist.
 
         Raises:
             InvalidInputError: the name exists. OSError: see `append`.
@@ -169,9 +169,7 @@ def _put(archive: BinaryIO, name: bytes, member: _Member) -> bytes:
     crc = _joined_checksum(zlib.crc32(header), member.checksum, member.size)
     sizes = struct.pack("<QQ", len(header) + member.size, len(head) + member.packed)
     place = archive.tell()
-    common = struct.pack(
-        "<HHHHHIIIH", _VERSION, 0, _DEFLATE, 0, _DATE, crc, _IN_ZIP64, _IN_ZIP64, len(name)
-    )  # fmt: skip
+    common = struct.pack("<HHHHHIIIH", _VERSION, 0, _DEFLATE, 0, _DATE, crc, _IN_ZIP64, _IN_ZIP64, len(name))
     archive.write(b"PK\3\4" + common + struct.pack("<H", 20) + name + struct.pack("<HH", 1, 16) + sizes)
     archive.write(head)
     member.stream.seek(0)
@@ -185,9 +183,7 @@ def _end(archive: BinaryIO, start: int, count: int) -> None:
     """Write the end of an archive: its directory's place in the form of ZIP64, and the older form."""
     place = archive.tell()
     size = place - start
-    archive.write(
-        b"PK\6\6" + struct.pack("<QHHIIQQQQ", 44, _VERSION, _VERSION, 0, 0, count, count, size, start)
-    )
+    archive.write(b"PK\6\6" + struct.pack("<QHHIIQQQQ", 44, _VERSION, _VERSION, 0, 0, count, count, size, start))
     archive.write(b"PK\6\7" + struct.pack("<IQI", 0, place, 1))
     archive.write(b"PK\5\6" + struct.pack("<HHHHIIH", 0, 0, 0xFFFF, 0xFFFF, _IN_ZIP64, _IN_ZIP64, 0))
 
@@ -196,7 +192,7 @@ def _joined_checksum(first: int, second: int, length: int) -> int:
     """Return the CRC-32 of two parts together; it is linear in the bits of parts of one length.
 
     Args:
-        first, second: of the parts. length: of the second, bytes.
+        length: of the second, bytes.
     """
     none = 0
     for place in range(0, length, len(_ZEROS)):

@@ -41,11 +41,10 @@ def read_pickle(path: str | Path, limit: int = 2**26) -> Any:
     """Read a pickle of plain data; nothing in the file is executed.
 
     Args:
-        path: the file. limit: largest size, bytes.
+        limit: largest size, bytes.
 
     Returns:
-        An object made of dict with text keys, list, tuple, str, int, float, bool, None and read-only
-        numeric arrays.
+        An object made of dict with text keys, list, tuple, str, int, float, bool, None and read-only numeric arrays.
 
     Raises:
         FileFormatError: no such file, damaged, too large, or it names or holds anything else.
@@ -63,16 +62,24 @@ def unpickled(path: Path, what: str, read: Callable[[], Any]) -> Any:
     """Return what a function reads; raise `FileFormatError` where a pickle is damaged or refused.
 
     Args:
-        path: the file. what: the part of it, for messages. read: uses a `PlainUnpickler`.
+        read: uses a `PlainUnpickler`.
     """
     try:
         return read()
     except RefusedError as error:
         raise FileFormatError(path, f"{what}: not opened: {error}") from error
     except (
-        pickle.UnpicklingError, AttributeError, ValueError, LookupError, TypeError, OverflowError,
-        SyntaxError, RecursionError, EOFError, MemoryError,
-    ) as error:  # fmt: skip
+        pickle.UnpicklingError,
+        AttributeError,
+        ValueError,
+        LookupError,
+        TypeError,
+        OverflowError,
+        SyntaxError,
+        RecursionError,
+        EOFError,
+        MemoryError,
+    ) as error:
         why = f"{type(error).__name__}: {str(error)[:200]}"
         raise FileFormatError(path, f"{what}: damaged, or no array ({why}); get it again") from error
 
@@ -225,7 +232,7 @@ def numbers_of(shape: Any, dtype: np.dtype[Any], fortran: bool, data: bytes) -> 
     """Return a read-only array of numbers in native byte order, once its size agrees with the data.
 
     Args:
-        shape, dtype: of the array. fortran: order of the data. data: bytes of all numbers.
+        data: bytes of all numbers.
 
     Raises:
         RefusedError: another type, an impossible shape, or more or fewer bytes.

@@ -35,7 +35,7 @@ class ScannedFile:
         """Start the thread; end it with `close`.
 
         Args:
-            path: the file. rows: of it, opened; closed by `close`.
+            rows: of it, opened; closed by `close`.
         """
         self.path, self._rows = path, rows
         self._stop = threading.Event()
@@ -64,7 +64,7 @@ class ScannedFile:
         """Wait until frames can be read.
 
         Args:
-            frames: number of them, from the first. seconds: at most.
+            frames: number of them, from the first.
 
         Raises:
             FileFormatError: the file is damaged, or this takes longer.

@@ -50,11 +50,7 @@ class ScratchArrays:
             ) from error
 
     def rows(self, name: str, start: int, stop: int) -> Array:
-        """Return rows of an array.
-
-        Args:
-            name: of the array. start, stop: rows.
-        """
+        """Return rows of an array."""
         row = self._rows[name]
         size = math.prod(row)
         stream = self._files[name]

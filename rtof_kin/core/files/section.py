@@ -30,9 +30,6 @@ class Section:
     def of_file(cls, path: Path) -> Self:
         """Read the top level of a file.
 
-        Args:
-            path: TOML file.
-
         Raises:
             FileFormatError: it does not exist or is not TOML.
         """

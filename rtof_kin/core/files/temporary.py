@@ -42,9 +42,6 @@ def _system() -> str:
 def temporary_folder(parent: Path) -> Iterator[Path]:
     """Yield a new folder, of this user alone, that is removed when the block ends; see `clear`.
 
-    Args:
-        parent: its parent folder.
-
     Raises:
         OSError: it cannot be created.
     """
@@ -64,11 +61,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[bool | None]:
-    """Lock a folder: True; False if another process has it locked or removed; None without file locks.
-
-    Args:
-        folder: to be locked while the block runs.
-    """
+    """Lock a folder: True; False if another process has it locked or removed; None without file locks."""
     descriptor, held = None, None
     try:
         if sys.platform != "win32":
@@ -87,11 +80,7 @@ def locked(folder: Path) -> Iterator[bool | None]:
 
 
 def clear(folder: Path) -> None:
-    """Remove a temporary folder; if it has a manifest (a replaced output), only files of this package.
-
-    Args:
-        folder: to be removed.
-    """
+    """Remove a temporary folder; if it has a manifest (a replaced output), only files of this package."""
     if os.path.lexists(folder / MANIFEST):
         with suppress(OSError):
             remove_written(folder)

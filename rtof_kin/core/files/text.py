@@ -29,7 +29,7 @@ def check_file(path: str | Path, what: str, limit: float = math.inf) -> None:
     """Check that a path is a regular file, not a folder, device or pipe.
 
     Args:
-        path: to be checked. what: as for `read_text`. limit: largest size, bytes.
+        what: as for `read_text`. limit: largest size, bytes.
 
     Raises:
         FileFormatError: it does not exist, is of another kind or larger. OSError: it is not accessible.
@@ -46,7 +46,7 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
     """Return the text of a UTF-8 file without byte order mark.
 
     Args:
-        path: file. limit: largest size, bytes.
+        limit: largest size, bytes.
         what: expected contents, for the error message, e.g. "a BVH file, which begins with HIERARCHY".
 
     Raises:
@@ -67,9 +67,6 @@ def read_text(path: str | Path, what: str, limit: int = LARGEST_TEXT) -> str:
 
 def load_toml(path: str | Path) -> dict[str, Any]:
     """Return the contents of a TOML file.
-
-    Args:
-        path: file.
 
     Raises:
         FileFormatError: see `read_text`, or not TOML.
@@ -115,7 +112,7 @@ def write_text(path: Path, text: str, overwrite: bool = False) -> None:
     """Write a UTF-8 file atomically.
 
     Args:
-        path: file. text: contents. overwrite: replace an existing file.
+        overwrite: replace an existing file.
 
     Raises:
         OutputExistsError: it exists. WritingError: it cannot be written.

@@ -6,6 +6,14 @@ from rtof_kin.core.jobs.ray_cluster import RayCluster
 from rtof_kin.core.jobs.results import JobResult, Outcome, Progress, open_runs, run_jobs
 
 __all__ = [
-    "Ended", "Engine", "InThisProcess", "JobResult", "Outcome", "Processes", "Progress", "RayCluster",
-    "open_runs", "run_jobs",
-]  # fmt: skip
+    "Ended",
+    "Engine",
+    "InThisProcess",
+    "JobResult",
+    "Outcome",
+    "Processes",
+    "Progress",
+    "RayCluster",
+    "open_runs",
+    "run_jobs",
+]

@@ -30,9 +30,7 @@ class Ended:
 class Engine(Protocol):
     """Where and how jobs are run."""
 
-    def run(
-        self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]
-    ) -> Generator[Ended, None, None]:
+    def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """Run jobs and yield each as it ends; closing the generator stops those that run.
 
         Args:
@@ -46,20 +44,14 @@ class Engine(Protocol):
 class InThisProcess:
     """Engine that runs one job after the other in this process; an interrupt is raised to the caller."""
 
-    def run(
-        self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]
-    ) -> Generator[Ended, None, None]:
+    def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
         for key, argument in jobs:
             yield ended(function, key, argument)
 
 
 def ended(function: Callable[[Any], Any], key: str, argument: Any) -> Ended:
-    """Run one job here.
-
-    Args:
-        function, key, argument: of the job.
-    """
+    """Run one job here."""
     try:
         return Ended(key, function(argument))
     except Exception as error:

@@ -32,11 +32,7 @@ def total_memory() -> int | None:
 
 
 def available_memory(proc: Path = _PROC, groups: Path = _GROUPS) -> int | None:
-    """Return the memory that new work can have without swapping.
-
-    Args:
-        proc, groups: where the system shows processes and control groups.
-    """
+    """Return the memory that new work can have without swapping."""
     known = [limit - used for limit, used in _limits(proc, groups)]
     field = _field(proc / "meminfo", "MemAvailable")
     if field is not None:
@@ -45,11 +41,7 @@ def available_memory(proc: Path = _PROC, groups: Path = _GROUPS) -> int | None:
 
 
 def resident_memory(process: int) -> int:
-    """Return the memory that a process has now; 0 where it is not known.
-
-    Args:
-        process: its id.
-    """
+    """Return the memory that a process has now; 0 where it is not known."""
     return _field(_PROC / str(process) / "status", "VmRSS") or 0
 
 

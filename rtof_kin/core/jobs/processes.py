@@ -1,8 +1,7 @@
 """Engine of worker processes on this machine: one thread each, warm, and no more than the memory holds.
 
-A worker that is killed loses its own job only. The job is tried once more when all others are done, alone,
-since most processes are killed for want of memory. Workers end with the process that started them, even if
-that is killed.
+A worker that is killed loses its own job only. The job is tried once more when all others are done, alone, since most
+processes are killed for want of memory. Workers end with the process that started them, even if that is killed.
 """
 
 from __future__ import annotations
@@ -55,9 +54,7 @@ class Processes:
                 f"{total / _GB:.1f} GB; state less, or run on a larger one"
             )
 
-    def run(
-        self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]
-    ) -> Generator[Ended, None, None]:
+    def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
         pool = _Pool(self, function, self._most())
         try:
@@ -179,9 +176,7 @@ class _Pool:
         if not self.busy and time.monotonic() - self._reminded >= _REMIND:
             self._reminded = time.monotonic()
             _log.warning(
-                "waiting for memory: a job needs %.1f GB, and %.1f GB are available",
-                need / _GB,
-                available / _GB,
+                "waiting for memory: a job needs %.1f GB, and %.1f GB are available", need / _GB, available / _GB
             )
         return False
 

@@ -43,16 +43,12 @@ class RayCluster:
         if self.workers is not None and self.workers < 1:
             raise InvalidInputError(f"workers: {self.workers}; give 1 or more")
 
-    def run(
-        self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]
-    ) -> Generator[Ended, None, None]:
+    def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
         ray = optional("ray", "cluster")
         waiting = iter(jobs)
         with self._connected(ray):
-            task = ray.remote(
-                num_cpus=1, memory=int(self.memory_per_job) or None, max_retries=self.retries
-            )(ended)  # fmt: skip
+            task = ray.remote(num_cpus=1, memory=int(self.memory_per_job) or None, max_retries=self.retries)(ended)
             given: dict[Any, str] = {}
             room, looked = 0, -_LOOK
             try:

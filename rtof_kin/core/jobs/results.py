@@ -54,11 +54,7 @@ class Outcome:
     """Error messages of the others."""
 
     def arrays(self, key: str) -> dict[str, Array]:
-        """Read the arrays of a job that succeeded.
-
-        Args:
-            key: of the job.
-        """
+        """Read the arrays of a job that succeeded."""
         return read_npz(self.folder / f"{key}.npz")
 
 
@@ -80,7 +76,6 @@ def open_runs(
 
     Args:
         folder, save: the two; motions lie in ``SUBJECT/TAKE/CAMERA/MODE`` of the second.
-        settings: everything that the results depend on, plain values.
         overwrite: whether results of other settings may be removed.
         motions: files by the key of the job that writes them and by method.
 

@@ -70,7 +70,7 @@ class Factor:
         """Return the blocks (N, lags, size, size) of the factor L; L L^T is the matrix.
 
         Args:
-            size: unknowns of a block. lags: a block is coupled with the next lags - 1.
+            lags: a block is coupled with the next lags - 1.
 
         Returns:
             Element [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
@@ -150,9 +150,6 @@ class Store:
     def factorise(self, damping: float) -> StoredFactor:
         """Factorise the matrix, which is kept.
 
-        Args:
-            damping: added to its diagonal.
-
         Raises:
             SolverError: it is not positive definite.
         """
@@ -176,9 +173,7 @@ class Store:
         for own, first in zip(x, range(0, right.shape[1], tile), strict=True):
             part = right[:, first : first + tile]
             own[: self.size, : part.shape[1]] = part
-            self._code.banded_forward(
-                factor.ctypes.data, own.ctypes.data, self._blocked, self.band, self.step
-            )
+            self._code.banded_forward(factor.ctypes.data, own.ctypes.data, self._blocked, self.band, self.step)
         return np.asarray(np.moveaxis(x[:, : self.size], 0, 1).reshape(self.size, -1)[:, : right.shape[1]])
 
 
@@ -218,9 +213,8 @@ def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int
     out, word = np.zeros((frames, lags, size, size)), flat.itemsize
     for k in range(min(lags, frames)):
         columns = np.lib.stride_tricks.as_strided(
-            flat[k * size :], (frames - k, size, size),
-            (size * (1 + step) * word, step * word, word),
-        )  # fmt: skip
+            flat[k * size :], (frames - k, size, size), (size * (1 + step) * word, step * word, word)
+        )
         out[: frames - k, k] = np.swapaxes(columns, 1, 2)
     # Above the diagonal and below the band the view shows other columns.
     below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)

@@ -59,13 +59,15 @@ def compiled(functions: list[Any]) -> list[Any]:
 
 
 def built(
-    made_of: str, source: Callable[[], str], loaded: Callable[[Path], Built],
-    options: tuple[str, ...] = (), name: str = "energy",
-) -> Built | None:  # fmt: skip
+    made_of: str,
+    source: Callable[[], str],
+    loaded: Callable[[Path], Built],
+    options: tuple[str, ...] = (),
+    name: str = "energy",
+) -> Built | None:
     """Return the contents of a shared library, compiled unless it is cached; None if impossible.
 
     Args:
-        made_of: identity of the source. source: returns the C source. loaded: opens the library.
         options: further compiler options; if any, the library is specific to this kind of processor.
         name: of the library; compiling an 'energy', which takes long, is logged.
     """
@@ -87,9 +89,8 @@ def evaluated() -> str:
 
 
 def _loaded(
-    identity: str, source: Callable[[], str], loaded: Callable[[Path], Built],
-    options: tuple[str, ...], name: str,
-) -> Built:  # fmt: skip
+    identity: str, source: Callable[[], str], loaded: Callable[[Path], Built], options: tuple[str, ...], name: str
+) -> Built:
     """Return the contents of a library, compiled if it is missing or cannot be loaded."""
     given = cache_folder().absolute()
     compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
@@ -157,8 +158,10 @@ def _compile(source: str, library: Path, compiler: str, options: tuple[str, ...]
     written.write_text(source, encoding="utf-8")
     subprocess.run(
         [compiler, *_OPTIONS, *options, str(written), "-o", str(library), "-lm"],
-        check=True, capture_output=True, timeout=300,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+        timeout=300,
+    )
 
 
 class Buffered:

@@ -145,12 +145,12 @@ class LevenbergMarquardt:
         """Minimise from an initial state.
 
         Args:
-            x: (N, ...) initial state. max_iterations: limit of iterations.
-            tolerance: relative predicted decrease of the energy at which it stops; limits are satisfied to
-                0.1 degrees, and closer below 1e-4.
+            x: (N, ...) initial state.
+            tolerance: relative predicted decrease of the energy at which it stops; limits are satisfied to 0.1
+                degrees, and closer below 1e-4.
             multipliers: (N, M) of an earlier solution.
-            reweigh: called with the initial and every new state; may change the weights of the problem, and
-                returns whether it did.
+            reweigh: called with the initial and every new state; may change the weights of the problem, and returns
+                whether it did.
 
         Raises:
             SolverError: the energy of the initial state is not finite, or no damping makes its Hessian

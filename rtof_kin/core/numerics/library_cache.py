@@ -40,11 +40,7 @@ class Origin:
 
 
 def trusted(folder: Path) -> Path:
-    """Return the cache folder, created if missing; if others can write to it, a private one and a warning.
-
-    Args:
-        folder: of the cache.
-    """
+    """Return the cache folder, created if missing; if others can write to it, a private one and a warning."""
     if not folder.exists():
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -56,7 +52,7 @@ def kept(library: Path, source: str) -> bool:
     """Return whether a library exists, matches its record and has this source.
 
     Args:
-        library: file. source: see `Origin`.
+        source: see `Origin`.
     """
     try:
         record = json.loads(_own_bytes(library.with_suffix(".json")))
@@ -70,7 +66,6 @@ def make(library: Path, origin: Origin, write: Callable[[Path], None], again: bo
     """Build a library and its record, unless another process has done so meanwhile.
 
     Args:
-        library: file. origin: for the record. write: builds the library at a path.
         again: build it even if it matches its record.
     """
     with _locked(library):
@@ -172,6 +167,8 @@ def _private(folder: Path, doubt: str) -> Path:
     atexit.register(shutil.rmtree, private, ignore_errors=True)
     _log.warning(
         "compiled code is not kept in %s: %s. It is compiled for this process alone; "
-        "set RTOF_KIN_CACHE to a folder of your own to keep it", folder, doubt,
-    )  # fmt: skip
+        "set RTOF_KIN_CACHE to a folder of your own to keep it",
+        folder,
+        doubt,
+    )
     return private

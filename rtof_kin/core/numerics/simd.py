@@ -30,17 +30,23 @@ class Over:
     """A compiled function bound to arrays, which it reads and writes in place for all frames."""
 
     def __init__(
-        self, code: Any, given: FrameFunction, frames: int, inputs: Sequence[Array],
-        outputs: Sequence[Array], places: Index | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        code: Any,
+        given: FrameFunction,
+        frames: int,
+        inputs: Sequence[Array],
+        outputs: Sequence[Array],
+        places: Index | None = None,
+    ) -> None:
         """Bind a function to arrays.
 
         Args:
-            code: the function in its library (`compile_simd`). given: its source. frames: number of frames.
-            inputs: (n, >= `whole(frames)`) columns, or (n,) if shared. outputs: the same; columns after the
-                last frame, up to whole vectors, are set to zero. All columns have the same stride.
-            places: (groups,) of a placed output (frames, k): column of each group in the row of a frame;
-                rows may overlap.
+            code: the function in its library (`compile_simd`).
+            inputs: (n, >= `whole(frames)`) columns, or (n,) if shared.
+            outputs: the same; columns after the last frame, up to whole vectors, are set to zero. All columns have
+                the same stride.
+            places: (groups,) of a placed output (frames, k): column of each group in the row of a frame; rows may
+                overlap.
 
         Raises:
             ShapeError: an array has too few frames or numbers, or another memory layout.
@@ -65,9 +71,11 @@ class Over:
         step = outs[-1].strides[0] // spare.itemsize
         numbers = (ctypes.c_longlong(n) for n in (width // spare.itemsize, step, frames))
         self._arguments = (
-            _pointers(ins), _pointers(outs), *(ctypes.c_void_p(a.ctypes.data) for a in (place, spare)),
+            _pointers(ins),
+            _pointers(outs),
+            *(ctypes.c_void_p(a.ctypes.data) for a in (place, spare)),
             *numbers,
-        )  # fmt: skip
+        )
 
     def __call__(self) -> None:
         """Evaluate."""
@@ -141,11 +149,7 @@ class Mapped:
 
 
 def whole(frames: int) -> int:
-    """Return the number of frames rounded up to whole vectors of any length.
-
-    Args:
-        frames: number of frames.
-    """
+    """Return the number of frames rounded up to whole vectors of any length."""
     return -(-frames // GROUP) * GROUP
 
 

@@ -18,17 +18,34 @@ GROUP = 8
 _PIECE = 150
 """Instructions per C function; compilation time grows faster than linearly with it."""
 _OPERATIONS = {
-    ca.OP_ASSIGN: "{0}", ca.OP_ADD: "{0} + {1}", ca.OP_SUB: "{0} - {1}", ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}", ca.OP_NEG: "-{0}", ca.OP_SQ: "{0} * {0}", ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}", ca.OP_LT: "one({0} < {1})", ca.OP_LE: "one({0} <= {1})",
-    ca.OP_EQ: "one({0} == {1})", ca.OP_NE: "one({0} != {1})", ca.OP_NOT: "one({0} == 0)",
-    ca.OP_AND: "one(({0} != 0) & ({1} != 0))", ca.OP_OR: "one(({0} != 0) | ({1} != 0))",
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_LT: "one({0} < {1})",
+    ca.OP_LE: "one({0} <= {1})",
+    ca.OP_EQ: "one({0} == {1})",
+    ca.OP_NE: "one({0} != {1})",
+    ca.OP_NOT: "one({0} == 0)",
+    ca.OP_AND: "one(({0} != 0) & ({1} != 0))",
+    ca.OP_OR: "one(({0} != 0) | ({1} != 0))",
     ca.OP_IF_ELSE_ZERO: "where({0} != 0, {1})",
-    ca.OP_FMIN: "either({0} < {1}, {0}, {1})", ca.OP_FMAX: "either({0} > {1}, {0}, {1})",
-    ca.OP_FABS: "either({0} < 0, -{0}, {0})", ca.OP_SIGN: "one({0} > 0) - one({0} < 0)",
-    ca.OP_SQRT: "each_sqrt({0})", ca.OP_FLOOR: "each_floor({0})", ca.OP_LOG: "each_log({0})",
-    ca.OP_SIN: "each_sin({0})", ca.OP_COS: "each_cos({0})", ca.OP_ATAN2: "each_atan2({0}, {1})",
-}  # fmt: skip
+    ca.OP_FMIN: "either({0} < {1}, {0}, {1})",
+    ca.OP_FMAX: "either({0} > {1}, {0}, {1})",
+    ca.OP_FABS: "either({0} < 0, -{0}, {0})",
+    ca.OP_SIGN: "one({0} > 0) - one({0} < 0)",
+    ca.OP_SQRT: "each_sqrt({0})",
+    ca.OP_FLOOR: "each_floor({0})",
+    ca.OP_LOG: "each_log({0})",
+    ca.OP_SIN: "each_sin({0})",
+    ca.OP_COS: "each_cos({0})",
+    ca.OP_ATAN2: "each_atan2({0}, {1})",
+}
 _HEAD = Path(__file__).with_name("simd.h").read_text(encoding="utf-8")
 _DRIVER = """
 void {name}(const double *const *in, double *const *out, const long long *place, double *spare,
@@ -61,11 +78,7 @@ class FrameFunction:
 
 
 def source(functions: Sequence[FrameFunction]) -> str:
-    """Return the C source of functions over frames, named by `c_name`.
-
-    Args:
-        functions: to be written.
-    """
+    """Return the C source of functions over frames, named by `c_name`."""
     return "\n".join([_HEAD, *(_Writer(given).text() for given in functions)])
 
 
@@ -126,8 +139,7 @@ class _Writer:
         if len(waiting) == GROUP:
             values = ", ".join(f"v{v}" for v in waiting)
             self._add(
-                f"{{ const V all[] = {{{values}}}; put_group(now, now->place[{to[1] // GROUP}], all); }}",
-                list(waiting),
+                f"{{ const V all[] = {{{values}}}; put_group(now, now->place[{to[1] // GROUP}], all); }}", list(waiting)
             )
             waiting.clear()
 

@@ -41,45 +41,67 @@ class Format:
 
 FORMATS: Final = (
     Format(
-        xdf.TITLE, "binary, begins with 'XDF:'; streams of channels NAME_qw, ..., NAME_acc_x, ...",
-        xdf.is_xdf, xdf.read_xdf, True,
+        xdf.TITLE,
+        "binary, begins with 'XDF:'; streams of channels NAME_qw, ..., NAME_acc_x, ...",
+        xdf.is_xdf,
+        xdf.read_xdf,
+        True,
     ),
     Format(mvnx.TITLE, "XML whose root is <mvnx>", mvnx.is_mvnx, mvnx.read_mvnx, True),
     Format(
-        imu_mat.TITLE, "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
-        imu_mat.is_imu_mat, imu_mat.read_imu_mat, True,
+        imu_mat.TITLE,
+        "MATLAB v5 to v7: vector t, and for each sensor a struct of acc, gyr, mag, quat",
+        imu_mat.is_imu_mat,
+        imu_mat.read_imu_mat,
+        True,
     ),
     Format(
-        opensense_sto.TITLE, "text with DataType=Quaternion before endheader; columns time and BODY_imu",
-        opensense_sto.is_opensense_sto, opensense_sto.read_opensense_sto, True,
+        opensense_sto.TITLE,
+        "text with DataType=Quaternion before endheader; columns time and BODY_imu",
+        opensense_sto.is_opensense_sto,
+        opensense_sto.read_opensense_sto,
+        True,
     ),
     Format(
         total_capture.TITLE,
         "text: numbers of sensors and frames; then blocks of a frame's number and a line for each sensor",
-        total_capture.is_sensors, total_capture.read_sensor_log, True,
+        total_capture.is_sensors,
+        total_capture.read_sensor_log,
+        True,
     ),
     Format(
-        ximu3.TITLE, "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
-        ximu3.is_ximu3, ximu3.read_ximu3,
+        ximu3.TITLE,
+        "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
+        ximu3.is_ximu3,
+        ximu3.read_ximu3,
     ),
     Format(
-        xsens.DOT_TITLE, "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, ...",
-        xsens.is_xsens_dot, xsens.read_xsens_dot,
+        xsens.DOT_TITLE,
+        "CSV: lines 'DeviceTag:', ..., then columns PacketCounter, SampleTimeFine, ...",
+        xsens.is_xsens_dot,
+        xsens.read_xsens_dot,
     ),
     Format(
         xsens.MT_TITLE,
         "text: lines of '//', then columns PacketCounter, Acc_X, ..., Quat_q0 or Mat[1][1], ...",
-        xsens.is_xsens_mt, xsens.read_xsens_mt,
+        xsens.is_xsens_mt,
+        xsens.read_xsens_mt,
     ),
     Format(
-        noraxon.TITLE, "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
-        noraxon.is_noraxon, noraxon.read_noraxon, True,
+        noraxon.TITLE,
+        "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
+        noraxon.is_noraxon,
+        noraxon.read_noraxon,
+        True,
     ),
     Format(
-        imu_csv.TITLE, "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
-        imu_csv.is_imu_csv, imu_csv.read_imu_csv, True,
+        imu_csv.TITLE,
+        "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
+        imu_csv.is_imu_csv,
+        imu_csv.read_imu_csv,
+        True,
     ),
-)  # fmt: skip
+)
 """Built-in formats."""
 ADDED: Final = Extensions("rtof_kin.sensor_formats", Format, lambda form: form.title)
 """Formats of other packages and of this process."""
@@ -96,9 +118,6 @@ def formats() -> tuple[Format, ...]:
 
 def add_format(form: Format) -> None:
     """Add a format for this process, in place of an added one of the same title.
-
-    Args:
-        form: of sensor files.
 
     Raises:
         InvalidInputError: its title is that of a built-in format.
@@ -136,24 +155,16 @@ def _read(found: Mapping[Path, Format], declared: Mapping[str, Any]) -> SensorLo
     titles = list(dict.fromkeys(kind.title for kind in found.values()))
     first, kind = next(iter(found.items()))
     if len(titles) > 1:
-        raise FileFormatError(
-            first.parent, f"there are files of {' and of '.join(titles)}; name those of one trial"
-        )
+        raise FileFormatError(first.parent, f"there are files of {' and of '.join(titles)}; name those of one trial")
     if not kind.file_is_trial:
         return kind.read(list(found), **declared)
     if len(found) > 1:
-        raise FileFormatError(
-            first.parent, f"there are {len(found)} trials ({_names(list(found))}); name one"
-        )
+        raise FileFormatError(first.parent, f"there are {len(found)} trials ({_names(list(found))}); name one")
     return kind.read(first, **declared)
 
 
 def holds_sensors(folder: Path) -> bool:
-    """Return whether a folder, or its folders, have a file of sensors.
-
-    Args:
-        folder: to look into.
-    """
+    """Return whether a folder, or its folders, have a file of sensors."""
     try:
         return bool(_recognised(folder))
     except FileFormatError:
@@ -184,9 +195,6 @@ def _names(paths: Sequence[Path]) -> str:
 
 def format_of(path: Path) -> Format | None:
     """Return the format of a file by the text that it begins with; None where it is none of them.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: there is no such file, or it cannot be read.

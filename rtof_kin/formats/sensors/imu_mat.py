@@ -60,9 +60,6 @@ def matlab_variables(path: Path) -> dict[str, Any]:
 
     Structs are `scipy.io.matlab.mat_struct` in arrays of objects. Nothing in the file is executed.
 
-    Args:
-        path: the file.
-
     Raises:
         FileFormatError: no such file, of MATLAB 7.3, larger than `LARGEST_BYTES`, or damaged.
     """

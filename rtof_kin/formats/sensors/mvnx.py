@@ -101,11 +101,14 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
     a, m, quat = mvnx.a_world, mvnx.m_sensor, mvnx.quat_world_sensor
     sensors = [
         Readings(
-            name, times, acceleration=None if a is None else a[:, s],
-            magnetometer=None if m is None else m[:, s], quaternions=None if quat is None else quat[:, s],
+            name,
+            times,
+            acceleration=None if a is None else a[:, s],
+            magnetometer=None if m is None else m[:, s],
+            quaternions=None if quat is None else quat[:, s],
         )
         for s, name in enumerate(mvnx.sensors)
-    ]  # fmt: skip
+    ]
     notes = [*lost(times, rate)]
     if mvnx.poses:
         notes.append(f"calibration poses ({', '.join(mvnx.poses)}) are no samples; see read_mvnx_file")
@@ -119,9 +122,6 @@ def read_mvnx(path: Path, **declared: Any) -> SensorLog:
 
 def read_mvnx_file(path: Path) -> Mvnx:
     """Read sensors, segments and calibration poses of a file, in MVN's own frames.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: no such file, too large, broken XML, entities or a document type (not written by
@@ -285,6 +285,5 @@ class _Content:
         index = readonly("index", self.index, ("T",), np.int64)
         unread = tuple(sorted(self.unread))
         return Mvnx(
-            sensors, segments, self.rate_hz, index, self.poses, quat, a, m, quat_segment, p, unread,
-            self.start_utc,
-        )  # fmt: skip
+            sensors, segments, self.rate_hz, index, self.poses, quat, a, m, quat_segment, p, unread, self.start_utc
+        )

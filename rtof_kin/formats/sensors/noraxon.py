@@ -34,8 +34,10 @@ from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
 
 TITLE: Final = "Noraxon CSV"
 _ACCELERATION, _RATE = "acceleration", "gyroscope"
-_UNITS: Final = {_ACCELERATION: {"mG": "mg", "G": "g", "m/s^2": "m/s2", "m/s²": "m/s2"},
-                 _RATE: {"deg/s": "deg/s", "°/s": "deg/s", "rad/s": "rad/s"}}  # fmt: skip
+_UNITS: Final = {
+    _ACCELERATION: {"mG": "mg", "G": "g", "m/s^2": "m/s2", "m/s²": "m/s2"},
+    _RATE: {"deg/s": "deg/s", "°/s": "deg/s", "rad/s": "rad/s"},
+}
 """Spelling of a unit in the file -> in a declaration."""
 _SEGMENT: Final = r"(?P<segment>[^-,()]+?)"
 _SIDE: Final = r"(?: (?P<side>[LR]T))?"

@@ -75,7 +75,7 @@ def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
     """Write orientations R_inertial_sensor, z up, for OpenSim's OpenSense.
 
     Args:
-        path: the file. log: its sensors should have the names of their bodies (`SensorLog.renamed`).
+        log: its sensors should have the names of their bodies (`SensorLog.renamed`).
 
     Raises:
         InvalidInputError: a sensor lacks orientation or was sampled at other times.
@@ -85,9 +85,7 @@ def write_opensense_sto(path: str | Path, log: SensorLog) -> None:
     for stream in log.streams:
         R = stream.R_inertial_sensor
         if R is None or np.isnan(R).any():
-            raise InvalidInputError(
-                f"sensor {stream.name} has no orientation in every sample; cut or fill it"
-            )
+            raise InvalidInputError(f"sensor {stream.name} has no orientation in every sample; cut or fill it")
         if not np.array_equal(stream.times, times):
             problem = f"sensors {log.names[0]} and {stream.name} were sampled at different times"
             raise InvalidInputError(f"{problem}; resample one of them")

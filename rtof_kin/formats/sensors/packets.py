@@ -43,9 +43,8 @@ def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late:
     """Sort packets by a counter that wraps.
 
     Args:
-        path: the file, for messages. counters: (N,) as in the file. lines: (N,) their lines.
-        wrap: the first number that the counter cannot show, e.g. 2**16.
-        late: largest delay of a packet, counts. what: the counter's name in the file.
+        counters: (N,) as in the file. lines: (N,) their lines.
+        wrap: the first number that the counter cannot show, e.g. 2**16. what: the counter's name in the file.
 
     Raises:
         FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
@@ -53,9 +52,7 @@ def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late:
     wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
     if wrong.any():
         i = int(np.flatnonzero(wrong)[0])
-        raise FileFormatError(
-            path, f"{what} is {counters[i]:g}, not a whole number from 0 to {wrap - 1}", lines[i]
-        )
+        raise FileFormatError(path, f"{what} is {counters[i]:g}, not a whole number from 0 to {wrap - 1}", lines[i])
     raw = counters.astype(np.int64)
     forward = np.mod(np.diff(raw), wrap)
     steps = np.where(forward > wrap - late, forward - wrap, forward)
@@ -64,17 +61,20 @@ def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late:
     if len(anew):
         i = int(anew[0])
         raise FileFormatError(
-            path, f"{what} goes from {raw[i]} back to {raw[i + 1]}: it started anew; make a file of each "
-            "recording", lines[i + 1],
-        )  # fmt: skip
+            path,
+            f"{what} goes from {raw[i]} back to {raw[i + 1]}: it started anew; make a file of each recording",
+            lines[i + 1],
+        )
     count = raw[0] + np.concatenate([[0], np.cumsum(steps)])
     rows = np.argsort(count, kind="stable")
     new = np.diff(count[rows], prepend=count[rows[0]] - 1) > 0
     if np.sum(~new) > _MOST_AGAIN * len(raw):
         raise FileFormatError(
-            path, f"{np.sum(~new)} of {len(raw)} lines repeat a {what}: it started anew, or does not "
-            "count; make a file of each recording", lines[int(np.argmax(steps <= 0)) + 1],
-        )  # fmt: skip
+            path,
+            f"{np.sum(~new)} of {len(raw)} lines repeat a {what}: it started anew, or does not "
+            "count; make a file of each recording",
+            lines[int(np.argmax(steps <= 0)) + 1],
+        )
     events = (
         (falls, "time", f"{what} passed {wrap - 1} and began again at 0"),
         (steps < 0, "packet", "late, put in their places"),

@@ -48,11 +48,7 @@ def _known(names: Sequence[str]) -> bool:
 
 
 def phone_files(path: Path) -> list[Path]:
-    """Return the files of a phone at a path, which may be a folder; none where it is of something else.
-
-    Args:
-        path: file or folder.
-    """
+    """Return the files of a phone at a path, which may be a folder; none where it is of something else."""
     files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
     return [one for one in files if _known(cells(_first_line(one)))]
 

@@ -44,9 +44,6 @@ class Readings:
     def stream(self, declaration: Declaration) -> SensorStream:
         """Convert to SI units and this package's frames.
 
-        Args:
-            declaration: units, axes and order of the numbers.
-
         Raises:
             InvalidInputError: invalid times or matrices, a number beyond all measure, or gravity was
                 removed and there is no orientation.
@@ -56,8 +53,7 @@ class Readings:
             huge = np.argwhere(np.abs([] if values is None else values) > LARGEST_NUMBER)
             if len(huge):
                 raise InvalidInputError(
-                    f"sensor {self.name}, sample {huge[0][0]}: {values[tuple(huge[0])]:g} in {kind} is no "
-                    "measurement"
+                    f"sensor {self.name}, sample {huge[0][0]}: {values[tuple(huge[0])]:g} in {kind} is no measurement"
                 )
         R = norm = None
         if self.quaternions is not None:
@@ -94,8 +90,6 @@ def sensor_log(
     """Make the log of one trial.
 
     Args:
-        paths: its files. title: name of their format. readings: its sensors.
-        declaration: units, axes and order of the numbers. file_notes: remarks, in sentences.
         start_utc: of the earliest sample, if the files state it.
 
     Raises:

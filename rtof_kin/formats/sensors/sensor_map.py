@@ -27,9 +27,26 @@ from rtof_kin.core.files.text import read_text
 LARGEST_BYTES: Final = 2**20
 _SEPARATED: Final = re.compile(r"\s*[,;\t]\s*")
 _TITLES: Final = frozenset(
-    {"serial", "serial number", "sensor", "sensors", "imu", "id", "device", "tag", "name", "segment", "joint",
-     "place", "position", "location", "body", "body part", "bone"}
-)  # fmt: skip
+    {
+        "serial",
+        "serial number",
+        "sensor",
+        "sensors",
+        "imu",
+        "id",
+        "device",
+        "tag",
+        "name",
+        "segment",
+        "joint",
+        "place",
+        "position",
+        "location",
+        "body",
+        "body part",
+        "bone",
+    }
+)
 _Row = tuple[int | None, tuple[str, str]]  # a line's number; a sensor and its place
 _SHORTEST_END: Final = 3
 """Fewest characters of a serial number that name a sensor."""
@@ -37,9 +54,6 @@ _SHORTEST_END: Final = 3
 
 def read_sensor_map(path: str | Path) -> dict[str, str]:
     """Read the place of each sensor.
-
-    Args:
-        path: the file.
 
     Raises:
         FileFormatError: unreadable, a line without two columns, or a sensor or place twice; names the line.
@@ -93,14 +107,11 @@ def _of_xml(path: Path, text: str) -> list[_Row]:
     return found
 
 
-def matched(
-    places: Mapping[str, str], sensors: Sequence[str], path: str | Path | None = None
-) -> dict[str, str]:
+def matched(places: Mapping[str, str], sensors: Sequence[str], path: str | Path | None = None) -> dict[str, str]:
     """Return the place of each sensor of a trial that a map names.
 
     Args:
-        places: by serial number, by its last characters, or by name. sensors: names in the trial.
-        path: of the map, for messages.
+        places: by serial number, by its last characters, or by name.
 
     Raises:
         InvalidInputError: no sensor is named, one is named twice, or there are both sensors and lines of the
@@ -135,11 +146,7 @@ def _named(path: str | Path | None, keys: Sequence[str]) -> str:
 
 
 def same_sensor(key: str, sensor: str) -> bool:
-    """Return whether a map's word means a sensor: its name, or the last characters of it.
-
-    Args:
-        key: of the map. sensor: name in the trial.
-    """
+    """Return whether a map's word means a sensor: its name, or the last characters of it."""
     key, sensor = _plain(key), _plain(sensor)
     return key == sensor or (len(key) >= _SHORTEST_END and sensor.endswith(key))
 

@@ -57,7 +57,7 @@ def text_lines(path: Path, limit: int = LARGEST_BYTES) -> Iterator[tuple[int, st
     """Yield the lines of a text file with their numbers from 1, one at a time.
 
     Args:
-        path: the file. limit: largest size, bytes.
+        limit: largest size, bytes.
 
     Raises:
         FileFormatError: no such file, too large, binary, not UTF-8, or a line too long.
@@ -87,7 +87,7 @@ def cells(line: str, delimiter: str | None = None) -> list[str]:
     """Split a line into cells without surrounding blanks.
 
     Args:
-        line: the line. delimiter: by default the most frequent of tab, semicolon, comma.
+        delimiter: by default the most frequent of tab, semicolon, comma.
     """
     return [cell.strip() for cell in _split(line, delimiter or _delimiter(line))]
 
@@ -107,15 +107,12 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def read_table(
-    path: Path,
-    is_header: Callable[[list[str]], bool],
-    wanted: Callable[[str], bool],
-    decimal_commas: bool = False,
+    path: Path, is_header: Callable[[list[str]], bool], wanted: Callable[[str], bool], decimal_commas: bool = False
 ) -> SensorTable:
     """Read the table of a text file. A last line that was cut off is left out, with a note.
 
     Args:
-        path: the file. is_header: whether the cells of a line are the column names.
+        is_header: whether the cells of a line are the column names.
         wanted: whether the column of a name is read; other columns may hold any text.
         decimal_commas: whether 1,5 is one and a half where cells are not separated by commas.
 

@@ -28,22 +28,14 @@ _VALID: Final = 4
 
 
 def utc_of_milliseconds(since_epoch: str) -> datetime | None:
-    """Return a time given in milliseconds since 1970; None where it is none.
-
-    Args:
-        since_epoch: a whole number as text.
-    """
+    """Return a time given in milliseconds since 1970; None where it is none."""
     if not re.fullmatch(r"\d{1,14}", since_epoch) or int(since_epoch) == 0:
         return None
     return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=int(since_epoch))
 
 
 def start_of_dot(header: Sequence[str]) -> datetime | None:
-    """Return the time of a DOT file's header, which states the zone; None where absent or impossible.
-
-    Args:
-        header: lines above the column names.
-    """
+    """Return the time of a DOT file's header, which states the zone; None where absent or impossible."""
     found = next((match for line in header if (match := _DOT_START.match(line.strip()))), None)
     if found is None:
         return None
@@ -58,11 +50,7 @@ def start_of_dot(header: Sequence[str]) -> datetime | None:
 
 
 def start_of_mt(table: SensorTable, row: int) -> datetime | None:
-    """Return the time of a packet of MT Manager by its UTC columns; None where they do not state it.
-
-    Args:
-        table: of the file. row: of the packet.
-    """
+    """Return the time of a packet of MT Manager by its UTC columns; None where they do not state it."""
     columns = table.columns(*_UTC_COLUMNS)
     if columns is None or not np.isfinite(columns[row]).all() or not int(columns[row, -1]) & _VALID:
         return None
@@ -74,20 +62,12 @@ def start_of_mt(table: SensorTable, row: int) -> datetime | None:
 
 
 def start_in_mt_header(header: Sequence[str]) -> str | None:
-    """Return MT Manager's time of start as it is in the header; None where unknown.
-
-    Args:
-        header: lines above the column names.
-    """
+    """Return MT Manager's time of start as it is in the header; None where unknown."""
     return next((match[1] for line in header if (match := _MT_START.match(line.strip()))), None)
 
 
 def unzoned_note(start: object) -> tuple[str, ...]:
-    """Return a sentence about a time of start without its zone; none where it is no text.
-
-    Args:
-        start: as it is in the file.
-    """
+    """Return a sentence about a time of start without its zone; none where it is no text."""
     if not isinstance(start, str) or not start.strip():
         return ()
     return (f"began at {start.strip()[:40]}, in a time zone that is not stated",)

@@ -1,10 +1,9 @@
 """Folders of x-io Technologies' x-IMU3: a folder per sensor, a CSV per kind of message.
 
-Read are ``Inertial.csv`` (gyroscope deg/s, accelerometer g, gravity included, sensor axes),
-``Quaternion.csv`` (W, X, Y, Z from the sensor to the earth, z up in its usual NWU) and
-``Magnetometer.csv``, each with its own time stamps in us. ``Command.json`` names the sensor, else the
-folder does. Orientation and magnetic field are interpolated to the inertial samples where their stamps
-differ. Clocks are those of the devices, which the maker's software synchronises.
+Read are ``Inertial.csv`` (gyroscope deg/s, accelerometer g, gravity included, sensor axes), ``Quaternion.csv`` (W, X,
+Y, Z from the sensor to the earth, z up in its usual NWU) and ``Magnetometer.csv``, each with its own time stamps in
+us. ``Command.json`` names the sensor, else the folder does. Orientation and magnetic field are interpolated to the
+inertial samples where their stamps differ. Clocks are those of the devices, which the maker's software synchronises.
 """
 
 from __future__ import annotations

@@ -54,9 +54,7 @@ _KINDS: Final[dict[str, Groups]] = {
     "euler": (("Yaw", "Pitch", "Roll"), ("Euler_Z", "Euler_Y", "Euler_X")),
 }
 """Alternative groups of columns by what they measure."""
-_MEASURES: Final = tuple(
-    frozenset(name.lower() for name in group) for kind in _KINDS.values() for group in kind
-)
+_MEASURES: Final = tuple(frozenset(name.lower() for name in group) for kind in _KINDS.values() for group in kind)
 _READ: Final = frozenset({_COUNTER.lower(), _STAMP.lower()}.union(UTC_COLUMNS, *_MEASURES))
 _RATE: Final = re.compile(r"(?://\s*Update Rate:\s*|OutputRate:\W*)([\d.]+)\s*Hz", re.IGNORECASE)
 _SERIAL: Final = re.compile(r"[0-9A-Fa-f]{8}")
@@ -143,9 +141,8 @@ def _first(table: SensorTable, kind: Groups) -> Array | None:
         if len(lacking) < len(group):
             there = ", ".join(name for name in group if name not in lacking)
             raise FileFormatError(
-                table.path, f"has columns {there} and no {', '.join(lacking)}; export all of them, by "
-                "these names"
-            )  # fmt: skip
+                table.path, f"has columns {there} and no {', '.join(lacking)}; export all of them, by these names"
+            )
     return None
 
 
@@ -161,9 +158,7 @@ def _acceleration_declared(tables: Sequence[SensorTable]) -> dict[str, Any]:
     return {"gravity": "removed", "acceleration_axes": "inertial"}
 
 
-def _readings(
-    name: str, table: SensorTable, packets: Packets, times: Array, notes: tuple[str, ...]
-) -> Readings:
+def _readings(name: str, table: SensorTable, packets: Packets, times: Array, notes: tuple[str, ...]) -> Readings:
     found = {kind: _first(table, groups) for kind, groups in _KINDS.items()}
     taken = {kind: None if columns is None else columns[packets.rows] for kind, columns in found.items()}
     acceleration, matrices = taken["acceleration"], taken["matrices"]
@@ -172,9 +167,15 @@ def _readings(
     elif (euler := taken["euler"]) is not None:
         matrices = so3.euler_to_matrix("zyx", np.deg2rad(euler))
     return Readings(
-        name, times, taken["free"] if acceleration is None else acceleration, taken["gyroscope"],
-        taken["magnetometer"], taken["quaternions"], matrices, notes,
-    )  # fmt: skip
+        name,
+        times,
+        taken["free"] if acceleration is None else acceleration,
+        taken["gyroscope"],
+        taken["magnetometer"],
+        taken["quaternions"],
+        matrices,
+        notes,
+    )
 
 
 # --- times ---------------------------------------------------------------------------------------

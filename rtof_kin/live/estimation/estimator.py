@@ -59,15 +59,19 @@ class OnlineEstimator:
     """
 
     def __init__(
-        self, setup: Recording, landmarks: Sequence[str] = (), settings: OnlineSettings | None = None,
-        lifter: Lifter | None = None, calibration: SelfCalibration | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        setup: Recording,
+        landmarks: Sequence[str] = (),
+        settings: OnlineSettings | None = None,
+        lifter: Lifter | None = None,
+        calibration: SelfCalibration | None = None,
+    ) -> None:
         """Build the problem, which compiles code the first time.
 
         Args:
             setup: recording whose camera, body, floor and calibration of sensors are used; not its streams.
             landmarks: names of the L points of the video; none for sensors alone.
-            settings: rate, lag and solver. lifter: keypoints to 3D; by default the shipped one.
+            lifter: keypoints to 3D; by default the shipped one.
             calibration: that the refinement begins with; for one to be kept as it is, apply it to the setup.
 
         Raises:
@@ -88,9 +92,7 @@ class OnlineEstimator:
             self._sensors = SensorBuffer(setup.calibration, joints, s.rate_hz, solver.acceleration_cutoff_hz)
         if self._camera is None and self._sensors is None:
             raise InvalidInputError("setup: neither camera with landmarks nor calibrated sensors")
-        self._window = Window(
-            self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames
-        )
+        self._window = Window(self.skeleton, self._camera, self._landmarks, self._sensors, solver, s.rate_hz, s.frames)
         self._poses = WindowPoses(self._window)
         self._errors = StatedErrors(self._window) if s.confidence else None
         self._solver, self._lifter = solver, self._streaming(lifter, setup.floor_height)
@@ -111,9 +113,13 @@ class OnlineEstimator:
         from lifting.streaming import StreamingLifter
 
         return StreamingLifter(
-            lifter or Lifter.load(), self._camera, self.skeleton.joint_offsets, floor_height,
-            names=self._landmarks, history_s=self.settings.frames / self.settings.rate_hz + 0.5,
-        )  # fmt: skip
+            lifter or Lifter.load(),
+            self._camera,
+            self.skeleton.joint_offsets,
+            floor_height,
+            names=self._landmarks,
+            history_s=self.settings.frames / self.settings.rate_hz + 0.5,
+        )
 
     def _refined(self, start: SelfCalibration | None) -> Refinement | None:
         priors = self.settings.refined
@@ -363,9 +369,8 @@ class OnlineEstimator:
     def _keypoints(self, sample: FrameSample) -> KeypointSequence:
         assert self._camera is not None
         return KeypointSequence(
-            self._camera, np.array([sample.time]), sample.uv_px[None], sample.confidence[None],
-            self._landmarks,
-        )  # fmt: skip
+            self._camera, np.array([sample.time]), sample.uv_px[None], sample.confidence[None], self._landmarks
+        )
 
     def _first_by_sensors(self) -> Array | None:
         sensors = self._sensors

@@ -29,8 +29,7 @@ def first_lifted(
     """Return a lifted pose with measured orientations, its root on the rays of its landmarks.
 
     Args:
-        skeleton: the subject's. pose: lifted. sensed: orientations (3, 3) in world by joint.
-        keypoints: one frame, at the time of the pose.
+        skeleton: the subject's. sensed: orientations (3, 3) in world by joint.
     """
     parents, offsets = skeleton.parents, skeleton.joint_offsets
     p = pose.p_world_joint[None]
@@ -48,7 +47,7 @@ def first_sensed(
     """Return the pose that sensors show, above the origin with the lower ankle at a height.
 
     Args:
-        skeleton: the subject's. sensors: their samples. time: s. ankle_height: in world, m.
+        skeleton: the subject's. time: s. ankle_height: in world, m.
 
     Returns:
         One frame; None where no sensor has data.

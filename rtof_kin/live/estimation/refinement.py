@@ -16,12 +16,7 @@ import numpy as np
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.calibration.sequential import (
-    DELAY_ALONE,
-    Corrections,
-    SequentialCalibration,
-    WindowObservations,
-)
+from rtof_kin.calibration.sequential import DELAY_ALONE, Corrections, SequentialCalibration, WindowObservations
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import SolverError, UnknownNameError
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
@@ -43,9 +38,6 @@ _OPEN: Final = {
 def refinement_priors(kinds: Sequence[str]) -> CalibrationPriors | None:
     """Return the priors of what is refined during a session; None for nothing.
 
-    Args:
-        kinds: some of delay, heading, mounting, posture.
-
     Raises:
         UnknownNameError: there is no such kind.
     """
@@ -65,14 +57,12 @@ class Refinement:
     """
 
     def __init__(
-        self, window: Window, sensors: SensorBuffer, priors: CalibrationPriors,
-        start: SelfCalibration | None = None,
-    ) -> None:  # fmt: skip
+        self, window: Window, sensors: SensorBuffer, priors: CalibrationPriors, start: SelfCalibration | None = None
+    ) -> None:
         """Begin.
 
         Args:
-            window: of the estimator. sensors: their samples, which are evaluated without corrections.
-            priors: say what is open. start: values that are known already.
+            sensors: their samples, which are evaluated without corrections.
 
         Raises:
             CalibrationError: nothing is open.

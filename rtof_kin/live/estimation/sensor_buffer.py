@@ -44,7 +44,6 @@ class SensorBuffer:
         """Begin empty.
 
         Args:
-            calibration: of the sensors. joints: S segments that count. rate_hz: of the frames.
             cutoff_hz: of the accelerations' low-pass; None for none.
         """
         self.joints = joints
@@ -70,8 +69,7 @@ class SensorBuffer:
         """Take a sample; those without an orientation are left out, as are further ones of the same time.
 
         Args:
-            sensor: name, as in the calibration. time: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN
-                where missing.
+            time: s. R_inertial_sensor: (3, 3). f_sensor: (3,) m/s^2; NaN where missing.
 
         Raises:
             UnknownNameError: the sensor is not calibrated.

@@ -40,7 +40,7 @@ class StatedErrors:
         """Return the covariances of frame i of the window.
 
         Args:
-            i: index. time: of the frame, s.
+            time: of the frame, s.
         """
         window, data = self._window, self._window.data
         x = window.smoother.x[i : i + 1]

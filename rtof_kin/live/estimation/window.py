@@ -52,15 +52,20 @@ class Window:
     """
 
     def __init__(
-        self, skeleton: SkeletonModel, camera: Camera | None, landmarks: Sequence[str],
-        sensors: SensorBuffer | None, settings: JointSpaceSettings, rate_hz: float, frames: int,
-    ) -> None:  # fmt: skip
+        self,
+        skeleton: SkeletonModel,
+        camera: Camera | None,
+        landmarks: Sequence[str],
+        sensors: SensorBuffer | None,
+        settings: JointSpaceSettings,
+        rate_hz: float,
+        frames: int,
+    ) -> None:
         """Build the problem.
 
         Args:
             skeleton: the subject's. camera: None without one. landmarks: names of the video's points.
-            sensors: calibrated; None without any. settings: of the residuals. rate_hz: frames per second.
-            frames: N.
+            sensors: calibrated; None without any. rate_hz: frames per second.
         """
         self.skeleton, self.camera, self.sensors, self.rate_hz = skeleton, camera, sensors, rate_hz
         self._settings, self.frames, self.first = settings, frames, 1 - frames
@@ -162,8 +167,7 @@ class Window:
         """Put the points of a video frame into frame i of the window.
 
         Args:
-            i: index in the window. sample: of the video. offset: time of the frame after the sample, s.
-            speed: (L, 2) of the points, px/s; None where unknown.
+            offset: time of the frame after the sample, s. speed: (L, 2) of the points, px/s; None where unknown.
         """
         assert self.camera is not None
         uv, camera, rows = sample.uv_px, self.camera, self.smoother.rows
@@ -207,7 +211,6 @@ class Window:
         """Anchor frames of the window to lifts, where nothing better observes the body.
 
         Args:
-            frames: n indices in the window. poses: n of their times.
             images: that each of them stands for.
         """
         own, rows, s = list(frames), self.smoother.rows, self._settings
@@ -274,9 +277,11 @@ class Window:
             a_known = self.smoother.w_acceleration[inside][:, own, None] > 0
             a = np.where(a_known, self.smoother.a_world[inside][:, own], np.nan)
             levers = self.data.constant["levers"].T[own]
-            sensors = BoneImuSequence(
-                times[inside], np.where(known, R_bone, np.nan), a, levers, tuple(joints)
-            ) if joints else None  # fmt: skip
+            sensors = (
+                BoneImuSequence(times[inside], np.where(known, R_bone, np.nan), a, levers, tuple(joints))
+                if joints
+                else None
+            )
         found = detect_contacts(poses, sensors, self.skeleton, from_poses=True)
         self._standing[inside] |= found.standing
         if not lost and s.floor_height is None and found.standing.any():
@@ -308,18 +313,21 @@ _LEGS: Final = ("LeftLeg", "RightLeg", *FEET)
 
 
 def _problem(
-    skeleton: SkeletonModel, camera: Camera | None, landmarks: Sequence[str], sensors: SensorBuffer | None,
-    settings: JointSpaceSettings, rate_hz: float, frames: int,
-) -> Observations:  # fmt: skip
+    skeleton: SkeletonModel,
+    camera: Camera | None,
+    landmarks: Sequence[str],
+    sensors: SensorBuffer | None,
+    settings: JointSpaceSettings,
+    rate_hz: float,
+    frames: int,
+) -> Observations:
     """Observations of a person who stands in front of the camera, without any: the problem's constants."""
     times, at = np.arange(frames) / rate_hz, np.zeros(3)
     if camera is not None:
         at = camera.center_world + _AWAY_M * camera.R_camera_world[2]
     p, R = skeleton.forward_kinematics(skeleton.t_pose()[None])
     p = np.repeat(p - p[:, :1] + at, frames, axis=0)
-    guess = InitialGuess(
-        PoseSequence(times, p, np.repeat(R, frames, axis=0), skeleton.names), np.zeros(frames)
-    )
+    guess = InitialGuess(PoseSequence(times, p, np.repeat(R, frames, axis=0), skeleton.names), np.zeros(frames))
     keypoints = None
     if camera is not None:
         empty = np.full((frames, len(landmarks), 2), np.nan)
@@ -329,9 +337,8 @@ def _problem(
     if sensors is not None:
         S = len(sensors.joints)
         bone_imus = BoneImuSequence(
-            times, np.tile(np.eye(3), (frames, S, 1, 1)), np.zeros((frames, S, 3)), sensors.levers,
-            sensors.joints,
-        )  # fmt: skip
+            times, np.tile(np.eye(3), (frames, S, 1, 1)), np.zeros((frames, S, 3)), sensors.levers, sensors.joints
+        )
     nowhere = Footholds(FEET, np.full((frames, len(FEET), 3), np.nan))
     return Observations(skeleton, frames, settings, guess, keypoints, bone_imus, nowhere)
 
@@ -340,7 +347,7 @@ def speeds(sample: FrameSample, before: FrameSample | None, longest: float) -> A
     """Return the speed (L, 2) of the points, px/s; None without a sample shortly before.
 
     Args:
-        sample, before: of the video. longest: time between them, s.
+        longest: time between them, s.
     """
     if before is None or not 0 < sample.time - before.time <= longest:
         return None

@@ -23,7 +23,7 @@ class WindowPoses:
         """Return the pose of a frame: provenance, validity and observed orientations as after SF2.
 
         Args:
-            i: index in the window. time: of the frame, s.
+            time: of the frame, s.
         """
         window, skeleton = self._window, self._skeleton
         p, R = window.data.space.poses(window.smoother.x[i : i + 1])
@@ -33,9 +33,7 @@ class WindowPoses:
         person = window.camera is None or seen.any()
         unseen = Provenance.PRIOR if person else Provenance.BRIDGED
         provenance = np.where(
-            by_imu,
-            np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU),
-            np.where(seen, Provenance.CAMERA, unseen),
+            by_imu, np.where(seen, Provenance.CAMERA_AND_IMU, Provenance.IMU), np.where(seen, Provenance.CAMERA, unseen)
         )
         first = max(i - round(LONGEST_BRIDGE * window.smoother.rate_hz), 0)
         valid: Mask = np.asarray(window.seen[first : i + 1].any(axis=0))
@@ -44,9 +42,14 @@ class WindowPoses:
         for j, parent in enumerate(skeleton.parents):
             valid[j] |= parent >= 0 and by_imu[j] and valid[parent]
         return PoseSequence(
-            np.array([time]), p, R, skeleton.names, provenance[None].astype(np.uint8),
-            valid[None], (sensed | (self._whole(seen) & valid))[None],
-        )  # fmt: skip
+            np.array([time]),
+            p,
+            R,
+            skeleton.names,
+            provenance[None].astype(np.uint8),
+            valid[None],
+            (sensed | (self._whole(seen) & valid))[None],
+        )
 
     def _sensed(self, i: int) -> Mask:
         """(J,) segments whose sensor has data in frame i."""

@@ -61,18 +61,19 @@ class JointStates:
             "joints": list(skeleton.names),
             "parents": [int(parent) for parent in skeleton.parents],
             "angles": [
-                {"name": name, "joint": joint, "clinical": dof.clinical.lstrip("-"),
-                 "sign": -1 if dof.clinical.startswith("-") else 1}
+                {
+                    "name": name,
+                    "joint": joint,
+                    "clinical": dof.clinical.lstrip("-"),
+                    "sign": -1 if dof.clinical.startswith("-") else 1,
+                }
                 for name, (joint, dof) in ((name, dofs[name]) for name in skeleton.dof_names)
             ],
             "provenance": [member.name.lower().replace("_", " ") for member in Provenance],
-        }  # fmt: skip
+        }
 
     def message(self, estimate: OnlineEstimate) -> Data:
         """Return the message of an estimate, see the module.
-
-        Args:
-            estimate: the next one.
 
         Raises:
             UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
@@ -98,9 +99,7 @@ class JointStates:
             "joints": {
                 "position": [
                     row if finite else None
-                    for row, finite in zip(
-                        p.round(_DIGITS).tolist(), np.isfinite(p).all(axis=1).tolist(), strict=True
-                    )
+                    for row, finite in zip(p.round(_DIGITS).tolist(), np.isfinite(p).all(axis=1).tolist(), strict=True)
                 ],
                 "valid": poses.valid[-1].tolist(),
                 "provenance": poses.provenance[-1].tolist(),

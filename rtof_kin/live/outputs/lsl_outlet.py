@@ -24,16 +24,12 @@ _IRREGULAR: Final = 0.0
 class LslOutlet:
     """Sends every estimate as one sample, see `channels`, stamped with the time of its pose.
 
-    A receiver sees the lag as the age of a sample. Where poses are on another clock than LSL's, as in a
-    replay, stamps are shifted so that the newest sample of the sensors is of now. Messages are a stream of
-    text, NAME_messages.
+    A receiver sees the lag as the age of a sample. Where poses are on another clock than LSL's, as in a replay, stamps
+    are shifted so that the newest sample of the sensors is of now. Messages are a stream of text, NAME_messages.
     """
 
     def __init__(self, name: str, skeleton: SkeletonModel):
         """Open both streams.
-
-        Args:
-            name: of the stream. skeleton: of the poses.
 
         Raises:
             SourceError: pylsl is not installed.
@@ -54,16 +50,11 @@ class LslOutlet:
         facts.append_child_value("frame", "world: z up, metres; base: root link in world")
         facts.append_child_value("urdf", skeleton.to_urdf())
         self._outlet: Any = self._pylsl.StreamOutlet(info, max_buffered=_BUFFER_S)
-        text = self._pylsl.StreamInfo(
-            f"{name}_messages", "Markers", 1, _IRREGULAR, "string", f"{host}:messages"
-        )
+        text = self._pylsl.StreamInfo(f"{name}_messages", "Markers", 1, _IRREGULAR, "string", f"{host}:messages")
         self._messages: Any = self._pylsl.StreamOutlet(text)
 
     def send(self, estimate: OnlineEstimate) -> None:
         """Send an estimate; a listener is not waited for.
-
-        Args:
-            estimate: of the skeleton.
 
         Raises:
             UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
@@ -101,13 +92,9 @@ class LslOutlet:
 def channels(skeleton: SkeletonModel) -> Iterator[dict[str, str]]:
     """Yield the metadata of every channel, in order.
 
-    Pose of the root link in world (m, quaternion x y z w); an angle of each revolute of the URDF, rad, on the
-    turn nearest to the middle of its limits, with its clinical and OpenSim names (a leading '-': of opposite
-    sign); for each joint 1 where its position is reliable; lag and time of the estimate, s. What is unknown
-    is NaN.
-
-    Args:
-        skeleton: of the poses.
+    Pose of the root link in world (m, quaternion x y z w); an angle of each revolute of the URDF, rad, on the turn
+    nearest to the middle of its limits, with its clinical and OpenSim names (a leading '-': of opposite sign); for
+    each joint 1 where its position is reliable; lag and time of the estimate, s. What is unknown is NaN.
     """
     for label in BASE_COLUMNS:
         axis = label[-1].upper()
@@ -116,9 +103,14 @@ def channels(skeleton: SkeletonModel) -> Iterator[dict[str, str]]:
     dofs = {dof.urdf: dof for joint in skeleton.table.joints for dof in joint.dofs}
     for name, (low, high) in zip(skeleton.dof_names, skeleton.limits.tolist(), strict=True):
         yield {
-            "label": name, "unit": "radians", "type": "Angle", "clinical": dofs[name].clinical,
-            "opensim": dofs[name].opensim, "lower_limit": f"{low:.6g}", "upper_limit": f"{high:.6g}",
-        }  # fmt: skip
+            "label": name,
+            "unit": "radians",
+            "type": "Angle",
+            "clinical": dofs[name].clinical,
+            "opensim": dofs[name].opensim,
+            "lower_limit": f"{low:.6g}",
+            "upper_limit": f"{high:.6g}",
+        }
     for name in skeleton.names:
         yield {"label": f"{name}_valid", "unit": "boolean", "type": "Validity"}
     for name in ("lag", "frame_time"):

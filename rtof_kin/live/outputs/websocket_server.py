@@ -87,14 +87,12 @@ class _Outbox:
 class WebSocketServer:
     """Serves the page at `url`, and estimates over WebSocket at the same port; a `Sink`."""
 
-    def __init__(
-        self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None
-    ):
+    def __init__(self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None):
         """Open the port and begin to serve.
 
         Args:
-            skeleton: of the estimates. port: TCP port; 0: a free one, see `url`.
-            host: address to listen at, this machine's alone by default. floor_height: for the page, m.
+            port: TCP port; 0: a free one, see `url`. host: address to listen at, this machine's alone by default.
+            floor_height: for the page, m.
 
         Raises:
             SourceError: the port is taken, or the host is not an address of this machine.
@@ -141,9 +139,6 @@ class WebSocketServer:
     def send(self, estimate: OnlineEstimate) -> None:
         """Send an estimate to all clients; without clients nothing is done.
 
-        Args:
-            estimate: the next one.
-
         Raises:
             UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
         """
@@ -158,11 +153,7 @@ class WebSocketServer:
             self._dropped += self.clients
 
     def tell(self, sentence: str) -> None:
-        """Send a message to all clients, and to those that connect later.
-
-        Args:
-            sentence: about the streams.
-        """
+        """Send a message to all clients, and to those that connect later."""
         self._call(self._put_message, _text({"message": sentence}))
 
     def send_status(self, status: Mapping[str, Any]) -> None:
@@ -196,9 +187,15 @@ class WebSocketServer:
     async def _serve(self) -> None:
         patience = {"open_timeout": _PATIENCE_S, "close_timeout": _PATIENCE_S}
         async with self._websockets.serve(
-            self._attend, sock=self._socket, process_request=self._answer, compression=None, logger=_LOG,
-            server_header=None, max_size=_LONGEST_REQUEST, **patience,
-        ):  # fmt: skip
+            self._attend,
+            sock=self._socket,
+            process_request=self._answer,
+            compression=None,
+            logger=_LOG,
+            server_header=None,
+            max_size=_LONGEST_REQUEST,
+            **patience,
+        ):
             await self._stop.wait()
 
     async def _attend(self, connection: ServerConnection) -> None:
@@ -266,6 +263,4 @@ def _text(data: Mapping[str, Any]) -> str:
     try:
         return json.dumps(data, separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(
-            f"cannot be sent as JSON ({error}); give plain values, None for NaN"
-        ) from error
+        raise InvalidInputError(f"cannot be sent as JSON ({error}); give plain values, None for NaN") from error

@@ -133,18 +133,13 @@ class _Track:
 class ClockMap:
     """Maps the time stamps of one source to the common clock, or a clock of its own to this machine's.
 
-    A clock of its own is mapped by the earliest arrivals of the last ten seconds. Streams of one source
-    whose offsets agree within 30 ms are taken to have one clock. Where stamps go back or leap by more than
-    half a second against arrivals, and go on from there, the map begins anew; those in between and single
-    stamps off the line are left out.
+    A clock of its own is mapped by the earliest arrivals of the last ten seconds. Streams of one source whose offsets
+    agree within 30 ms are taken to have one clock. Where stamps go back or leap by more than half a second against
+    arrivals, and go on from there, the map begins anew; those in between and single stamps off the line are left out.
     """
 
     def __init__(self, source: str, clock: Clock = Clock.OWN):
-        """Begin without any sample.
-
-        Args:
-            source: its name, for messages. clock: what its stamps refer to.
-        """
+        """Begin without any sample."""
         self.source, self.clock = source, clock
         self.left_out = 0
         """Samples with a stamp off the line."""
@@ -222,7 +217,7 @@ class SessionClock:
         """Return a sample with its time.
 
         Args:
-            source: its name. sample: on that source's clock. arrival: s on this machine's clock.
+            sample: on that source's clock. arrival: s on this machine's clock.
         """
         if math.isnan(self._first_arrival):
             self._first_arrival = arrival
@@ -264,7 +259,7 @@ def with_time(sample: Sample, time: float) -> Sample:
     """Return a sample on the session's clock.
 
     Args:
-        sample: on the clock of its source. time: s on the session's clock.
+        time: s on the session's clock.
     """
     if sample.time == time:
         return sample

@@ -21,7 +21,7 @@ class Feed:
         """Take a source that is not started yet.
 
         Args:
-            source: of samples. in_background: start it in a thread, as finding a stream may take seconds.
+            in_background: start it in a thread, as finding a stream may take seconds.
         """
         self.source, self.name = source, source.name
         self._in_background = in_background

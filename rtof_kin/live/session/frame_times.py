@@ -23,7 +23,7 @@ class FrameTimes:
         """Take frames.
 
         Args:
-            seconds: of each. frames: how many.
+            seconds: of each.
         """
         place = int(math.log(max(seconds, _LEAST) / _LEAST) / _WIDTH)
         self._counts[min(place, _BINS - 1)] += frames

@@ -188,7 +188,6 @@ class Monitor:
         """Begin to wait for streams.
 
         Args:
-            sensors: names that are expected. camera: whether frames are expected.
             patience_s: after which a stream that does not start is told, s.
         """
         self._streams = {name: _Stream(name) for name in (*sensors, *((VIDEO,) if camera else ()))}
@@ -224,11 +223,7 @@ class Monitor:
         self._streams[arrived.stream].add(arrived, age, self.now(arrived.arrival))
 
     def estimated(self, estimate: OnlineEstimate, seconds: float) -> None:
-        """Take an estimate, for the figures of `status`.
-
-        Args:
-            estimate: one frame. seconds: that it took as a whole.
-        """
+        """Take an estimate, for the figures of `status`."""
         self._frames.append((float(estimate.poses.times[0]), estimate.lag_s, seconds))
 
     def frozen(self, stream: str) -> bool:
@@ -312,8 +307,7 @@ class Monitor:
     def counts(self) -> dict[str, StreamCounts]:
         """Return the samples of each stream so far."""
         return {
-            s.name: StreamCounts(s.received, round(s.lost_so_far), s.late, s.repeated)
-            for s in self._streams.values()
+            s.name: StreamCounts(s.received, round(s.lost_so_far), s.late, s.repeated) for s in self._streams.values()
         }
 
     def _change(

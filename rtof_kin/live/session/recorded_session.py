@@ -20,13 +20,7 @@ from numpy.typing import NDArray
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.core.errors import (
-    FileFormatError,
-    InvalidInputError,
-    OutputExistsError,
-    RtofError,
-    WritingError,
-)
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError, WritingError
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.manifest import MANIFEST, write_manifest
 from rtof_kin.core.files.temporary import locked

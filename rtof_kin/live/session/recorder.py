@@ -109,8 +109,8 @@ class Recorder:
         """Make the folder and write the setup.
 
         Args:
-            folder: to be written; new, or empty. setup: camera, body and calibration.
-            video_delay_s: by how much the video's stamps are late. chunk_s: length of a file, s.
+            folder: to be written; new, or empty. video_delay_s: by how much the video's stamps are late.
+            chunk_s: length of a file, s.
             in_background: write in a thread, so that a slow disk does not delay the estimate.
 
         Raises:
@@ -136,21 +136,13 @@ class Recorder:
             self._thread.start()
 
     def landmarks(self, names: Sequence[str]) -> None:
-        """Take the names of the points of the frames that follow.
-
-        Args:
-            names: L landmarks and points of the detector.
-        """
+        """Take the names of the points of the frames that follow."""
         if self._chunk is not None and self._chunk.frames:
             self._put(self._chunk)
         self._landmarks = tuple(names)
 
     def add(self, arrived: Arrived) -> None:
-        """Take a sample, also one without a time.
-
-        Args:
-            arrived: whose arrays have the right shapes.
-        """
+        """Take a sample, also one without a time."""
         chunk = self._current(arrived.arrival)
         (chunk.frames if isinstance(arrived.sample, FrameSample) else chunk.sensors).append(arrived)
 
@@ -158,7 +150,7 @@ class Recorder:
         """Take an estimate.
 
         Args:
-            estimate: one frame. arrival: now, s on the clock of the arrivals.
+            arrival: now, s on the clock of the arrivals.
         """
         self._current(arrival).estimates.append(estimate)
 
@@ -166,7 +158,7 @@ class Recorder:
         """Take a message.
 
         Args:
-            sentence: about the streams. arrival: now, s on the clock of the arrivals.
+            arrival: now, s on the clock of the arrivals.
         """
         self._current(arrival).sentences.append(sentence)
 
@@ -271,6 +263,4 @@ def _bare(setup: Recording, name: str) -> Recording:
     if worn:
         R, f = np.full((1, len(worn), 3, 3), np.nan), np.full((1, len(worn), 3), np.nan)
         imus = ImuSequence(np.zeros(1), R, f, worn)
-    return replace(
-        setup, name=name, keypoints=video, imus=imus, truth=None, views=(), model_prior=None, first_frame=0
-    )
+    return replace(setup, name=name, keypoints=video, imus=imus, truth=None, views=(), model_prior=None, first_frame=0)

@@ -80,11 +80,9 @@ class LiveSession:
         """Put a session together; nothing is started yet.
 
         Args:
-            setup: camera, body and calibration. sources: of different names. estimator: of poses.
-            sinks: that take estimates and messages. recorder: of everything; None for none.
-            video_delay_s: by how much the video's stamps are late. patience_s: for streams that do not start.
-            in_background: start sources and check first seconds in threads; without, `step` is
-                deterministic.
+            recorder: of everything; None for none. video_delay_s: by how much the video's stamps are late.
+            patience_s: for streams that do not start.
+            in_background: start sources and check first seconds in threads; without, `step` is deterministic.
 
         Raises:
             InvalidInputError: two sources of one name.
@@ -323,8 +321,7 @@ class LiveSession:
         """Run until told to stop, interrupted (Ctrl-C), or all sources have finished.
 
         Args:
-            stop: asked in every step. clock: of the arrivals, s. period_s: between two polls;
-                0 for a replay that need not keep pace.
+            clock: of the arrivals, s. period_s: between two polls; 0 for a replay that need not keep pace.
         """
         stopped = stop.is_set if isinstance(stop, Event) else stop
         try:

@@ -12,27 +12,15 @@ class SinkGroup:
     """Gives estimates and messages to all sinks that still take them."""
 
     def __init__(self, sinks: Sequence[Sink]):
-        """Take the sinks.
-
-        Args:
-            sinks: outlets, servers, displays.
-        """
+        """Take the sinks."""
         self._sinks = list(sinks)
 
     def send(self, estimate: OnlineEstimate) -> list[str]:
-        """Give an estimate; return a sentence for each sink that is dropped.
-
-        Args:
-            estimate: one frame.
-        """
+        """Give an estimate; return a sentence for each sink that is dropped."""
         return self._each(lambda sink: sink.send(estimate))
 
     def tell(self, sentence: str) -> list[str]:
-        """Give a message; return a sentence for each sink that is dropped.
-
-        Args:
-            sentence: about the streams.
-        """
+        """Give a message; return a sentence for each sink that is dropped."""
         return self._each(lambda sink: sink.tell(sentence))
 
     def close(self) -> None:

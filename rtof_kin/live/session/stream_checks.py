@@ -50,11 +50,7 @@ def shape_faults(samples: Sequence[Sample], landmarks: Sequence[int]) -> list[st
 
 
 def number_faults(samples: Sequence[Sample]) -> list[str]:
-    """Return for each sample why its numbers are of no use; '' where they are.
-
-    Args:
-        samples: whose arrays have the right shapes.
-    """
+    """Return for each sample why its numbers are of no use; '' where they are."""
     out = [_frame_fault(s) if isinstance(s, FrameSample) else "" for s in samples]
     imus = [(i, s) for i, s in enumerate(samples) if isinstance(s, ImuSample)]
     if imus:
@@ -100,22 +96,14 @@ def _imu_faults(R: Array, f: Array) -> list[str]:
 
 
 def unknown_sensors(seen: Iterable[str], setup: Recording) -> list[str]:
-    """Return the sensors that the calibration of a setup does not have; none without a calibration.
-
-    Args:
-        seen: names in the streams. setup: with the calibration.
-    """
+    """Return the sensors that the calibration of a setup does not have; none without a calibration."""
     if setup.calibration is None:
         return []
     return [name for name in seen if name not in setup.calibration.sensors]
 
 
 def sensor_sentence(unknown: Sequence[str], seen: Sequence[str], setup: Recording) -> str:
-    """Return what to say about sensors without a calibration.
-
-    Args:
-        unknown: their names. seen: all names in the streams. setup: with the calibration.
-    """
+    """Return what to say about sensors without a calibration."""
     known = setup.calibration.sensors if setup.calibration is not None else ()
     free = [name for name in known if name not in seen]
     text = f"{_some(unknown)}: not in the calibration, so recorded but not used"
@@ -123,11 +111,7 @@ def sensor_sentence(unknown: Sequence[str], seen: Sequence[str], setup: Recordin
 
 
 def unknown_landmarks(names: Sequence[str], setup: Recording) -> list[str]:
-    """Return the names that are neither landmarks of the skeleton nor points of a detector.
-
-    Args:
-        names: of points in a stream. setup: with the skeleton.
-    """
+    """Return the names that are neither landmarks of the skeleton nor points of a detector."""
     known = setup.skeleton.landmarks
     return [name for name in names if name not in known and not _of_detector(name)]
 
@@ -136,7 +120,7 @@ def landmark_sentences(landmarks: Sequence[str], setup: Recording) -> list[str]:
     """Return what to say about the points of a camera's stream: unknown names, and missing ones.
 
     Args:
-        landmarks: names in the stream. setup: with the skeleton, and the keypoints of the setup if any.
+        setup: with the skeleton, and the keypoints of the setup if any.
     """
     known = list(setup.skeleton.landmarks)
     unknown = unknown_landmarks(landmarks, setup)
@@ -229,11 +213,7 @@ class FirstSeconds:
         self._done: set[str] = set()
 
     def add(self, arrived: Arrived) -> None:
-        """Take a sample of a sensor; one that has been checked is ignored.
-
-        Args:
-            arrived: with its time, and with usable numbers.
-        """
+        """Take a sample of a sensor; one that has been checked is ignored."""
         sample = arrived.sample
         if isinstance(sample, FrameSample) or sample.sensor in self._done or math.isnan(arrived.time):
             return

@@ -90,9 +90,7 @@ class ImuChannels:
         R = declaration.rotations(numbers[:, self._quaternions].reshape(-1, 4))
         a = np.where(self._acceleration < 0, np.nan, numbers[:, self._acceleration]).reshape(-1, 3)
         f = declaration.specific_force(a, R)
-        return [
-            ImuSample(self.sensors[i % S], float(stamps[i // S]), R[i], f[i]) for i in range(len(stamps) * S)
-        ]
+        return [ImuSample(self.sensors[i % S], float(stamps[i // S]), R[i], f[i]) for i in range(len(stamps) * S)]
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ class FrameChannels:
         """Return what the channels of a stream hold: ``<landmark>_x``, ``_y`` in px, ``_confidence``.
 
         Args:
-            stream: its name. labels, units: of each channel; units may be empty.
+            labels, units: of each channel; units may be empty.
 
         Raises:
             SourceError: no point, one without x or y, a channel twice, or coordinates that are not in px.
@@ -133,9 +131,7 @@ class FrameChannels:
             SourceError: another number of channels than labels.
         """
         stamps = np.asarray(times, dtype=float)
-        uv, confidence = self.channels.points(
-            checked_width(self.stream, values, len(stamps), self.channels.count)
-        )
+        uv, confidence = self.channels.points(checked_width(self.stream, values, len(stamps), self.channels.count))
         return [FrameSample(float(stamps[i]), uv[i], confidence[i]) for i in range(len(stamps))]
 
 
@@ -143,7 +139,7 @@ def checked_width(stream: str, values: ArrayLike, rows: int, count: int) -> Arra
     """Return the numbers of some samples as an array (T, C).
 
     Args:
-        stream: name, for the message. values: (T, C). rows, count: T and C.
+        values: (T, C).
 
     Raises:
         SourceError: the values have another shape.

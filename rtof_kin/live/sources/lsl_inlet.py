@@ -55,8 +55,7 @@ class Inlet:
             self._inlet.open_stream(_CONNECT_S)
         except (self._pylsl.util.TimeoutError, self._pylsl.util.LostError) as error:
             raise SourceError(
-                f"stream {stream}: answers from {info.hostname()}, but no connection opens; check the "
-                "firewall there"
+                f"stream {stream}: answers from {info.hostname()}, but no connection opens; check the firewall there"
             ) from error
         self.rate_hz = float(self._info.nominal_srate())
         """Nominal rate, Hz; 0 where irregular."""
@@ -120,7 +119,7 @@ def find_one(stream: str, timeout_s: float) -> tuple[Inlet, float | None]:
     """Connect to the stream of a name, of which there must be one.
 
     Args:
-        stream: name. timeout_s: s that it has to answer.
+        timeout_s: s that it has to answer.
 
     Returns:
         The connection, and the first measured offset of the sender's clock, s.
@@ -148,9 +147,7 @@ def find_one(stream: str, timeout_s: float) -> tuple[Inlet, float | None]:
     if wait_until(lambda: len(named()) > 1, settled - time.monotonic()):
         inlet.close()
         each = " and ".join(f"source_id {one.source_id() or 'none'} on {one.hostname()}" for one in named())
-        raise SourceError(
-            f"stream {stream}: {len(named())} have this name, {each}; stop or rename all but one"
-        )
+        raise SourceError(f"stream {stream}: {len(named())} have this name, {each}; stop or rename all but one")
     return inlet, offset
 
 
@@ -158,7 +155,7 @@ def find_again(stream: str, stop: Callable[[], bool]) -> Inlet | None:
     """Wait until a lost stream is there again, and connect.
 
     Args:
-        stream: name. stop: returns True to give up.
+        stop: returns True to give up.
 
     Returns:
         The connection; None where it was given up.
@@ -177,7 +174,7 @@ def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
     """Return whether a condition holds within a time; it is asked at least once.
 
     Args:
-        holds: the condition. timeout_s: s.
+        timeout_s: s.
     """
     deadline = time.monotonic() + timeout_s
     while not holds():

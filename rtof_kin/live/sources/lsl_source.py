@@ -179,7 +179,7 @@ class LslImuSource(_LslSource):
         """Take the name of the stream.
 
         Args:
-            stream: name. timeout_s: s that it has to answer.
+            timeout_s: s that it has to answer.
             declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
         """
         super().__init__(stream, timeout_s)
@@ -214,7 +214,7 @@ class LslFrameSource(_LslSource):
         """Take the name of the stream.
 
         Args:
-            stream: name. timeout_s: s that it has to answer.
+            timeout_s: s that it has to answer.
         """
         super().__init__(stream, timeout_s)
         self._channels: FrameChannels | None = None

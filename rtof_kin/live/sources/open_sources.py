@@ -88,12 +88,10 @@ def open_sources(
 ) -> Streams:
     """Return the sources that words name; nothing is started.
 
-    Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of
-    their own.
+    Replayed streams share a clock. Beside a live stream they are replayed at their own speed, on a clock of their own.
 
     Args:
-        cameras, sensors: words of `CAMERAS` and `SENSORS`.
-        setup: recording whose camera is filmed with. speed: of replays, times real time; inf: without pace.
+        cameras, sensors: words of `CAMERAS` and `SENSORS`. speed: of replays, times real time; inf: without pace.
         names: map of sensors, see `RenamedSensors`; None: they have the names of the calibration.
         detector: gives the detector of a webcam's or a video's images.
 
@@ -132,7 +130,7 @@ def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
     """Return the outputs that words name.
 
     Args:
-        words: of `OUTPUTS`. setup: with the skeleton of the estimates.
+        words: of `OUTPUTS`.
 
     Raises:
         SourceError: another word, twice the same, or a port that is taken.
@@ -154,9 +152,7 @@ def _is_live(word: str) -> bool:
 def _camera(word: str, opening: _Opening) -> Source:
     setup = opening.setup
     if setup.keypoints is None:
-        raise SourceError(
-            f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin init VIDEO"
-        )
+        raise SourceError(f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin init VIDEO")
     word = word.strip()
     camera = setup.keypoints.camera
     if _is_lsl(word):
@@ -205,9 +201,7 @@ def _sensors(word: str, opening: _Opening) -> Source:
     if not path.exists():
         raise SourceError(f"sensors {word}: there is no such file or folder; give {SENSORS}")
     if (path / INDEX).is_file():
-        return RecordingReplay.of_recording(
-            opening.recording(path), opening.replay, video=False, clock=opening.clock
-        )
+        return RecordingReplay.of_recording(opening.recording(path), opening.replay, video=False, clock=opening.clock)
     return RecordingReplay.of_sensor_file(path, opening.replay, clock=opening.clock)
 
 

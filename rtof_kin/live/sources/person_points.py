@@ -20,8 +20,14 @@ from rtof_kin.vision.recognise import recognise
 from rtof_kin.vision.tracking import PersonFollower
 
 _LAYOUTS: Final = {
-    17: "coco17", 23: "coco23", 25: "body25", 26: "halpe26", 33: "mediapipe33", 133: "coco23", 136: "halpe26",
-}  # fmt: skip
+    17: "coco17",
+    23: "coco23",
+    25: "body25",
+    26: "halpe26",
+    33: "mediapipe33",
+    133: "coco23",
+    136: "halpe26",
+}
 """Points of a detector's person -> their layout; those of whole bodies begin with the body's."""
 _CHECKED: Final = 30
 """Images with the person after which the layout is confirmed by geometry."""
@@ -31,8 +37,7 @@ class PersonPoints:
     """The skeleton's landmarks and the detector's own points of one person, followed over time.
 
     Args:
-        detector: used for nothing else. image_px: width and height of its images.
-        camera_px: width and height that points are scaled to; None: as the images.
+        detector: used for nothing else. camera_px: width and height that points are scaled to; None: as the images.
         layout: of the detector's points; None: by their number.
 
     Raises:

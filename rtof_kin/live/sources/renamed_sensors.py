@@ -18,7 +18,7 @@ class RenamedSensors:
     """A source with other names of its sensors; those that a map does not name keep theirs.
 
     Args:
-        source: that is renamed. names: in the calibration, by serial number, its last characters, or name.
+        names: in the calibration, by serial number, its last characters, or name.
     """
 
     def __init__(self, source: Source, names: Mapping[str, str]):
@@ -32,7 +32,6 @@ class RenamedSensors:
         """Rename by a map of sensors.
 
         Args:
-            source: that is renamed. setup: with the calibration.
             path: two columns, the stream's sensor, and its segment or its name in the calibration.
 
         Raises:

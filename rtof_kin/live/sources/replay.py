@@ -61,9 +61,7 @@ class RecordingReplay:
     """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
 
     Args:
-        name: for messages.
-        streams: sensors with orientation, at their own times on one clock. keypoints: frames.
-        replay: shared clock. clock: of the stamps. faults: to add.
+        streams: sensors with orientation, at their own times on one clock.
 
     Raises:
         InvalidInputError: neither sensors nor frames. UnknownNameError: a fault of an unknown sensor.
@@ -103,10 +101,6 @@ class RecordingReplay:
     ) -> Self:
         """Replay a recording.
 
-        Args:
-            recording: with frames, sensors or both. replay, clock, faults: as for the class.
-            video, sensors: which of its streams.
-
         Raises:
             SourceError: it has none of them.
         """
@@ -135,7 +129,7 @@ class RecordingReplay:
         """Replay sensor files; orientations that they lack are estimated by the causal filter.
 
         Args:
-            path: file or folder that `read_sensor_log` reads. replay, clock, faults: as for the class.
+            path: file or folder that `read_sensor_log` reads.
 
         Raises:
             SourceError: not read, or a sensor has neither an orientation nor what gives one.
@@ -166,8 +160,7 @@ class RecordingReplay:
         """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
 
         Args:
-            path: file with times that `read_detector_keypoints` reads. camera: of the video.
-            replay, clock, faults: as for the class.
+            path: file with times that `read_detector_keypoints` reads.
 
         Raises:
             SourceError: not read, or without times.

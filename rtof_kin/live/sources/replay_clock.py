@@ -21,16 +21,13 @@ class ReplayClock:
 
     Args:
         speed: times real time; inf: every round of polls is one step later, however long it took.
-        step: that of a round, s.
-        now: seconds of the system.
+        step: that of a round, s. now: seconds of the system.
 
     Raises:
         InvalidInputError: the speed or the step is not positive.
     """
 
-    def __init__(
-        self, speed: float = 1.0, step: float = _STEP, now: Callable[[], float] = system.monotonic
-    ) -> None:
+    def __init__(self, speed: float = 1.0, step: float = _STEP, now: Callable[[], float] = system.monotonic) -> None:
         if not speed > 0:
             raise InvalidInputError(f"speed of a replay: {speed:g} is not positive")
         if not 0 < step < np.inf:
@@ -68,7 +65,7 @@ class ReplayClock:
         """Take part: the replay begins at the earliest time of all sources.
 
         Args:
-            name: of the source. first, last: its times, s.
+            first, last: its times, s.
 
         Raises:
             SourceError: no time is common with another source, so their clocks differ.
@@ -116,7 +113,7 @@ class ReplayClock:
         """Wait for a time; return False where `stop` was set before.
 
         Args:
-            until: s; without pace there is nothing to wait for. stop: ends the waiting.
+            until: s; without pace there is nothing to wait for.
         """
         while not stop.is_set():
             if not self.paced:

@@ -1,8 +1,7 @@
 """Points of a person in a webcam's or a video's images, as they come.
 
-Of a webcam the newest image is examined and those that came meanwhile are dropped and counted; of a video
-every image is. Stamps are the times at which images were taken, so that the time that detection takes shows
-as lag.
+Of a webcam the newest image is examined and those that came meanwhile are dropped and counted; of a video every image
+is. Stamps are the times at which images were taken, so that the time that detection takes shows as lag.
 """
 
 from __future__ import annotations
@@ -41,7 +40,6 @@ class VideoSource:
         detector: gives the detector; by default the one at hand.
         camera_px: width and height of the calibrated image; None: those of the video.
         layout: of the detector's points; None: by their number.
-        replay: clock of a file, shared with other replays. clock: of the stamps.
         now: clock of a webcam's stamps, s; with LSL its `local_clock`.
     """
 
@@ -132,9 +130,7 @@ class VideoSource:
                 raise SourceError(f"{error}") from error
             opened.pop_all()  # from here on the threads release them
         self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
-        self._run = Examination(
-            images, first, detector, points, None if self.live else self._replay, self._now
-        )
+        self._run = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
 
     def poll(self) -> list[Sample]:
         """Return the frames that were examined; without pace it waits for those of the clock's time.

@@ -80,16 +80,20 @@ class Examination:
     """Threads that read the images of one camera or file and examine them.
 
     Args:
-        images: of it; closed at the end. first: image that was read already.
-        detector: closed at the end. points: that uses it.
+        images: of it; closed at the end.
         replay: by which images are due; None for a webcam, of which the newest image is examined.
         now: this machine's clock, s.
     """
 
     def __init__(
-        self, images: Images, first: Image, detector: PersonDetector, points: PersonPoints,
-        replay: ReplayClock | None, now: Callable[[], float],
-    ):  # fmt: skip
+        self,
+        images: Images,
+        first: Image,
+        detector: PersonDetector,
+        points: PersonPoints,
+        replay: ReplayClock | None,
+        now: Callable[[], float],
+    ):
         self._replay, self._now = replay, now
         self._slot = _Slot(every=replay is not None)
         self._stop, self._changed = threading.Event(), threading.Condition()
@@ -139,9 +143,7 @@ class Examination:
         found: list[FrameSample] = []
         with self._changed:
             if wait:
-                self._changed.wait_for(
-                    lambda: self._ended or (self._samples and self._samples[-1].time > until)
-                )
+                self._changed.wait_for(lambda: self._ended or (self._samples and self._samples[-1].time > until))
             while self._samples and self._samples[0].time <= until:
                 found.append(self._samples.popleft())
         return found

@@ -29,7 +29,7 @@ def device_of(camera: int | str, platform: str = sys.platform) -> tuple[str, str
     """Return name and format under which FFmpeg opens a camera.
 
     Args:
-        camera: number, or name of the device. platform: as `sys.platform`.
+        platform: as `sys.platform`.
 
     Raises:
         SourceError: the system is not known, or has no camera of that number.
@@ -48,11 +48,7 @@ def device_of(camera: int | str, platform: str = sys.platform) -> tuple[str, str
 
 
 def cameras_of(kind: str) -> list[str]:
-    """Return the names of the cameras of this machine, as far as FFmpeg lists them.
-
-    Args:
-        kind: format of FFmpeg.
-    """
+    """Return the names of the cameras of this machine, as far as FFmpeg lists them."""
     av = optional("av", "video")
     try:
         return [device.name for device in av.enumerate_input_devices(kind)]
@@ -64,7 +60,7 @@ def open_webcam(camera: int | str, size_px: tuple[int, int] | None = None) -> tu
     """Open a camera and return PyAV's container and video stream.
 
     Args:
-        camera: number, or name of the device. size_px: wanted width and height; the camera may give others.
+        size_px: wanted width and height; the camera may give others.
 
     Raises:
         SourceError: there is no such camera, another program uses it, or it may not be used.

@@ -23,19 +23,35 @@ MARKER: Final = "comparison.json"
 TABLE: Final = "comparison.csv"
 PAGE: Final = "comparison.html"
 COLUMNS: Final = (
-    "angle", "positive", "measure", "verdict", "a_deg", "b_deg", "difference_deg", "difference_sd_deg",
-    "interval_low_deg", "interval_high_deg", "detectable_deg", "p", "p_holm", "rmse_deg", "mae_deg",
-    "median_absolute_error_deg", "rmse_without_offset_deg", "largest_deg", "largest_at", "correlation",
-    "outside_band_share", "share", "repeats_a", "repeats_b",
-)  # fmt: skip
+    "angle",
+    "positive",
+    "measure",
+    "verdict",
+    "a_deg",
+    "b_deg",
+    "difference_deg",
+    "difference_sd_deg",
+    "interval_low_deg",
+    "interval_high_deg",
+    "detectable_deg",
+    "p",
+    "p_holm",
+    "rmse_deg",
+    "mae_deg",
+    "median_absolute_error_deg",
+    "rmse_without_offset_deg",
+    "largest_deg",
+    "largest_at",
+    "correlation",
+    "outside_band_share",
+    "share",
+    "repeats_a",
+    "repeats_b",
+)
 
 
 def write_comparison(found: Comparison, folder: str | Path, why: str = "") -> None:
-    """Write all files into an existing folder.
-
-    Args:
-        found: the comparison. folder: that exists. why: of the choice of the axis.
-    """
+    """Write all files into an existing folder."""
     folder = Path(folder)
     with (folder / TABLE).open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
@@ -48,11 +64,7 @@ def write_comparison(found: Comparison, folder: str | Path, why: str = "") -> No
 
 
 def plain(found: Comparison, why: str = "") -> dict[str, Any]:
-    """Return a comparison as plain data.
-
-    Args:
-        found: the comparison. why: of the choice of the axis.
-    """
+    """Return a comparison as plain data."""
     clocks = found.alignment
     return {
         "a": found.a.name,
@@ -61,7 +73,9 @@ def plain(found: Comparison, why: str = "") -> dict[str, Any]:
         "by": found.by,
         "repetitions": found.kind,
         "shift_of_b_s": found.shift,
-        "agreement": None if clocks is None else {
+        "agreement": None
+        if clocks is None
+        else {
             "at_the_shift": _number(clocks.unshifted),
             "best": _number(clocks.agreement),
             "best_further_shift_s": _number(clocks.shift),
@@ -77,15 +91,11 @@ def plain(found: Comparison, why: str = "") -> dict[str, Any]:
         "cautions": cautions(found),
         "angles": list(rows(found)),
         "not_compared": dict(found.left_out),
-    }  # fmt: skip
+    }
 
 
 def rows(found: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table, None for what there is not; see `COLUMNS`.
-
-    Args:
-        found: the comparison.
-    """
+    """Yield the rows of the table, None for what there is not; see `COLUMNS`."""
     for one in found.angles:
         for change in one.changes:
             yield dict(zip(COLUMNS, _row(one, change), strict=True))
@@ -93,17 +103,27 @@ def rows(found: Comparison) -> Iterator[dict[str, Any]]:
 
 def _row(one: AngleComparison, change: Change) -> list[Any]:
     nan, errors = float("nan"), one.errors
-    sizes = (nan,) * 5 if errors is None else (
-        errors.rmse, errors.mae, errors.median, errors.offset_removed, errors.largest
-    )  # fmt: skip
+    sizes = (
+        (nan,) * 5
+        if errors is None
+        else (errors.rmse, errors.mae, errors.median, errors.offset_removed, errors.largest)
+    )
     figures = (change.a, change.b, change.difference, change.sigma, *change.interval, change.detectable)
     others = (nan, nan) if errors is None else (errors.at, errors.correlation)
     return [
-        one.name, one.positive, change.measure, change.verdict.value,
-        *(_number(np.degrees(value)) for value in figures), _number(change.p), _number(change.p_adjusted),
-        *(_number(np.degrees(value)) for value in sizes), *map(_number, others),
-        _number(one.outside), _number(one.share), *one.repeats,
-    ]  # fmt: skip
+        one.name,
+        one.positive,
+        change.measure,
+        change.verdict.value,
+        *(_number(np.degrees(value)) for value in figures),
+        _number(change.p),
+        _number(change.p_adjusted),
+        *(_number(np.degrees(value)) for value in sizes),
+        *map(_number, others),
+        _number(one.outside),
+        _number(one.share),
+        *one.repeats,
+    ]
 
 
 def _number(value: Any) -> float | None:

@@ -39,11 +39,7 @@ def read_compared(path: str | Path) -> Compared:
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
-    """Return names of both that differ, with as many of their folders as tell them apart.
-
-    Args:
-        a, b: what is compared. paths: where they were read.
-    """
+    """Return names of both that differ, with as many of their folders as tell them apart."""
     if a.name != b.name:
         return a.name, b.name
     parts = [Path(path).resolve().parts[1:] for path in paths]
@@ -70,7 +66,5 @@ def _other_system(path: Path) -> Compared:
     notes: tuple[str, ...] = ()
     if others:
         more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
-        notes = (
-            f"coordinates that are no clinical angle of this package: {', '.join(others[:_LISTED])}{more}",
-        )
+        notes = (f"coordinates that are no clinical angle of this package: {', '.join(others[:_LISTED])}{more}",)
     return Compared(path.name, angles, other_system=True, own_export=bool(table.skeleton), notes=notes)

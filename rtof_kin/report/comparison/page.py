@@ -15,23 +15,25 @@ from rtof_kin.report.html import asset, bullets, self_contained, table
 
 _SCRIPTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _STYLES: Final = ("page.css", "comparison.css")
-_DIFFERENCES: Final = (
-    "angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B",
-)  # fmt: skip
+_DIFFERENCES: Final = ("angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B")
 _ERRORS: Final = (
-    "angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation", "outside band",
+    "angle",
+    "RMSE",
+    "MAE",
+    "median",
+    "without offset",
+    "largest",
+    "at",
+    "correlation",
+    "outside band",
     "compared",
-)  # fmt: skip
+)
 _MARKS: Final = {Verdict.CHANGED: "warn", Verdict.NOT_SHOWN: "not-checked", Verdict.NOT_TESTED: "not-checked"}
 _RANGES: Final = "The two have no common axis, so there are no curves: see the ranges above."
 
 
 def page(found: Comparison, why: str = "") -> str:
-    """Return the self-contained HTML page of a comparison.
-
-    Args:
-        found: the comparison. why: of the choice of the axis.
-    """
+    """Return the self-contained HTML page of a comparison."""
     careful = cautions(found)
     parts = {
         "title": escape(f"{found.a.name} and {found.b.name}: comparison of joint angles"),
@@ -62,11 +64,15 @@ def _change_cells(change: Change) -> tuple[str, ...]:
     p = f"{change.p_adjusted:.3f}" if change.p_adjusted == change.p_adjusted else ""
     difference = f"<b>{size}</b>{escape(''.join(half))}"
     return (
-        change.measure, difference,
+        change.measure,
+        difference,
         f'<span class="grade {_MARKS[change.verdict]}">{change.verdict.value}</span>',
-        f"{low} to {high}" if low else "", degrees(change.detectable), "&lt; 0.001" if p == "0.000" else p,
-        degrees(change.a), degrees(change.b),
-    )  # fmt: skip
+        f"{low} to {high}" if low else "",
+        degrees(change.detectable),
+        "&lt; 0.001" if p == "0.000" else p,
+        degrees(change.a),
+        degrees(change.b),
+    )
 
 
 def _errors(found: Comparison) -> str:
@@ -86,9 +92,14 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
     if found.by != "time":
         share += f" ({one.repeats[0]} and {one.repeats[1]})"
     return (
-        escape(label(one.name)), *map(degrees, sizes), degrees(errors.largest, True), place(found, errors.at),
-        r, outside, share,
-    )  # fmt: skip
+        escape(label(one.name)),
+        *map(degrees, sizes),
+        degrees(errors.largest, True),
+        place(found, errors.at),
+        r,
+        outside,
+        share,
+    )
 
 
 def _left_out(found: Comparison) -> str:

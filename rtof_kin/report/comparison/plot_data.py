@@ -19,11 +19,7 @@ _SCALE: Final = 10  # packed numbers are tenths of a degree
 
 
 def comparison_data(found: Comparison) -> Data:
-    """Return the charts of a comparison; none without a common axis.
-
-    Args:
-        found: the comparison.
-    """
+    """Return the charts of a comparison; none without a common axis."""
     if found.axis is None:
         return {"x": [], "groups": [], "by": found.by}
     shown = slice(None)
@@ -41,16 +37,11 @@ def _charts(one: AngleComparison, shown: slice) -> list[Data]:
     a, b = one.curves
     sigma_a, sigma_b = one.sigmas
     counts = one.repeats if max(one.repeats) > 1 else (0, 0)
-    curves = [
-        _series("A", a[shown], sigma_a, shown, counts[0]), _series("B", b[shown], sigma_b, shown, counts[1])
-    ]  # fmt: skip
+    curves = [_series("A", a[shown], sigma_a, shown, counts[0]), _series("B", b[shown], sigma_b, shown, counts[1])]
     name = label(one.name)
     return [
         {"name": name, "positive": one.positive, "series": curves},
-        {
-            "name": f"{name}: B - A",
-            "series": [_series(DIFFERENCE, (b - a)[shown], one.difference_sigma, shown, 0)],
-        },
+        {"name": f"{name}: B - A", "series": [_series(DIFFERENCE, (b - a)[shown], one.difference_sigma, shown, 0)]},
     ]
 
 

@@ -24,7 +24,7 @@ def opening(found: Comparison, why: str) -> list[str]:
     """Return the first lines: identity, what against what, the axis, and the changes.
 
     Args:
-        found: the comparison. why: of the choice of the axis; '' if it was asked for.
+        why: of the choice of the axis; '' if it was asked for.
     """
     lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
     if _same_values(found) and not lines:
@@ -37,11 +37,7 @@ def opening(found: Comparison, why: str) -> list[str]:
 
 
 def cautions(found: Comparison) -> list[str]:
-    """Return what to be careful about.
-
-    Args:
-        found: the comparison.
-    """
+    """Return what to be careful about."""
     lines = [*_clock_cautions(found), *_band_cautions(found)]
     a, b = found.a, found.b
     if found.by == "range":
@@ -81,7 +77,7 @@ def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
     """Return an angle in degrees; '' for NaN.
 
     Args:
-        value: rad. sign: write a plus too. digits: after the point.
+        value: rad.
     """
     if not np.isfinite(value):
         return ""
@@ -90,20 +86,12 @@ def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
 
 
 def change_text(one: AngleComparison, change: Change) -> str:
-    """Return a change in words, e.g. 'right knee flexion (mean) by -12.1 \u00b1 6.0 deg'.
-
-    Args:
-        one: the angle. change: of it.
-    """
+    """Return a change in words, e.g. 'right knee flexion (mean) by -12.1 \u00b1 6.0 deg'."""
     return f"{label(one.name)} ({change.measure}) by {difference_text(change)} deg"
 
 
 def difference_text(change: Change) -> str:
-    """Return a difference with half of its 95 % interval, degrees, as in the report, e.g. '-12.1 \u00b1 6.0'.
-
-    Args:
-        change: of an angle.
-    """
+    """Return a difference with half of its 95 % interval, degrees, as in the report, e.g. '-12.1 \u00b1 6.0'."""
     half = change.interval[1] - change.difference
     band = f" \u00b1 {degrees(half)}" if np.isfinite(half) else ""
     return degrees(change.difference, True) + band
@@ -113,7 +101,7 @@ def place(found: Comparison, at: float) -> str:
     """Return a place on the axis with its unit.
 
     Args:
-        found: the comparison. at: s, or share.
+        at: s, or share.
     """
     return f"{at:.2f} s" if found.by == "time" else f"{100 * at:.0f} %"
 
@@ -194,8 +182,7 @@ def _changes(found: Comparison) -> list[str]:
         span = " to ".join(degrees(size, digits=0) for size in (min(sizes), max(sizes)))
         measure = tested[0].changes[0].measure
         lines.append(
-            f"That is not the same as equal: a change of the {measure} below {span} deg, by angle, could be "
-            "missed."
+            f"That is not the same as equal: a change of the {measure} below {span} deg, by angle, could be missed."
         )
     return lines
 

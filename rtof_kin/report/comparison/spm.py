@@ -20,11 +20,7 @@ _COLUMNS: Final = 3
 
 
 def spm_lines(found: ComparisonSpm) -> list[str]:
-    """Return the clusters in words, and what to be careful about.
-
-    Args:
-        found: of a comparison.
-    """
+    """Return the clusters in words, and what to be careful about."""
     count = len(found.angles)
     lines = []
     for one in found.angles:
@@ -50,17 +46,17 @@ def spm_lines(found: ComparisonSpm) -> list[str]:
 
 
 def write_spm(found: ComparisonSpm, comparison: Comparison, folder: str | Path) -> None:
-    """Write the files into an existing folder.
-
-    Args:
-        found: of the comparison. comparison: whose names the figure has. folder: that exists.
-    """
+    """Write the files into an existing folder."""
     folder = Path(folder)
     data = {
-        "differences": "B - A", "level_of_each_angle": found.level, "correction": "Bonferroni over angles",
-        "phases": found.phases.tolist(), "sentences": spm_lines(found),
-        "angles": [_plain(one) for one in found.angles], "not_tested": found.not_tested,
-    }  # fmt: skip
+        "differences": "B - A",
+        "level_of_each_angle": found.level,
+        "correction": "Bonferroni over angles",
+        "phases": found.phases.tolist(),
+        "sentences": spm_lines(found),
+        "angles": [_plain(one) for one in found.angles],
+        "not_tested": found.not_tested,
+    }
     text = json.dumps(data, indent=2, allow_nan=False)
     (folder / SPM).write_text(text + "\n", encoding="utf-8")
     if found.angles and can_draw():
@@ -71,23 +67,27 @@ def write_spm(found: ComparisonSpm, comparison: Comparison, folder: str | Path) 
 
 def _plain(one: AngleSpm) -> dict[str, Any]:
     return {
-        "angle": one.name, "test": "paired" if one.paired else "two-sample, Welch",
-        "repeats": list(one.repeats), "degrees_of_freedom": one.dof, "threshold": one.threshold,
+        "angle": one.name,
+        "test": "paired" if one.paired else "two-sample, Welch",
+        "repeats": list(one.repeats),
+        "degrees_of_freedom": one.dof,
+        "threshold": one.threshold,
         "t": [float(f"{value:.6g}") for value in one.t],
         "clusters": [
-            {"start": c.start, "stop": c.stop, "p": c.p, "larger": "B" if c.sign > 0 else "A",
-             "beyond_bands": c.beyond_bands}
+            {
+                "start": c.start,
+                "stop": c.stop,
+                "p": c.p,
+                "larger": "B" if c.sign > 0 else "A",
+                "beyond_bands": c.beyond_bands,
+            }
             for c in one.clusters
         ],
-    }  # fmt: skip
+    }
 
 
 def spm_figure(found: ComparisonSpm, comparison: Comparison) -> Any:
-    """Plot t over the cycle with threshold and clusters; angles with clusters first, a dozen at most.
-
-    Args:
-        found: of the comparison. comparison: whose names the title has.
-    """
+    """Plot t over the cycle with threshold and clusters; angles with clusters first, a dozen at most."""
     from matplotlib.figure import Figure
 
     shown = sorted(found.angles, key=lambda one: (not one.clusters, -float(np.abs(one.t).max())))

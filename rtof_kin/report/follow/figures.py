@@ -23,39 +23,31 @@ MARKS: Final = {Outcome.IMPROVED: "^", Outcome.WORSE: "v", Outcome.CHANGED: "D"}
 _COLUMNS: Final = 4
 _SHIFT: Final = 0.012  # of the axis, between the sides
 _TITLES: Final = {
-    "changed": "measures with a change", "gait": "gait", "range": "range of motion", "mean": "mean angle",
-    "max": "largest angle", "min": "smallest angle",
-}  # fmt: skip
+    "changed": "measures with a change",
+    "gait": "gait",
+    "range": "range of motion",
+    "mean": "mean angle",
+    "max": "largest angle",
+    "min": "smallest angle",
+}
 
 
 def write_trajectories(found: FollowUp, folder: str | Path) -> dict[str, Path]:
-    """Write PNGs of what changed, of gait, and of each statistic of the angles; return title -> path.
-
-    Args:
-        found: the answer. folder: to write.
-    """
+    """Write PNGs of what changed, of gait, and of each statistic of the angles; return title -> path."""
     visits = range(len(found.visits))
-    changed = {
-        side_and_name(one.measure.name)[1] for one in found.measures if any(map(one.changed, visits))
-    }  # fmt: skip
+    changed = {side_and_name(one.measure.name)[1] for one in found.measures if any(map(one.changed, visits))}
     both = [one for one in found.measures if side_and_name(one.measure.name)[1] in changed]
     groups = {"changed": both} if both else {}
     for one in found.measures:
         kind = "gait" if one.measure.is_gait else one.measure.name.rpartition("_")[2]
         groups.setdefault(kind, []).append(one)
-    figures = {
-        kind: trajectories(found, groups[kind], title) for kind, title in _TITLES.items() if kind in groups
-    }  # fmt: skip
+    figures = {kind: trajectories(found, groups[kind], title) for kind, title in _TITLES.items() if kind in groups}
     paths = save_figures(figures, folder)
     return {_TITLES[kind]: path for kind, path in zip(figures, paths, strict=True)}
 
 
 def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> Figure:
-    """Plot measures over visits, both sides in one panel.
-
-    Args:
-        found: the answer. measures: some of it, of one kind. title: of the figure.
-    """
+    """Plot measures over visits, both sides in one panel."""
     panels: dict[tuple[str, str], list[Followed]] = {}
     for one in measures:
         name = side_and_name(one.measure.name)[1]
@@ -79,8 +71,10 @@ def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> F
     figure.suptitle(
         f"{title[:1].upper()}{title[1:]} over visits with 95 % bands; dots: trials; blue: right, red: left; "
         "large marks: change from the baseline (up: improved, down: worse, diamond: changed)",
-        fontsize=10, y=1 - 0.1 / height, va="top",
-    )  # fmt: skip
+        fontsize=10,
+        y=1 - 0.1 / height,
+        va="top",
+    )
     return figure
 
 

@@ -25,18 +25,34 @@ MARKER: Final = "follow.json"
 TABLE: Final = "follow.csv"
 PAGE: Final = "follow.html"
 COLUMNS: Final = (
-    "measure", "unit", "visit", "day", "trials", "value", "sd", "change", "interval_low", "interval_high",
-    "outcome", "detectable", "shown_in_4_of_5", "p", "p_holm", "better", "sem_bands", "sem_repeats",
-    "sem_repeats_dof", "sem_both", "mdc95_bands", "mdc95_repeats", "mdc95_both",
-)  # fmt: skip
+    "measure",
+    "unit",
+    "visit",
+    "day",
+    "trials",
+    "value",
+    "sd",
+    "change",
+    "interval_low",
+    "interval_high",
+    "outcome",
+    "detectable",
+    "shown_in_4_of_5",
+    "p",
+    "p_holm",
+    "better",
+    "sem_bands",
+    "sem_repeats",
+    "sem_repeats_dof",
+    "sem_both",
+    "mdc95_bands",
+    "mdc95_repeats",
+    "mdc95_both",
+)
 
 
 def write_follow_up(found: FollowUp, folder: str | Path, notes: Sequence[str] = ()) -> None:
-    """Write all files into an existing folder.
-
-    Args:
-        found: the answer. folder: that exists. notes: further cautions, of the input.
-    """
+    """Write all files into an existing folder."""
     folder = Path(folder)
     with (folder / TABLE).open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
@@ -54,11 +70,7 @@ def write_follow_up(found: FollowUp, folder: str | Path, notes: Sequence[str] = 
 
 
 def plain(found: FollowUp, notes: Sequence[str] = ()) -> dict[str, Any]:
-    """Return a follow-up as plain data.
-
-    Args:
-        found: the answer. notes: further cautions.
-    """
+    """Return a follow-up as plain data."""
     shares = found.measures[0].errors.shares
     return {
         "visits": [
@@ -87,11 +99,7 @@ def plain(found: FollowUp, notes: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def rows(found: FollowUp) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table, None for what there is not; see `COLUMNS`.
-
-    Args:
-        found: the answer.
-    """
+    """Yield the rows of the table, None for what there is not; see `COLUMNS`."""
     for one in found.measures:
         for visit in range(len(found.visits)):
             yield dict(zip(COLUMNS, _row(found, one, visit), strict=True))
@@ -100,20 +108,34 @@ def rows(found: FollowUp) -> Iterator[dict[str, Any]]:
 def _row(found: FollowUp, one: Followed, visit: int) -> list[Any]:
     place, change, scale = found.visits[visit], one.changes[visit], one.measure.scale
     nan, own = float("nan"), one.visits[visit]
-    figures = [nan] * 5 if change is None else [
-        change.difference, *change.interval, change.detectable, one.mostly(visit)
-    ]  # fmt: skip
+    figures = (
+        [nan] * 5 if change is None else [change.difference, *change.interval, change.detectable, one.mostly(visit)]
+    )
     size, low, high, needed, mostly = (_number(scale * value) for value in figures)
     p = (nan, nan) if change is None else (change.p, change.p_adjusted)
     errors = (one.errors.bands, one.errors.trials, one.errors.both)
     return [
-        one.measure.name, one.measure.unit, place.name, place.day.isoformat() if place.day else None,
-        0 if own is None else len(own.values), _number(scale * one.estimates[visit]),
-        _number(scale * one.sigmas[visit]), size, low, high,
-        None if visit == found.baseline else one.outcome(visit).value, needed, mostly, *map(_number, p),
-        one.better, _number(scale * errors[0].sem), _number(scale * errors[1].sem), _number(errors[1].dof),
-        _number(scale * errors[2].sem), *(_number(scale * sem.mdc95) for sem in errors),
-    ]  # fmt: skip
+        one.measure.name,
+        one.measure.unit,
+        place.name,
+        place.day.isoformat() if place.day else None,
+        0 if own is None else len(own.values),
+        _number(scale * one.estimates[visit]),
+        _number(scale * one.sigmas[visit]),
+        size,
+        low,
+        high,
+        None if visit == found.baseline else one.outcome(visit).value,
+        needed,
+        mostly,
+        *map(_number, p),
+        one.better,
+        _number(scale * errors[0].sem),
+        _number(scale * errors[1].sem),
+        _number(errors[1].dof),
+        _number(scale * errors[2].sem),
+        *(_number(scale * sem.mdc95) for sem in errors),
+    ]
 
 
 def _measure(found: FollowUp, one: Followed) -> dict[str, Any]:
@@ -124,9 +146,7 @@ def _measure(found: FollowUp, one: Followed) -> dict[str, Any]:
         "positive": one.measure.positive,
         "better": one.better,
         "why_not_tested": one.why_not,
-        "values": [
-            None if own is None else [_number(scale * value) for value in own.values] for own in one.visits
-        ],
+        "values": [None if own is None else [_number(scale * value) for value in own.values] for own in one.visits],
         "band_sd": [None if own is None else _number(scale * own.band_sigma) for own in one.visits],
         "errors": {
             "bands": _sem(one.errors.bands, scale),

@@ -87,9 +87,6 @@ class FoundVisits:
 def read_plan(folder: str | Path) -> Plan:
     """Read ``follow.toml``; without one nothing is declared.
 
-    Args:
-        folder: with visits.
-
     Raises:
         FileFormatError: a field is of the wrong kind. UnknownNameError: there is no such field or choice.
     """
@@ -116,10 +113,16 @@ def read_plan(folder: str | Path) -> Plan:
     except InvalidInputError as error:
         raise top.error("bands", str(error)) from error
     plan = Plan(
-        tuple(names), names, days, top.text("baseline", ""), cast("Movement | None", by or None),
-        top.text("repetitions", ""), top.optional_names("measures") or (),
-        cast("dict[str, Better]", directions), shares,
-    )  # fmt: skip
+        tuple(names),
+        names,
+        days,
+        top.text("baseline", ""),
+        cast("Movement | None", by or None),
+        top.text("repetitions", ""),
+        top.optional_names("measures") or (),
+        cast("dict[str, Better]", directions),
+        shares,
+    )
     bands.close()
     top.close()
     return plan
@@ -139,7 +142,7 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
     """Read all visits of a folder, and analyse their motions.
 
     Args:
-        folder: with visits. progress: called with the number of trials done, and of all.
+        progress: called with the number of trials done, and of all.
 
     Raises:
         FileFormatError: fewer than two visits, one without a motion, or a damaged file.
@@ -153,9 +156,10 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
         )
     if len(wanted) < 2:
         raise FileFormatError(
-            folder, f"has {len(wanted)} visit(s); give a folder that has a folder with outputs of "
-            "reconstruct for each of two visits or more"
-        )  # fmt: skip
+            folder,
+            f"has {len(wanted)} visit(s); give a folder that has a folder with outputs of "
+            "reconstruct for each of two visits or more",
+        )
     total, done, visits, notes = sum(len(found[name]) for name in wanted), 0, list[Visit](), list[str]()
     for name in wanted:
         trials = []
@@ -204,14 +208,20 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
     overall = None if summary.results is None else headline(summary.results)
     return Setup(
-        session.subject, session.date, session.protocol, summary.mode or mode,
+        session.subject,
+        session.date,
+        session.protocol,
+        summary.mode or mode,
         str(inputs.get("software") or ""),
         ", ".join(f"{name} {settings[name]}" for name in _SETTINGS if name in settings),
         tuple(sorted(str(segment) for segment in segments if segment)),
         tuple(camera.get("landmarks") or ()),
-        int(inputs.get("cameras") or 0), _number(camera.get("height_m")), _number(camera.get("distance_m")),
-        view, overall.text if overall is not None and overall.grade is Grade.FAIL else "",
-    )  # fmt: skip
+        int(inputs.get("cameras") or 0),
+        _number(camera.get("height_m")),
+        _number(camera.get("distance_m")),
+        view,
+        overall.text if overall is not None and overall.grade is Grade.FAIL else "",
+    )
 
 
 def _number(value: Any) -> float:
@@ -254,9 +264,7 @@ def _day(name: str, trials: Sequence[Trial], plan: Plan, notes: list[str]) -> da
 def _ordered(visits: list[Visit], notes: list[str]) -> list[Visit]:
     days = [visit.day for visit in visits]
     if any(day is None for day in days):
-        notes.append(
-            f"Not all visits have a day: they are in the order of their names ({PLAN} may list them)"
-        )
+        notes.append(f"Not all visits have a day: they are in the order of their names ({PLAN} may list them)")
         return sorted(visits, key=lambda visit: _natural(visit.name))
     return sorted(visits, key=lambda visit: (visit.day or date.min, _natural(visit.name)))
 

@@ -17,18 +17,19 @@ from rtof_kin.report.html import asset, bullets, definitions, fill, folded, sour
 _STYLES: Final = ("page.css", "comparison.css", "follow.css")
 _GRADES: Final = {Outcome.IMPROVED: "pass", Outcome.WORSE: "fail", Outcome.CHANGED: "warn"}
 _ERRORS: Final = (
-    "measure", "SEM, bands", "MDC95, bands", "SEM, repeats (degrees of freedom)", "MDC95, repeats",
-    "SEM, both", "MDC95, both",
-)  # fmt: skip
+    "measure",
+    "SEM, bands",
+    "MDC95, bands",
+    "SEM, repeats (degrees of freedom)",
+    "MDC95, repeats",
+    "SEM, both",
+    "MDC95, both",
+)
 _OPEN: Final = 2  # figures that are not folded
 
 
 def page(found: FollowUp, pictures: Mapping[str, Path], notes: Sequence[str] = ()) -> str:
-    """Return the self-contained HTML page.
-
-    Args:
-        found: the answer. pictures: title -> PNG. notes: further cautions.
-    """
+    """Return the self-contained HTML page."""
     style = "".join(map(asset, _STYLES))
     subject = found.visits[0].trials[0].setup.subject or "Follow-up"
     lines = opening(found)
@@ -45,8 +46,7 @@ def page(found: FollowUp, pictures: Mapping[str, Path], notes: Sequence[str] = (
         "figures": _figures(pictures),
         "definitions": definitions(definitions_of_sem(found)),
         "errors": table(_ERRORS, map(_error_cells, found.measures), "errors"),
-        "left_out": bullets(f"{name}: {reason}" for name, reason in found.left_out.items())
-        or "<p>Nothing.</p>",
+        "left_out": bullets(f"{name}: {reason}" for name, reason in found.left_out.items()) or "<p>Nothing.</p>",
     }
     return fill(asset("follow.html"), parts)
 
@@ -81,10 +81,12 @@ def _change_table(found: FollowUp, visit: int, header: Sequence[str]) -> str:
 def _change_cells(found: FollowUp, one: Followed, visit: int) -> tuple[str, ...]:
     outcome = one.outcome(visit)
     return (
-        _title(one), _value(one, found.baseline), _value(one, visit),
+        _title(one),
+        _value(one, found.baseline),
+        _value(one, visit),
         f'<span class="grade {_GRADES.get(outcome, "not-checked")}">{outcome.value}</span>',
         escape(reasoning(one, visit)),
-    )  # fmt: skip
+    )
 
 
 def _title(one: Followed) -> str:

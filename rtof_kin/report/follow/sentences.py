@@ -21,11 +21,7 @@ _REPEATS: Final = {"squat": "bends of the knees (squats or lunges)", "sit_to_sta
 
 
 def name_of(measure: Measure) -> str:
-    """Return the name of a measure in words, e.g. 'right knee flexion, range'.
-
-    Args:
-        measure: to be named.
-    """
+    """Return the name of a measure in words, e.g. 'right knee flexion, range'."""
     text = label(measure.name)
     if measure.unit == "deg":
         angle, _, end = text.rpartition(" ")
@@ -37,7 +33,7 @@ def number(measure: Measure, value: float, sign: bool = False) -> str:
     """Return a value in its unit of output, without the unit; '' for NaN.
 
     Args:
-        measure: whose value. value: in the unit of computation. sign: write a plus too.
+        value: in the unit of computation.
     """
     if not np.isfinite(value):
         return ""
@@ -46,11 +42,7 @@ def number(measure: Measure, value: float, sign: bool = False) -> str:
 
 
 def opening(found: FollowUp) -> list[str]:
-    """Return the first lines: what is not comparable, what is compared, and what changed.
-
-    Args:
-        found: the answer.
-    """
+    """Return the first lines: what is not comparable, what is compared, and what changed."""
     lines = []
     if found.incomparable:
         count = len(found.incomparable)
@@ -110,7 +102,7 @@ def reasoning(one: Followed, visit: int) -> str:
     """Return one sentence on why a measure has its outcome.
 
     Args:
-        one: the measure. visit: index of the visit, not of the baseline.
+        visit: index of the visit, not of the baseline.
     """
     change, outcome, unit = one.changes[visit], one.outcome(visit), one.measure.unit
     if change is None:
@@ -144,11 +136,7 @@ def _direction(one: Followed, visit: int) -> str:
 
 
 def cautions(found: FollowUp) -> list[str]:
-    """Return what to be careful about.
-
-    Args:
-        found: the answer.
-    """
+    """Return what to be careful about."""
     lines = list(found.incomparable)
     unknown = [v.name for v in found.visits if any(not one.setup.software for one in v.trials)]
     if unknown:
@@ -175,8 +163,7 @@ def cautions(found: FollowUp) -> list[str]:
         )
     if not any(one.errors.bands.sem > 0 for one in found.measures):
         lines.append(
-            "The motions have no bands: errors that all trials of a visit share (camera, mounting) are not "
-            "included"
+            "The motions have no bands: errors that all trials of a visit share (camera, mounting) are not included"
         )
     if found.by == "range":
         lines.append("Ranges are those of the whole recordings: they differ if the person did something else")
@@ -192,9 +179,7 @@ def _of_trials(found: FollowUp) -> list[str]:
     lines = []
     single = [visit.name for visit in found.visits if len(visit.trials) == 1]
     if single:
-        lines.append(
-            f"One trial in {', '.join(single)}: its variation is taken from the visits with more trials"
-        )
+        lines.append(f"One trial in {', '.join(single)}: its variation is taken from the visits with more trials")
     lines.append(
         "How much the person varies from one day to the next is not in the repeated trials of a day: a "
         "change is one between these days"
@@ -213,11 +198,7 @@ def _unequal(followed: Sequence[Followed]) -> list[str]:
 
 
 def definitions_of_sem(found: FollowUp) -> list[tuple[str, str]]:
-    """Return the names of the three standard errors, and what each contains.
-
-    Args:
-        found: the answer.
-    """
+    """Return the names of the three standard errors, and what each contains."""
     shares = found.measures[0].errors.shares
     divided = (
         f"{100 * shares.visit:.0f} % of their variance counts as common to the trials of a visit, "

@@ -16,19 +16,13 @@ _WIDTH: Final = 0.38  # of a bar
 
 
 def gait_figure(found: ScoredGait) -> Figure:
-    """Plot the profile above the nine curves, with 95 % bands.
-
-    Args:
-        found: scores of a motion that is gait.
-    """
+    """Plot the profile above the nine curves, with 95 % bands."""
     figure = Figure(figsize=(12, 14), layout="constrained")
     grid = figure.add_gridspec(4, 3, height_ratios=(1.2, 1, 1, 1))
     _profile(figure.add_subplot(grid[0, :]), found)
     for v in range(len(VARIABLES)):
         _curve(figure.add_subplot(grid[1 + v // 3, v % 3]), found, v)
-    figure.suptitle(
-        f"{found.name}: bars and lines with 95 % bands; grey: reference, mean and two standard deviations"
-    )
+    figure.suptitle(f"{found.name}: bars and lines with 95 % bands; grey: reference, mean and two standard deviations")
     return figure
 
 

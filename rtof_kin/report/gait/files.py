@@ -23,17 +23,23 @@ MARKER: Final = "gait_scores.json"
 TABLE: Final = "gait_scores.csv"
 CURVES: Final = "gait_curves.csv"
 COLUMNS: Final = (
-    "score", "side", "value_deg", "low_deg", "high_deg", "noise_deg", "corrected_deg", "pose_sigma_deg",
-    "stride_sigma_deg", "spread_between_strides_deg", "strides", "reference_median_deg",
-)  # fmt: skip
+    "score",
+    "side",
+    "value_deg",
+    "low_deg",
+    "high_deg",
+    "noise_deg",
+    "corrected_deg",
+    "pose_sigma_deg",
+    "stride_sigma_deg",
+    "spread_between_strides_deg",
+    "strides",
+    "reference_median_deg",
+)
 
 
 def write_gait_scores(found: ScoredGait, folder: str | Path) -> None:
-    """Write all files into an existing folder.
-
-    Args:
-        found: scores of a motion. folder: that exists.
-    """
+    """Write all files into an existing folder."""
     folder = Path(folder)
     text = json.dumps(plain(found), indent=2, allow_nan=False)
     (folder / MARKER).write_text(text + "\n", encoding="utf-8")
@@ -44,11 +50,7 @@ def write_gait_scores(found: ScoredGait, folder: str | Path) -> None:
 
 
 def plain(found: ScoredGait) -> dict[str, Any]:
-    """Return the scores as plain data.
-
-    Args:
-        found: scores of a motion.
-    """
+    """Return the scores as plain data."""
     reference, cycles = found.reference, found.cycles
     return {
         "motion": found.name,
@@ -63,25 +65,28 @@ def plain(found: ScoredGait) -> dict[str, Any]:
         "overall_is": "nine variables of the left side and six of the right; the pelvis counts once",
         "band": "95 %, for errors of any correlation in time and between angles",
         "gdi": {
-            side: {"value": _number(one.value), "low": _number(one.low), "high": _number(one.high),
-                   "explained_share": _number(one.explained)}
+            side: {
+                "value": _number(one.value),
+                "low": _number(one.low),
+                "high": _number(one.high),
+                "explained_share": _number(one.explained),
+            }
             for side, one in found.index.items()
         },
         "why_no_gdi": found.why_no_index,
         "reference": {
-            "people": reference.people, "system": reference.system, "zero": reference.zero,
-            "source": reference.source, "licence": reference.licence,
+            "people": reference.people,
+            "system": reference.system,
+            "zero": reference.zero,
+            "source": reference.source,
+            "licence": reference.licence,
             "speed_m_per_s": None if reference.speed_range is None else list(reference.speed_range),
         },
-    }  # fmt: skip
+    }
 
 
 def rows(found: ScoredGait) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table, None for what there is not; none for a motion that is no gait.
-
-    Args:
-        found: scores of a motion.
-    """
+    """Yield the rows of the table, None for what there is not; none for a motion that is no gait."""
     if found.scores is None:
         return
     medians: dict[tuple[str, str], float] = {}

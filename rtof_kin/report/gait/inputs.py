@@ -36,7 +36,7 @@ def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycl
     """Return the strides of a motion, and the name of its skeleton.
 
     Args:
-        path: output folder of reconstruct or run, or a motion.npz. from_standing: see `gait_cycles`.
+        from_standing: see `gait_cycles`.
 
     Raises:
         FileFormatError: it is none of these, or damaged.
@@ -53,7 +53,7 @@ def find_people(folder: str | Path, from_standing: bool = False) -> Found:
     named by its folder. Motions whose audit failed are left out.
 
     Args:
-        folder: to be searched. from_standing: see `gait_cycles`.
+        from_standing: see `gait_cycles`.
 
     Raises:
         FileFormatError: there is no such folder. InvalidInputError: there is no motion in it.

@@ -38,11 +38,7 @@ class ScoredGait:
 
 
 def score_gait(name: str, cycles: GaitCycles, reference: GaitReference) -> ScoredGait:
-    """Return the scores of a motion.
-
-    Args:
-        name: of the motion. cycles: its strides. reference: of healthy people.
-    """
+    """Return the scores of a motion."""
     people = people_scores(reference)
     if cycles.why_not:
         return ScoredGait(name, cycles, reference, None, {}, cycles.why_not, people)

@@ -19,11 +19,7 @@ _ZEROS: Final = {MODEL_ZERO: "the model's anatomical posture", STANDING_ZERO: "e
 
 
 def opening(found: ScoredGait) -> list[str]:
-    """Return the first lines: another system's reference, then the scores or why there are none.
-
-    Args:
-        found: scores of a motion.
-    """
+    """Return the first lines: another system's reference, then the scores or why there are none."""
     lines = [another_system(found)] if not found.reference.is_own else []
     if found.scores is None:
         return [*lines, f"No gait scores: {found.cycles.why_not}"]
@@ -39,11 +35,7 @@ def opening(found: ScoredGait) -> list[str]:
 
 
 def another_system(found: ScoredGait) -> str:
-    """Return what to think of a reference that another system made.
-
-    Args:
-        found: scores of a motion.
-    """
+    """Return what to think of a reference that another system made."""
     return (
         f"The reference is of another system ({found.reference.system}; zero: {found.reference.zero}): its "
         "model has other zeros, above all of pelvic tilt, hip rotation and ankle, and a constant offset "
@@ -52,11 +44,7 @@ def another_system(found: ScoredGait) -> str:
 
 
 def cautions(found: ScoredGait) -> list[str]:
-    """Return what to be careful about, one sentence each.
-
-    Args:
-        found: scores of a motion.
-    """
+    """Return what to be careful about, one sentence each."""
     reference, scores = found.reference, found.scores
     lines = []
     if scores is not None:
@@ -85,11 +73,7 @@ def cautions(found: ScoredGait) -> list[str]:
 
 
 def score_text(score: Score) -> str:
-    """Return a score with its band, deg.
-
-    Args:
-        score: to be printed.
-    """
+    """Return a score with its band, deg."""
     if not np.isfinite(score.value):
         return "not computed"
     text = f"{np.degrees(score.value):.1f}"
@@ -128,10 +112,11 @@ def _about_bands(found: ScoredGait) -> list[str]:
         return ["the motion has no covariances: bands have the spread between strides alone"]
     known = [one for own in scores.profile.values() for one in own if np.isfinite(one.value)]
     unknown = [
-        f"{side} {label(name)}" for side, own in scores.profile.items()
+        f"{side} {label(name)}"
+        for side, own in scores.profile.items()
         for name, one in zip(NAMES, own, strict=True)
         if np.isfinite(one.value) and np.isnan(one.pose_sigma)
-    ]  # fmt: skip
+    ]
     lines = []
     if unknown:
         lines.append(f"bands are without the errors of the poses, as some are unknown: {', '.join(unknown)}")

@@ -19,30 +19,24 @@ from rtof_kin.report.html import bullets, folded, table
 OBSERVED: Final = 0.995
 """Share of the frames from which on something counts as always observed."""
 _GAIT_UNITS: Final = {
-    "stride_time": ("s", 2), "cadence": ("steps/min", 1), "stride_length": ("m", 2), "speed": ("m/s", 2),
+    "stride_time": ("s", 2),
+    "cadence": ("steps/min", 1),
+    "stride_length": ("m", 2),
+    "speed": ("m/s", 2),
     "stance_share": ("of the stride", 2),
-}  # fmt: skip
+}
 """Measure -> unit, decimals."""
-_URDF: Final = re.compile(
-    r" \(\w+\)$"
-)  # the name of a degree of freedom in the URDF, behind the clinical one
+_URDF: Final = re.compile(r" \(\w+\)$")  # the name of a degree of freedom in the URDF, behind the clinical one
 
 
 def way_line(travel: Travel) -> str:
-    """Return how far the person went and turned, as a paragraph.
-
-    Args:
-        travel: of the motion.
-    """
+    """Return how far the person went and turned, as a paragraph."""
     if not math.isfinite(travel.path_length):
         way = "not observed"
     else:
         way = f"{travel.path_length:.1f} m along its path"
         if travel.path_length:
-            way += (
-                f", {travel.displacement:.1f} m {travel.way}".rstrip()
-                + " from its first to its last position"
-            )
+            way += f", {travel.displacement:.1f} m {travel.way}".rstrip() + " from its first to its last position"
     known = math.isfinite(travel.turned_left)
     turned = travel.turns or ("turns within their error" if known else "turns not observed")
     seen = travel.observed_share
@@ -52,11 +46,7 @@ def way_line(travel: Travel) -> str:
 
 
 def gait_section(gait: GaitAnalysis) -> str:
-    """Return the gait measures of both sides, or one sentence on why the motion is no gait.
-
-    Args:
-        gait: of the motion.
-    """
+    """Return the gait measures of both sides, or one sentence on why the motion is no gait."""
     if not gait.is_gait:
         return f"<p>{escape(gait.why_not)}</p>"
 
@@ -98,8 +88,9 @@ def torques_section(torques: JointTorques | None, skeleton: SkeletonTable) -> st
     empty = ("", "", "")
     both = [
         (escape(name), *(cell for side in SIDES for cell in own.get(side, empty)))
-        for name, own in found.items() if "" not in own
-    ]  # fmt: skip
+        for name, own in found.items()
+        if "" not in own
+    ]
     single = [(escape(name), *own[""]) for name, own in found.items() if "" in own]
     parts = ("N m", "N m/kg", "known")
     columns = ("movement", *(f"{side}: {part}" for side in SIDES for part in parts))

@@ -30,10 +30,17 @@ PAGE: Final = "report.html"
 _BANDS: Final = "Bands are 95 % intervals of the motion's confidence."
 _NO_AUDIT: Final = "an earlier version of rtof_kin wrote the folder, without an audit: reconstruct again"
 _CONTENTS: Final = {
-    "ranges": "Ranges", "angles": "Curves", "motion": "Motion in 3D", "gait": "Gait", "torques": "Torques",
-    "verdicts": "Quality", "recording": "Recording", "calibration": "Calibration", "isb": "Checklist",
+    "ranges": "Ranges",
+    "angles": "Curves",
+    "motion": "Motion in 3D",
+    "gait": "Gait",
+    "torques": "Torques",
+    "verdicts": "Quality",
+    "recording": "Recording",
+    "calibration": "Calibration",
+    "isb": "Checklist",
     "audit": "Audit",
-}  # fmt: skip
+}
 
 
 def report(
@@ -68,9 +75,7 @@ def report(
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 
-def _page(
-    motion: MotionSource, analysis: MotionAnalysis, summary: Summary, session: Session, made: str
-) -> str:
+def _page(motion: MotionSource, analysis: MotionAnalysis, summary: Summary, session: Session, made: str) -> str:
     inputs = summary.inputs
     clinical = clinical_findings(analysis)
     results = (*(summary.results or ()), *clinical)
@@ -103,9 +108,7 @@ def _page(
         "recording": quality.recording_section(motion, summary, session, made),
         "calibration": quality.camera_table(inputs.get("camera_estimate")) + calibration,
         "headline": quality.headline_line(overall),
-        "verdicts": quality.verdicts_table(
-            (section_verdict(section, results) for section in checked), analysis.table
-        ),
+        "verdicts": quality.verdicts_table((section_verdict(section, results) for section in checked), analysis.table),
         "isb": quality.checklist(checklist),
         "citation": escape(CITATION),
         "audit": quality.audit_table(results),

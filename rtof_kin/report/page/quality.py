@@ -25,11 +25,7 @@ _LONGEST: Final = 180  # characters of a reason that stands in the table of verd
 
 
 def recording_section(motion: MotionSource, summary: Summary, session: Session, made: str) -> str:
-    """Return what was recorded, with what, and how the motion was computed.
-
-    Args:
-        motion: the motion. summary: of its reconstruction. session: its labels. made: day of the report.
-    """
+    """Return what was recorded, with what, and how the motion was computed."""
     times, inputs, subject = motion.times, summary.inputs, summary.subject
     height = f"{subject['height_m']:g} m" if subject.get("height_m") else "height not given"
     weight = f"{subject['mass_kg']:g} kg" if subject.get("mass_kg") else "weight not given"
@@ -75,11 +71,7 @@ def _settings(settings: dict[str, Any]) -> list[list[str]]:
 
 
 def notes_section(text: str) -> str:
-    """Return a section with the notes of the recording, e.g. what `init` assumed; nothing without notes.
-
-    Args:
-        text: one note a line.
-    """
+    """Return a section with the notes of the recording, e.g. what `init` assumed; nothing without notes."""
     if not text.strip():
         return ""
     inside = f'<h2 id="notes-title">How the recording was made</h2>{bullets(text.splitlines())}'
@@ -87,11 +79,7 @@ def notes_section(text: str) -> str:
 
 
 def missing_data(motion: MotionSource) -> str:
-    """Return the intervals in which the person was not observed, in words.
-
-    Args:
-        motion: the motion.
-    """
+    """Return the intervals in which the person was not observed, in words."""
     times = motion.times
     gaps = runs(~motion.masks.valid.any(axis=1))
     if not gaps:
@@ -102,11 +90,7 @@ def missing_data(motion: MotionSource) -> str:
 
 
 def headline_line(overall: Headline) -> str:
-    """Return the verdicts on the angles and on the position in the room, and what they mean.
-
-    Args:
-        overall: headline of the audit.
-    """
+    """Return the verdicts on the angles and on the position in the room, and what they mean."""
     grades = {"Angles": overall.grade} | ({"Position in the room": overall.room} if overall.room else {})
     both = "; ".join(f"{what} {badge(grade)}" for what, grade in grades.items())
     note = ""
@@ -118,9 +102,6 @@ def headline_line(overall: Headline) -> str:
 def verdicts_table(verdicts: Iterable[SectionVerdict], names: AngleTable) -> str:
     """Return a row for each section with a problem, with its first reason and the others folded, one row for
     the sections of each other grade, and remarks on them.
-
-    Args:
-        verdicts: in the order of the table. names: with the names of segments.
     """
     found = [(v, [_sentence(reason, names) for reason in v.reasons]) for v in verdicts]
     rows = []
@@ -148,11 +129,7 @@ def _sentence(text: str, names: AngleTable) -> str:
 
 
 def audit_table(results: Iterable[AuditResult]) -> str:
-    """Return all figures of the audit with their limits and sources.
-
-    Args:
-        results: of the audit.
-    """
+    """Return all figures of the audit with their limits and sources."""
 
     def figure(value: float, unit: str) -> str:
         return escape(f"{value:.3g} {unit}".rstrip()) if math.isfinite(value) else ""
@@ -161,21 +138,24 @@ def audit_table(results: Iterable[AuditResult]) -> str:
         return "any" if value < 0 else figure(value, unit) or "no limit"
 
     rows = (
-        (escape(f"{r.subject}: {r.name}" if r.name else r.subject), figure(r.value, r.unit),
-         badge(r.grade, r.grade.value), limit(r.warn, r.unit), limit(r.fail, r.unit),
-         escape(r.note if r.grade is not Grade.PASS else ""), escape(r.source), escape(r.section))
+        (
+            escape(f"{r.subject}: {r.name}" if r.name else r.subject),
+            figure(r.value, r.unit),
+            badge(r.grade, r.grade.value),
+            limit(r.warn, r.unit),
+            limit(r.fail, r.unit),
+            escape(r.note if r.grade is not Grade.PASS else ""),
+            escape(r.source),
+            escape(r.section),
+        )
         for r in results
-    )  # fmt: skip
+    )
     columns = ("figure", "value", "grade", "warns above", "fails above", "note", "limits from", "section")
     return table(columns, rows, "audit", row_headers=True)
 
 
 def camera_table(found: Any) -> str:
-    """Return the table of a camera that is not calibrated; nothing for a calibrated one.
-
-    Args:
-        found: 'camera_estimate' of the inputs.
-    """
+    """Return the table of a camera that is not calibrated; nothing for a calibrated one."""
     if not isinstance(found, dict):
         return ""
     text = "The camera is not calibrated. What remains uncertain is part of all bands."
@@ -183,11 +163,7 @@ def camera_table(found: Any) -> str:
 
 
 def calibration_table(found: Any) -> str:
-    """Return what was estimated from the recording.
-
-    Args:
-        found: 'calibration' of the inputs.
-    """
+    """Return what was estimated from the recording."""
     if not isinstance(found, dict):
         return "<p>Nothing else was estimated from the recording: all other parameters are used as given.</p>"
     return _rows(found)
@@ -212,7 +188,12 @@ def checklist(topics: Mapping[str, Items]) -> str:
         return blank if known is None else escape(known) + (f" {blank}" if known.endswith(":") else "")
 
     return "".join(
-        table(("item", "in this recording"), ((escape(name), value(known)) for name, known in items.items()),
-              "isb", topic, row_headers=True)
+        table(
+            ("item", "in this recording"),
+            ((escape(name), value(known)) for name, known in items.items()),
+            "isb",
+            topic,
+            row_headers=True,
+        )
         for topic, items in topics.items()
-    )  # fmt: skip
+    )

@@ -18,9 +18,15 @@ from rtof_kin.report.page.clinical import OBSERVED
 
 _SINGLE: Final = ("angle", "range [deg]", "from, to [deg]", "peak [deg/s]")
 _BOTH: Final = (
-    "angle", "right: range [deg]", "right: from, to", "left: range [deg]", "left: from, to",
-    "right - left", "right: peak [deg/s]", "left: peak [deg/s]",
-)  # fmt: skip
+    "angle",
+    "right: range [deg]",
+    "right: from, to",
+    "left: range [deg]",
+    "left: from, to",
+    "right - left",
+    "right: peak [deg/s]",
+    "left: peak [deg/s]",
+)
 _RELIABLE: Final = 0.75
 """Share of reliable among observed frames below which a range says it."""
 _FEWEST: Final = 0.25
@@ -31,7 +37,7 @@ def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) ->
     """Return the tables of the ranges of motion.
 
     Args:
-        ranges: of all angles. rows: the angles; headings among them have no range of motion.
+        rows: the angles; headings among them have no range of motion.
     """
     named = {row.name: row for row in rows}
     found: dict[str, dict[str, RangeOfMotion]] = {}
@@ -41,9 +47,7 @@ def ranges_section(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) ->
             found.setdefault(name, {})[side] = own
     names = {name: angle_name(named[next(iter(own.values())).name]) for name, own in found.items()}
     single = [_Line(names[name], own[""], None) for name, own in found.items() if "" in own]
-    both = [
-        _Line(names[name], own.get("right"), own.get("left")) for name, own in found.items() if "" not in own
-    ]
+    both = [_Line(names[name], own.get("right"), own.get("left")) for name, own in found.items() if "" not in own]
     out = ""
     if single:
         out += _table(_SINGLE, single, "ranges single", "Pelvis and trunk")
@@ -64,9 +68,14 @@ class _Line:
 def _table(columns: tuple[str, ...], lines: list[_Line], kind: str, caption: str) -> str:
     cells = [_single(line) if columns is _SINGLE else _both(line) for line in lines]
     return table(
-        columns, cells, kind, caption, row_headers=True, shown=[line.name.shown for line in lines],
+        columns,
+        cells,
+        kind,
+        caption,
+        row_headers=True,
+        shown=[line.name.shown for line in lines],
         further=[line.name.clinical not in MAIN for line in lines],
-    )  # fmt: skip
+    )
 
 
 def _single(line: _Line) -> tuple[str, ...]:
@@ -90,9 +99,7 @@ def _both(line: _Line) -> tuple[str, ...]:
 
 def _title(name: AngleName) -> str:
     """Name of the angle under the conventions in which it is shown, and the movement that is positive."""
-    clinical = (
-        f'<span data-in="{ISB} {XZY}">{escape(name.clinical)} <small>+ {escape(name.positive)}</small></span>'
-    )
+    clinical = f'<span data-in="{ISB} {XZY}">{escape(name.clinical)} <small>+ {escape(name.positive)}</small></span>'
     return f'{clinical}<span data-in="{OPENSIM}">{escape(name.opensim_title)}</span>'
 
 

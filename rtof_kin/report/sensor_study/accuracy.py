@@ -41,11 +41,7 @@ class SensorSet:
 
     @classmethod
     def read(cls, facts: Mapping[str, Any], arrays: Mapping[str, Array]) -> Self:
-        """Return what `facts` and `arrays` hold.
-
-        Args:
-            facts, arrays: of a run.
-        """
+        """Return what `facts` and `arrays` hold."""
         values = {name: arrays[name] for name in _ARRAYS}
         return cls(sensors=tuple(facts["sensors"]), loss=facts["loss"], **values)
 
@@ -62,9 +58,6 @@ class SensorSet:
     def scatter(self, other: SensorSet) -> float:
         """Return the standard error, rad, of the difference of the losses of two sets, by its scatter over
         the parts of the recording; NaN with fewer than two parts.
-
-        Args:
-            other: set of the same study.
         """
         off = self.part_losses - other.part_losses
         off = off[np.isfinite(off)]
@@ -74,11 +67,7 @@ class SensorSet:
 def measure_set(
     sensors: tuple[str, ...], angles: ClinicalAngles, full: ClinicalAngles, truth: ClinicalAngles | None
 ) -> SensorSet:
-    """Compare a set of sensors with the full set and the reference; singular postures are excluded.
-
-    Args:
-        sensors: names. angles, full, truth: with the same rows and times.
-    """
+    """Compare a set of sensors with the full set and the reference; singular postures are excluded."""
     reference = full if truth is None else truth
     counted = full.known & ~full.singular
     off, error = _difference(angles, full), np.full(angles.values.shape, np.nan)
@@ -93,17 +82,12 @@ def measure_set(
     if angles.sigma is not None:
         half = BAND_95 * _by_column(np.median, angles.sigma)
     return SensorSet(
-        sensors, _by_column(_rms, off), seen, _by_column(_rms, error), half,
-        float(np.nan_to_num(_loss(lost))), parts,
-    )  # fmt: skip
+        sensors, _by_column(_rms, off), seen, _by_column(_rms, error), half, float(np.nan_to_num(_loss(lost))), parts
+    )
 
 
 def spread(angles: ClinicalAngles) -> Array:
-    """Return the standard deviation over time of each angle, (A,) rad; NaN for one without values.
-
-    Args:
-        angles: over time.
-    """
+    """Return the standard deviation over time of each angle, (A,) rad; NaN for one without values."""
     return _by_column(np.std, angles.values)
 
 
@@ -111,7 +95,7 @@ def true_angles(recording: Recording, like: ClinicalAngles) -> ClinicalAngles | 
     """Return the angles of the reference at the times of others; None without a reference.
 
     Args:
-        recording: with or without a reference. like: angles over time.
+        recording: with or without a reference.
     """
     truth = recording.truth
     if truth is None:

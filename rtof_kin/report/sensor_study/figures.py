@@ -18,11 +18,7 @@ _LARGEST: Final = 20.0  # [deg] end of the colour scale
 
 
 def write_study_figures(study: SensorStudy, folder: str | Path) -> list[Path]:
-    """Write both figures as PNG, and return their paths.
-
-    Args:
-        study: to plot. folder: to write.
-    """
+    """Write both figures as PNG, and return their paths."""
     figures = {"sensors": worth_of_sensors(study), "number": error_by_number(study)}
     return save_figures(figures, folder)
 
@@ -31,9 +27,6 @@ def worth_of_sensors(study: SensorStudy) -> Figure:
     """Plot the RMS difference from the full set, deg, of each angle without each sensor alone.
 
     Differences beyond the tolerance are bold.
-
-    Args:
-        study: to plot.
     """
     rows = list(study.shown)
     size = (4.0 + 0.85 * len(study.without), 2.3 + 0.28 * len(rows))
@@ -60,17 +53,15 @@ def worth_of_sensors(study: SensorStudy) -> Figure:
     limit = f"{np.degrees(TOLERANCE):.0f} deg"
     figure.suptitle(
         f"{study.recording}: how far each angle changes if one sensor is omitted\n"
-        f"(a change, not an error; bold: beyond {limit})", fontsize=11,
-    )  # fmt: skip
+        f"(a change, not an error; bold: beyond {limit})",
+        fontsize=11,
+    )
     return figure
 
 
 def error_by_number(study: SensorStudy) -> Figure:
     """Plot the RMS of the angles against the number of sensors, one panel for each joint, and name the
     sensor that is removed at each step.
-
-    Args:
-        study: to plot.
     """
     joints: dict[str, list[int]] = {}
     for a in study.shown:
@@ -88,8 +79,15 @@ def error_by_number(study: SensorStudy) -> Figure:
     for ax, (joint, own) in zip(panels, joints.items(), strict=False):
         for a in own:
             name = label(study.angles[a].replace(f"{joint}_", ""))
-            ax.plot(number, values[:, a], marker="o", ms=3, lw=1.2, label=name,
-                    ls="--" if study.angles[a].startswith("left_") else "-")  # fmt: skip
+            ax.plot(
+                number,
+                values[:, a],
+                marker="o",
+                ms=3,
+                lw=1.2,
+                label=name,
+                ls="--" if study.angles[a].startswith("left_") else "-",
+            )
         ax.axhline(np.degrees(TOLERANCE), color="0.5", lw=0.8, ls=":")
         ax.set_title(joint, fontsize=9)
         ax.set_ylabel("RMS [deg]", fontsize=8)
@@ -108,5 +106,5 @@ def error_by_number(study: SensorStudy) -> Figure:
         f"{study.recording}: {what}; a line ends where the angle is unobserved\n"
         "(one order of removal: not all sets of the same size were tried, and others may be better)",
         fontsize=11,
-    )  # fmt: skip
+    )
     return figure

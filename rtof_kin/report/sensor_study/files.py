@@ -26,16 +26,21 @@ TABLE: Final = "study.csv"
 SUMMARY: Final = "study.json"
 _FIGURES: Final = ("figures/sensors.png", "figures/number.png")
 _SETTINGS: Final = "settings.json"  # written by `rtof_kin.core.jobs.open_runs`
-COLUMNS: Final = ("set", "sensors", "number", "angle", "difference_deg", "seen_share", "error_deg",
-           "half_band_deg", "kept")  # fmt: skip
+COLUMNS: Final = (
+    "set",
+    "sensors",
+    "number",
+    "angle",
+    "difference_deg",
+    "seen_share",
+    "error_deg",
+    "half_band_deg",
+    "kept",
+)
 
 
 def write_study(study: SensorStudy, folder: str | Path) -> list[Path]:
-    """Write ``study.csv`` and then ``study.json``, and return their paths; earlier ones are replaced.
-
-    Args:
-        study: to write. folder: that exists.
-    """
+    """Write ``study.csv`` and then ``study.json``, and return their paths; earlier ones are replaced."""
     folder = Path(folder)
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -47,22 +52,14 @@ def write_study(study: SensorStudy, folder: str | Path) -> list[Path]:
 
 
 def remove_results(folder: str | Path) -> None:
-    """Remove the results of an earlier study of a folder, so that none remain of a study that is not done.
-
-    Args:
-        folder: of a study.
-    """
+    """Remove the results of an earlier study of a folder, so that none remain of a study that is not done."""
     for name in (TABLE, SUMMARY, *_FIGURES):
         (Path(folder) / name).unlink(missing_ok=True)
 
 
 @contextmanager
 def unused_removed(folder: Path) -> Iterator[None]:
-    """Remove the new folder of a study that fails before its first run is done.
-
-    Args:
-        folder: of a study.
-    """
+    """Remove the new folder of a study that fails before its first run is done."""
     try:
         yield
     except RtofError:
@@ -76,11 +73,7 @@ def unused_removed(folder: Path) -> Iterator[None]:
 
 
 def study_data(study: SensorStudy) -> dict[str, Any]:
-    """Return a study as plain data, with units in the names.
-
-    Args:
-        study: to write.
-    """
+    """Return a study as plain data, with units in the names."""
     part = study.part
     return {
         "recording": study.recording,
@@ -90,14 +83,11 @@ def study_data(study: SensorStudy) -> dict[str, Any]:
         "settings": study.choices,
         "runs": study.runs,
         "compared_with": "the truth" if study.has_truth else "the full set of sensors",
-        "note": "errors are against the truth; differences against the full set" if study.has_truth
-        else NO_ERROR,
+        "note": "errors are against the truth; differences against the full set" if study.has_truth else NO_ERROR,
         "tolerance_deg": float(np.degrees(TOLERANCE)),
         "least_seen_share": LEAST_SEEN,
         "segments": study.segments,
-        "without": [
-            _set_data(study, found) | {"left_out": _left_out(study, found)} for found in study.without
-        ],
+        "without": [_set_data(study, found) | {"left_out": _left_out(study, found)} for found in study.without],
         "path": [_set_data(study, found) for found in study.path],
         "tried": [[_set_data(study, found) for found in step] for step in study.steps],
         "removed_as_well": [list(study.as_good(step)) for step in range(len(study.steps))],
@@ -105,7 +95,7 @@ def study_data(study: SensorStudy) -> dict[str, Any]:
             name: _finite(np.degrees(value)) for name, value in zip(study.angles, study.moved, strict=True)
         },
         "sentences": sentences(study),
-    }  # fmt: skip
+    }
 
 
 def _left_out(study: SensorStudy, found: SensorSet) -> str:
@@ -115,9 +105,11 @@ def _left_out(study: SensorStudy, found: SensorSet) -> str:
 def _set_data(study: SensorStudy, found: SensorSet) -> dict[str, Any]:
     scatter = CLEARLY * np.degrees(found.scatter(study.full))
     return {
-        "sensors": list(found.sensors), "loss_deg": float(np.degrees(found.loss)),
-        "loss_change_scatter_deg": _finite(scatter), "angles_kept": int(study.kept(found).sum()),
-    }  # fmt: skip
+        "sensors": list(found.sensors),
+        "loss_deg": float(np.degrees(found.loss)),
+        "loss_change_scatter_deg": _finite(scatter),
+        "angles_kept": int(study.kept(found).sum()),
+    }
 
 
 def _finite(value: float) -> float | None:
@@ -132,8 +124,12 @@ def _rows(study: SensorStudy) -> Iterator[list[str]]:
     for name, found in sets:
         kept = study.kept(found)
         for a, angle in enumerate(study.angles):
-            figures = (np.degrees(found.difference[a]), found.seen[a], np.degrees(found.error[a]),
-                       np.degrees(found.half_band[a]))  # fmt: skip
+            figures = (
+                np.degrees(found.difference[a]),
+                found.seen[a],
+                np.degrees(found.error[a]),
+                np.degrees(found.half_band[a]),
+            )
             cells = [f"{value:.4f}" if np.isfinite(value) else "" for value in figures]
             sensors = " ".join(found.sensors)
             yield [name, sensors, str(len(found.sensors)), angle, *cells, "yes" if kept[a] else "no"]

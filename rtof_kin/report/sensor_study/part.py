@@ -39,11 +39,7 @@ class Part:
         return self.seconds >= self.whole
 
     def of(self, recording: Recording) -> Recording:
-        """Return this part of a recording; the reference is left as it is.
-
-        Args:
-            recording: that it is a part of.
-        """
+        """Return this part of a recording; the reference is left as it is."""
         keypoints, imus = recording.keypoints, recording.imus
         if self.is_whole:
             return recording

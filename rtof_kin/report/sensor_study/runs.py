@@ -79,36 +79,30 @@ class FullSet:
 
 
 def measure_full(run: Run) -> JobResult:
-    """Reconstruct with all sensors, with every check, and return accuracy and angles.
-
-    Args:
-        run: with all sensors.
-    """
+    """Reconstruct with all sensors, with every check, and return accuracy and angles."""
     begun = time.process_time()
     with without_warnings():
         result = run.reconstructed()
     angles = clinical_angles(result.motion)
-    angles = angles.select(
-        [name for name, known in zip(angles.names, angles.known.T, strict=True) if known.any()]
-    )
+    angles = angles.select([name for name, known in zip(angles.names, angles.known.T, strict=True) if known.any()])
     truth = true_angles(run.recording, angles)
     found = measure_set(run.sensors, angles, angles, truth)
     verdict = headline(audit(result))
     sections = [[v.section, v.grade.value, list(v.reasons)] for v in verdict.sections]
     facts = found.facts | {
-        "angles": list(angles.names), "choices": result.choices.plain(), "grade": verdict.grade.value,
-        "headline": verdict.text, "sections": sections, "seconds": time.process_time() - begun,
-    }  # fmt: skip
+        "angles": list(angles.names),
+        "choices": result.choices.plain(),
+        "grade": verdict.grade.value,
+        "headline": verdict.text,
+        "sections": sections,
+        "seconds": time.process_time() - begun,
+    }
     arrays = found.arrays | {"times": angles.times} | _arrays_of("full", angles)
     return JobResult(facts, arrays | ({} if truth is None else _arrays_of("true", truth)))
 
 
 def measure(run: Run) -> JobResult:
-    """Reconstruct with some of the sensors and return their accuracy.
-
-    Args:
-        run: with the angles of the full set.
-    """
+    """Reconstruct with some of the sensors and return their accuracy."""
     assert run.full is not None
     begun = time.process_time()
     with without_warnings():
@@ -130,14 +124,19 @@ class Runs:
     """All runs of one study, those that are done and those to come."""
 
     def __init__(
-        self, recording: Recording, lifter: LifterLike | None, settings: ReconstructionSettings, total: int,
-        folder: Path, workers: int | None, progress: Progress | None,
-    ) -> None:  # fmt: skip
+        self,
+        recording: Recording,
+        lifter: LifterLike | None,
+        settings: ReconstructionSettings,
+        total: int,
+        folder: Path,
+        workers: int | None,
+        progress: Progress | None,
+    ) -> None:
         """Take what all runs have in common.
 
         Args:
-            recording: with calibrated IMUs. lifter, settings: as for `reconstruct`. total: number of runs.
-            folder: for the results. workers: processes, see `run_jobs`. progress: see `Progress`.
+            lifter, settings: as for `reconstruct`. workers: processes, see `run_jobs`. progress: see `Progress`.
         """
         assert recording.imus is not None
         self.names, self.total, self.folder, self.workers = recording.imus.names, total, folder, workers
@@ -162,9 +161,6 @@ class Runs:
     def measured(self, sets: Sequence[tuple[str, ...]], what: str) -> tuple[SensorSet, ...]:
         """Measure sets that do not depend on each other, after `full`.
 
-        Args:
-            sets: of sensors. what: purpose of these runs, for the progress.
-
         Raises:
             RtofError: a run failed; the others are saved.
         """
@@ -175,11 +171,7 @@ class Runs:
         return tuple(SensorSet.read(outcome.done[key], outcome.arrays(key)) for key in jobs)
 
     def expect(self, number: int) -> None:
-        """State how many runs are to come at most.
-
-        Args:
-            number: of runs.
-        """
+        """State how many runs are to come at most."""
         self.total = self._done + number
 
     def _key(self, sensors: Sequence[str]) -> str:
@@ -196,9 +188,12 @@ class Runs:
     ) -> Outcome:
         report = self._progress or (lambda done, total, text: None)
         outcome = run_jobs(
-            function, jobs, self.folder, workers,
+            function,
+            jobs,
+            self.folder,
+            workers,
             lambda done, total, text: report(self._done + done, self.total, f"{what} ({done} of {total})"),
-        )  # fmt: skip
+        )
         self._done += len(jobs)
         if outcome.failed:
             key, problem = next(iter(outcome.failed.items()))

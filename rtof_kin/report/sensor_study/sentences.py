@@ -28,13 +28,17 @@ def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     needs and does not need.
 
     Args:
-        study: of a recording. tolerance: RMS, rad.
+        tolerance: RMS, rad.
     """
     shown = [study.angles[a] for a in study.shown]
     return [
-        _scope(study), _meaning(study), _alone(study), _order(study, tolerance), *_chance(study),
+        _scope(study),
+        _meaning(study),
+        _alone(study),
+        _order(study, tolerance),
+        *_chance(study),
         *_by_need(study, shown, tolerance),
-    ]  # fmt: skip
+    ]
 
 
 def _scope(study: SensorStudy) -> str:
@@ -51,9 +55,7 @@ def _scope(study: SensorStudy) -> str:
 def _meaning(study: SensorStudy) -> str:
     if study.has_truth:
         return "Numbers are RMS errors against the truth of this recording."
-    text = (
-        f"Numbers are RMS differences from the motion with all {len(study.full.sensors)} sensors. {NO_ERROR}"
-    )
+    text = f"Numbers are RMS differences from the motion with all {len(study.full.sensors)} sensors. {NO_ERROR}"
     half = study.full.half_band[np.isfinite(study.full.half_band)]
     if not half.size:
         return text
@@ -79,17 +81,20 @@ def _alone(study: SensorStudy) -> str:
 def _order(study: SensorStudy, tolerance: float) -> str:
     """Order of removal, and what was not tried."""
     gone = [
-        study.places[omitted(found, larger.sensors)]
-        for larger, found in zip(study.path, study.path[1:], strict=False)
+        study.places[omitted(found, larger.sensors)] for larger, found in zip(study.path, study.path[1:], strict=False)
     ]
     n, tried = len(study.full.sensors), study.runs
     kept = [int(study.kept(found, tolerance).sum()) for found in study.path]
     counts = ", ".join(f"{len(found.sensors)}: {k}" for found, k in zip(study.path, kept, strict=True))
     every = 2**n - (0 if study.camera else 1)
-    rest = "." if tried == every else (
-        f": {tried} of {every} possible sets were tried, and others of the same size may be as good or "
-        "better. That a sensor is removed late does not prove that it is needed."
-    )  # fmt: skip
+    rest = (
+        "."
+        if tried == every
+        else (
+            f": {tried} of {every} possible sets were tried, and others of the same size may be as good or "
+            "better. That a sensor is removed late does not prove that it is needed."
+        )
+    )
     return (
         f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of "
         f"{len(study.angles)} within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets "
@@ -102,8 +107,9 @@ def _chance(study: SensorStudy) -> Iterator[str]:
     others = {k: study.as_good(k) for k in range(len(study.steps))}
     undecided = [
         f"{len(study.path[k + 1].sensors)} left: {', '.join(study.places[name] for name in names)}"
-        for k, names in others.items() if names
-    ]  # fmt: skip
+        for k, names in others.items()
+        if names
+    ]
     if undecided:
         yield (
             "The order is partly chance: within the scatter, these at least could have been removed instead: "
@@ -125,8 +131,7 @@ def _by_need(study: SensorStudy, shown: list[str], tolerance: float) -> Iterator
         "single": f"Beyond {limit} where one sensor alone is omitted, so that it is needed for this angle",
         "slight": f"Within {limit} with all sensors and slightly beyond it without some single one (by a "
         f"change of less than {_deg(LEAST_CHANGE, 0)})",
-        "still": f"These hardly move here (standard deviation under {limit}), so that being within {limit} "
-        "says little",
+        "still": f"These hardly move here (standard deviation under {limit}), so that being within {limit} says little",
         "beyond": f"Beyond {limit} even with all {len(study.full.sensors)} sensors, so that this study "
         "cannot say what they need",
     }
@@ -171,9 +176,7 @@ def _listed(study: SensorStudy, group: str, names: list[str], tolerance: float) 
 
 def _needed(study: SensorStudy, a: int, tolerance: float) -> list[SensorSet]:
     """Sets without one sensor alone that an angle clearly needs."""
-    return [
-        found for found in study.without if not study.kept(found, tolerance)[a] and _changed(study, a, found)
-    ]
+    return [found for found in study.without if not study.kept(found, tolerance)[a] and _changed(study, a, found)]
 
 
 def _changed(study: SensorStudy, a: int, found: SensorSet) -> bool:
@@ -213,8 +216,7 @@ def _both_sides(names: list[str]) -> str:
         side, rest = side_and_name(name)
         sides.setdefault(rest, []).append(side)
     return ", ".join(
-        label(rest) if len(own) > 1 or not own[0] else f"{own[0]} {label(rest)}"
-        for rest, own in sides.items()
+        label(rest) if len(own) > 1 or not own[0] else f"{own[0]} {label(rest)}" for rest, own in sides.items()
     )
 
 

@@ -1,10 +1,9 @@
 """Sensor study: accuracy of each angle when sensors are removed from a reconstruction.
 
-First each sensor is omitted alone, then sensors are removed one after the other, the one with the smallest
-loss first, down to none (without a camera, to one). Each set is compared with the full set, and with the
-reference if the recording has one. A difference from the full set is not an error: errors that both share
-cancel. A sensor that stays until late in this order is not proven to be needed: other sets of the same size
-may be equally good or better.
+First each sensor is omitted alone, then sensors are removed one after the other, the one with the smallest loss first,
+down to none (without a camera, to one). Each set is compared with the full set, and with the reference if the
+recording has one. A difference from the full set is not an error: errors that both share cancel. A sensor that stays
+until late in this order is not proven to be needed: other sets of the same size may be equally good or better.
 """
 
 from __future__ import annotations
@@ -116,9 +115,10 @@ class SensorStudy:
         """
         best = _least(self.steps[step])
         return tuple(
-            omitted(found, self.path[step].sensors) for found in self.steps[step]
+            omitted(found, self.path[step].sensors)
+            for found in self.steps[step]
             if found is not best and not found.loss - best.loss > CLEARLY * found.scatter(best)
-        )  # fmt: skip
+        )
 
 
 def _least(tried: Sequence[SensorSet]) -> SensorSet:
@@ -126,11 +126,7 @@ def _least(tried: Sequence[SensorSet]) -> SensorSet:
 
 
 def omitted(found: SensorSet, sensors: Sequence[str]) -> str:
-    """Return the first of some sensors that a set does not have.
-
-    Args:
-        found: a smaller set. sensors: names.
-    """
+    """Return the first of some sensors that a set does not have."""
     return next(name for name in sensors if name not in found.sensors)
 
 
@@ -138,7 +134,7 @@ def number_of_runs(sensors: int, camera: bool = True, greedy: bool | None = None
     """Return the largest number of reconstructions of a study; a greedy one usually needs fewer.
 
     Args:
-        sensors: number of sensors. camera: whether there are keypoints. greedy: as in `study_sensors`.
+        greedy: as in `study_sensors`.
     """
     steps = sensors if camera else sensors - 1
     if _is_greedy(sensors, greedy):
@@ -187,9 +183,8 @@ def study_sensors(
     names = imus.names
     with _folder(folder) as place:
         runs = Runs(
-            part.of(recording), lifter, settings, number_of_runs(len(names), camera, greedy), place, workers,
-            progress,
-        )  # fmt: skip
+            part.of(recording), lifter, settings, number_of_runs(len(names), camera, greedy), place, workers, progress
+        )
         full = runs.full()
         steps = _steps(runs, full.accuracy, 0 if camera else 1, _is_greedy(len(names), greedy))
     segments = dict(zip(names, bone_imus.joints, strict=True))
@@ -197,9 +192,19 @@ def study_sensors(
     places = {sensor: words.get(joint, joint) for sensor, joint in segments.items()}
     reference = full.angles if full.truth is None else full.truth
     return SensorStudy(
-        recording.name, part, segments, places, full.angles.names, spread(reference), full.accuracy, steps,
-        full.truth is not None, camera, full.verdict, full.choices,
-    )  # fmt: skip
+        recording.name,
+        part,
+        segments,
+        places,
+        full.angles.names,
+        spread(reference),
+        full.accuracy,
+        steps,
+        full.truth is not None,
+        camera,
+        full.verdict,
+        full.choices,
+    )
 
 
 def identity_of(
@@ -218,10 +223,13 @@ def identity_of(
     whole = hashlib.sha256()
     _digest(recording, whole.update)
     return {
-        "command": "study", "version": rtof_kin.__version__, "recording": whole.hexdigest(),
-        "lifter": getattr(lifter, "sha256", None), "settings": repr(settings),
+        "command": "study",
+        "version": rtof_kin.__version__,
+        "recording": whole.hexdigest(),
+        "lifter": getattr(lifter, "sha256", None),
+        "settings": repr(settings),
         "part_s": [part.start, part.stop],
-    }  # fmt: skip
+    }
 
 
 def _digest(value: object, update: Callable[[bytes], None]) -> None:

@@ -41,7 +41,6 @@ class BandedProblem:
         """Order the unknowns.
 
         Args:
-            problem: the symbolic energy.
             compile: 'auto' compiles the elements where there is a compiler, 'never' interprets.
 
         Raises:
@@ -76,11 +75,7 @@ class BandedProblem:
             self._band = self._store.entries[:, :width]
 
     def bind(self, values: dict[str, Array], parameters: Array) -> None:
-        """Set the fragment to be evaluated.
-
-        Args:
-            values: parameters by name. parameters: the same, packed.
-        """
+        """Set the fragment to be evaluated."""
         curved_by = np.concatenate([np.ravel(values[name], order="F") for name in CURVED_BY])
         if not np.array_equal(curved_by, self._curvature.inputs[0]):  # often equal to the previous
             self._base[self.at] = self._curvature(curved_by)[0]

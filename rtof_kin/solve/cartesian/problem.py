@@ -72,27 +72,43 @@ class FragmentProblem:
     """
 
     def __init__(
-        self, parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings,
+        self,
+        parents: tuple[int, ...],
+        frames: int,
+        sensor_bones: Bones,
+        settings: CartesianSettings,
         points: Points = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Build the programme.
 
         Args:
-            parents: (J,) of the tree. frames: N. sensor_bones: (joint, child) with sensors.
-            settings: standard deviations; the weights k are parameters. points: further residuals.
+            parents: (J,) of the tree. sensor_bones: (joint, child) with sensors.
+            settings: standard deviations; the weights k are parameters.
         """
         self.parents, self.frames, self.settings, self.points = parents, frames, settings, points
         self.sensor_bones, self.pairs = sensor_bones, rigid_pairs(parents)
         J, N, B = len(parents), frames, len(sensor_bones)
         self.X = ca.SX.sym("X", 3 * J, N)
         shapes: dict[str, tuple[int, ...]] = {
-            "R_camera_world": (3, 3), "t_camera_world": (3,), "K": (3, 3), "rate_hz": (),
-            "sigma_reprojection": (), "uv_px": (2, N * J), "w_visual": (N * J,), "shares": (B,),
-            "a_world": (3 * B, N - 2), "w_acceleration": (B, N - 2),
-            "b_world": (3 * B, N), "w_bone": (B, N), "w_smooth": (N - 3,),
+            "R_camera_world": (3, 3),
+            "t_camera_world": (3,),
+            "K": (3, 3),
+            "rate_hz": (),
+            "sigma_reprojection": (),
+            "uv_px": (2, N * J),
+            "w_visual": (N * J,),
+            "shares": (B,),
+            "a_world": (3 * B, N - 2),
+            "w_acceleration": (B, N - 2),
+            "b_world": (3 * B, N),
+            "w_bone": (B, N),
+            "w_smooth": (N - 3,),
             "j_world": (3 * J, N - 3 if settings.jerk_target == "sensor" else 0),
-            "w_length": (N,), "lengths": (len(self.pairs),), "p_prior": (3 * J, N), "k": (len(TERMS),),
-        }  # fmt: skip
+            "w_length": (N,),
+            "lengths": (len(self.pairs),),
+            "p_prior": (3 * J, N),
+            "k": (len(TERMS),),
+        }
         self.parameters = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
         for _, term in points:
             self.parameters |= term.symbols(N)
@@ -126,8 +142,7 @@ class FragmentProblem:
         target = P["j_world"] if s.jerk_target == "sensor" else 0
         smooth = energies.jerk(self.X, target, P["rate_hz"]) / s.sigma_jerk
         lengths = [
-            energies.distance(self._joint(a), self._joint(b), P["lengths"][i])
-            for i, (a, b) in enumerate(self.pairs)
+            energies.distance(self._joint(a), self._joint(b), P["lengths"][i]) for i, (a, b) in enumerate(self.pairs)
         ]
         length = ca.vertcat(*lengths) / s.sigma_length
         return {
@@ -142,14 +157,8 @@ class FragmentProblem:
 
     def _point_term(self, joint: int, term: PointTerm) -> _Term:
         """A further residual of all frames, weighted like the prior: 1 / sigma^2 is part of the residual."""
-        path, observed, weight = (
-            self._joint(joint),
-            self.parameters[term.observed],
-            self.parameters[term.weight],
-        )
-        residuals = [
-            ca.sqrt(weight[t]) * term.residual(path[:, t], observed[:, t]) for t in range(self.frames)
-        ]
+        path, observed, weight = (self._joint(joint), self.parameters[term.observed], self.parameters[term.weight])
+        residuals = [ca.sqrt(weight[t]) * term.residual(path[:, t], observed[:, t]) for t in range(self.frames)]
         stacked, count = ca.vertcat(*residuals), 3 * len(self.parents) * self.frames
         return _Term(stacked, ca.SX.ones(stacked.numel()) / count, term.robust, residuals[0].numel())
 
@@ -249,9 +258,7 @@ class FragmentProblem:
         for joint, term in self.points:
             own = ca.SX.sym("own", term.size + 1)
             r = ca.sqrt(own[-1]) * term.residual(p, own[:-1])
-            value, curvature = _energy_and_curvature(
-                _Term(r, ca.SX.ones(r.numel()) / count, term.robust, r.numel())
-            )
+            value, curvature = _energy_and_curvature(_Term(r, ca.SX.ones(r.numel()) / count, term.robust, r.numel()))
             J = ca.jacobian(r, p)
             outputs = [value, ca.gradient(value, p), 2 * J.T @ ca.diag(curvature) @ J]
             function = ca.Function(term.observed, [p, own, unused], [ca.densify(v) for v in outputs])
@@ -270,20 +277,29 @@ class FragmentProblem:
 
     def _options(self, hess_lag: Any) -> dict[str, Any]:
         return {
-            "hess_lag": hess_lag, "print_time": False, "show_eval_warnings": False, "error_on_fail": False,
-            "calc_lam_p": False, "calc_lam_x": False,
+            "hess_lag": hess_lag,
+            "print_time": False,
+            "show_eval_warnings": False,
+            "error_on_fail": False,
+            "calc_lam_p": False,
+            "calc_lam_x": False,
             "ipopt": {
-                "print_level": 0, "sb": "yes", "linear_solver": "mumps", "tol": self.settings.tolerance,
-                "max_iter": self.settings.max_iterations, "mumps_scaling": 0,
-                "mumps_permuting_scaling": 0, "mumps_pivot_order": 0, "nlp_scaling_method": "none",
+                "print_level": 0,
+                "sb": "yes",
+                "linear_solver": "mumps",
+                "tol": self.settings.tolerance,
+                "max_iter": self.settings.max_iterations,
+                "mumps_scaling": 0,
+                "mumps_permuting_scaling": 0,
+                "mumps_pivot_order": 0,
+                "nlp_scaling_method": "none",
             },
-        }  # fmt: skip
+        }
 
 
 def fragment_problem(
-    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings,
-    points: Points = (),
-) -> FragmentProblem:  # fmt: skip
+    parents: tuple[int, ...], frames: int, sensor_bones: Bones, settings: CartesianSettings, points: Points = ()
+) -> FragmentProblem:
     """Return the problem, built once for all bodies and weights k that share a tree.
 
     Args:

@@ -105,16 +105,22 @@ class CartesianSettings:
 
     @classmethod
     def paper(cls, backend: Backend = "ipopt") -> CartesianSettings:
-        """Return the energy as printed, with the weak prior that gives it a minimiser.
-
-        Args:
-            backend: numerical solver.
-        """
+        """Return the energy as printed, with the weak prior that gives it a minimiser."""
         return cls(
-            k_V=0.9, k_I=0.1, k_A=0.5, k_B=0.2, k_S=0.3, sigma_reprojection=10.0, huber_reprojection=None,
-            jerk_target="sensor", bone_lengths="free", prior="positions", blend="average",
-            padding="replicate", backend=backend,
-        )  # fmt: skip
+            k_V=0.9,
+            k_I=0.1,
+            k_A=0.5,
+            k_B=0.2,
+            k_S=0.3,
+            sigma_reprojection=10.0,
+            huber_reprojection=None,
+            jerk_target="sensor",
+            bone_lengths="free",
+            prior="positions",
+            blend="average",
+            padding="replicate",
+            backend=backend,
+        )
 
     def term_weights(self) -> dict[str, float]:
         """Return the weight of each term in the total energy."""

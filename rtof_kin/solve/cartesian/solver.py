@@ -170,9 +170,7 @@ class CartesianSolver:
         x, lam_g = (np.asarray(result[name]).ravel() for name in ("x", "lam_g"))
         return x, _status(stats["return_status"]), int(stats["iter_count"]), lam_g
 
-    def _real_time(
-        self, x0: Array, values: dict[str, Array], p: Array
-    ) -> tuple[Array, SolverStatus, int, Array]:
+    def _real_time(self, x0: Array, values: dict[str, Array], p: Array) -> tuple[Array, SolverStatus, int, Array]:
         """Positions, status, iterations, no multipliers."""
         assert self._banded is not None
         self._banded.bind(values, p)
@@ -268,9 +266,12 @@ class CartesianSolver:
         return target.reshape(N - 3, -1).T
 
     def oriented(
-        self, poses: PoseSequence, _: KeypointSequence | None, bone_imus: BoneImuSequence | None,
+        self,
+        poses: PoseSequence,
+        _: KeypointSequence | None,
+        bone_imus: BoneImuSequence | None,
         __: Sequence[KeypointSequence] = (),
-    ) -> PoseSequence:  # fmt: skip
+    ) -> PoseSequence:
         """Return the poses with orientations from their positions, and twist from the sensors."""
         never = InertialGuidedIKSettings(threshold=np.pi)
         return InertialGuidedIK(self.skeleton, never).orient(poses, bone_imus)

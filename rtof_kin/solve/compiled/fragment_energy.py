@@ -86,17 +86,20 @@ class FragmentEnergy(Protocol):
 
 
 def built_energy(
-    name: str, shape: Shape, moving: tuple[str, ...], frames: int, hinges: bool, compile: Compile,
-    jerk: tuple[float, ...], robust_acceleration: float, prior: PosePrior,
-) -> FragmentEnergy:  # fmt: skip
+    name: str,
+    shape: Shape,
+    moving: tuple[str, ...],
+    frames: int,
+    hinges: bool,
+    compile: Compile,
+    jerk: tuple[float, ...],
+    robust_acceleration: float,
+    prior: PosePrior,
+) -> FragmentEnergy:
     """Return an energy of N frames, compiled where possible.
 
     Args:
-        name: of the skeleton table. shape: landmarks, sensors and anchors. moving: joints that turn.
-        frames: N. hinges: whether knees and elbows turn about one axis. compile: 'auto' or 'never'.
-        jerk: factors on the standard deviation of the jerk, of the root's position and of every joint
-            that moves.
-        robust_acceleration: threshold of the pseudo-Huber loss of accelerations, sigmas.
+        jerk: factors on the standard deviation of the jerk, of the root's position and of every joint that moves.
         prior: of the body; has the standard deviations of the jerk.
     """
     with BUILDING:

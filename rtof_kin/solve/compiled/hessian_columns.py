@@ -59,9 +59,8 @@ def linear(energy: FrameEnergy) -> HessianColumns:
 def coupled(energy: FrameEnergy) -> HessianColumns:
     """Return the function of the Hessian's entries one to three frames later.
 
-    Inputs: varying entries of the sensors' Jacobian of t, t + 1, t + 2; slopes of the accelerations of
-    frames t and t + 1; inverse right Jacobians of the steps t - 1 to t + 2; coefficients of the jerk; its
-    sigma; rate.
+    Inputs: varying entries of the sensors' Jacobian of t, t + 1, t + 2; slopes of the accelerations of frames t and t
+    + 1; inverse right Jacobians of the steps t - 1 to t + 2; coefficients of the jerk; its sigma; rate.
     """
     J, jerk, rate = _SensorJacobian(energy), _JerkBlocks(energy), ca.SX.sym("f")
     changing = [ca.SX.sym(f"J{k}", len(J.at)) for k in range(3)]

@@ -1,8 +1,7 @@
 """Energy of a fragment from compiled code that takes several frames at once.
 
-The same numbers as `energy.problem.JointProblem`, which evaluates whole arrays; here functions of a frame
-and its neighbours (`stencils`, `hessian_columns`) write energies, gradient and the Hessian where it is
-factorised.
+The same numbers as `energy.problem.JointProblem`, which evaluates whole arrays; here functions of a frame and its
+neighbours (`stencils`, `hessian_columns`) write energies, gradient and the Hessian where it is factorised.
 """
 
 from __future__ import annotations
@@ -40,13 +39,17 @@ class SimdFunctions:
         """Compile the functions of an energy; None where they cannot be.
 
         Args:
-            energy: of one frame. robust: `JointSpaceSettings.robust_acceleration`, sigmas.
+            robust: `JointSpaceSettings.robust_acceleration`, sigmas.
         """
         space = energy.space
         simple = [
-            stencils.retract(space), FrameFunction(energy.value, (2,)), stencils.step(space),
-            stencils.inverse(space), stencils.motion(energy, robust), stencils.pulled(energy),
-        ]  # fmt: skip
+            stencils.retract(space),
+            FrameFunction(energy.value, (2,)),
+            stencils.step(space),
+            stencils.inverse(space),
+            stencils.motion(energy, robust),
+            stencils.pulled(energy),
+        ]
         linear, coupled = hessian_columns.linear(energy), hessian_columns.coupled(energy)
         code = compile_simd([*simple, linear.frame, coupled.frame])
         if code is None:
@@ -61,8 +64,7 @@ class SimdProblem:
         """Bind the compiled functions to arrays.
 
         Args:
-            functions: those of `energy`. frames: N.
-            sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
+            functions: those of `energy`. sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
         """
         self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
         self._jerk = Jerk(energy.space, frames, sigma_jerk)
@@ -93,30 +95,39 @@ class SimdProblem:
         frame = [at(self._x), at(self._observed), self._constant]
         shared = [self._sigma, self._rate]
         around = [
-            *(at(self._force, k) for k in (-2, -1, 0)), *(at(self._tension, k) for k in (-3, -2, -1, 0)),
+            *(at(self._force, k) for k in (-2, -1, 0)),
+            *(at(self._tension, k) for k in (-3, -2, -1, 0)),
             *(at(self._inverse, k) for k in (-1, 0)),
-        ]  # fmt: skip
+        ]
         self._run = {
             "value": self._over("value", N, frame, [self._terms, self._points, self._residuals]),
             "step": self._over("step", N - 1, [at(self._x), at(self._x, 1)], [self._step]),
             "inverse": self._over("inverse", N - 1, [at(self._step)], [self._inverse]),
             "pulled": self._over("pulled", N, [*frame, *around], [self._gradient_now]),
             "motion": self._over(
-                "motion", N - 2,
-                [*(at(self._step, k) for k in range(3)), at(self._w_jerk),
-                 *(at(self._points, k) for k in range(3)), at(self._a), at(self._w), *shared],
+                "motion",
+                N - 2,
+                [
+                    *(at(self._step, k) for k in range(3)),
+                    at(self._w_jerk),
+                    *(at(self._points, k) for k in range(3)),
+                    at(self._a),
+                    at(self._w),
+                    *shared,
+                ],
                 [self._motion_energy, self._slope, self._tension, self._force],
             ),
-        }  # fmt: skip
+        }
         coefficients = at(self._coefficients)
         linear = [*frame, *around, *(at(self._slope, k) for k in (-2, -1, 0)), coefficients, *shared]
         coupled = [
-            *(at(self._changing, k) for k in range(3)), *(at(self._slope, k) for k in (-1, 0)),
-            *(at(self._inverse, k) for k in (-1, 0, 1, 2)), coefficients, *shared,
-        ]  # fmt: skip
-        self._run["linear"] = self._placed(
-            self._functions.linear, linear, [at(self._gradient_now), at(self._changing)]
-        )
+            *(at(self._changing, k) for k in range(3)),
+            *(at(self._slope, k) for k in (-1, 0)),
+            *(at(self._inverse, k) for k in (-1, 0, 1, 2)),
+            coefficients,
+            *shared,
+        ]
+        self._run["linear"] = self._placed(self._functions.linear, linear, [at(self._gradient_now), at(self._changing)])
         self._run["coupled"] = self._placed(self._functions.coupled, coupled, [])
 
     def _over(self, name: str, frames: int, inputs: list[Array], outputs: list[Array]) -> Over:

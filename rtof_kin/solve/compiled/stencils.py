@@ -153,7 +153,5 @@ def _stacked(parts: list[Any]) -> Any:
     return ca.vertcat(*parts) if parts else ca.SX(0, 1)
 
 
-def _function(
-    name: str, inputs: list[Any], outputs: list[Any], shared: tuple[int, ...] = ()
-) -> FrameFunction:
+def _function(name: str, inputs: list[Any], outputs: list[Any], shared: tuple[int, ...] = ()) -> FrameFunction:
     return FrameFunction(ca.Function(name, inputs, [ca.densify(v) for v in outputs]), shared)

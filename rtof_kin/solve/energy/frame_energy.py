@@ -1,15 +1,13 @@
 """Energy of one frame as CasADi symbols: value, gradient and Gauss-Newton Hessian in tangent space.
 
-Residuals of a single instant are here; acceleration and jerk, which need several frames, are in `problem`.
-Derivatives are taken at the state itself (tangent zero). A fragment maps the function of one frame over
-its frames.
+Residuals of a single instant are here; acceleration and jerk, which need several frames, are in `problem`. Derivatives
+are taken at the state itself (tangent zero). A fragment maps the function of one frame over its frames.
 
-A residual on a segment depends on the twist (v, w) of that segment in world: a point p of it moves by
-v + w x (p - p_root). With G the derivative of the residual by the twist, it adds G^T G to the segment's
-6 x 6 stiffness and G^T r to its force. A joint moves its whole subtree, so it takes the sums over the
-subtree; with S_i the twist of joint i, the Hessian's block of joints i and j (j in the subtree of i) is
-S_i^T K_j S_j: the composite-rigid-body algorithm (Featherstone 2008, ch. 6) with stiffness in place of
-inertia.
+A residual on a segment depends on the twist (v, w) of that segment in world: a point p of it moves by v + w x (p -
+p_root). With G the derivative of the residual by the twist, it adds G^T G to the segment's 6 x 6 stiffness and G^T r
+to its force. A joint moves its whole subtree, so it takes the sums over the subtree; with S_i the twist of joint i,
+the Hessian's block of joints i and j (j in the subtree of i) is S_i^T K_j S_j: the composite-rigid-body algorithm
+(Featherstone 2008, ch. 6) with stiffness in place of inertia.
 """
 
 from __future__ import annotations
@@ -77,10 +75,9 @@ class FrameEnergy:
         terms: names of the energies.
         full: (state, observation, constant) -> energies, gradient (D), Hessian (D, D, lower part),
             positions of the sensors (3S), their Jacobian (3S, D), reprojection residuals (2L) in px.
-        value: the same inputs -> energies, positions of the sensors, reprojection residuals.
-        gradient: the same inputs and a force on the sensors' positions (3S) -> gradient with it.
-        observation, constant: name -> symbol, in the order in which the second and third input have them.
-        rows: name -> rows of the second input.
+        value: the same inputs -> energies, positions of the sensors, reprojection residuals. gradient: the same inputs
+        and a force on the sensors' positions (3S) -> gradient with it. observation, constant: name -> symbol, in the
+        order in which the second and third input have them. rows: name -> rows of the second input.
     """
 
     def __init__(self, space: StateSpace, shape: Shape) -> None:
@@ -282,14 +279,20 @@ def _observation(shape: Shape) -> dict[str, Any]:
     """Symbols of what is observed in a frame; weights are 1 / sigma^2, 0 where nothing is."""
     L, S, B, F = len(shape.landmarks), len(shape.sensors), len(shape.bones), len(shape.feet)
     symbols = {
-        "uv_px": ca.SX.sym("uv", 2, L), "w_visual": ca.SX.sym("wv", L),
+        "uv_px": ca.SX.sym("uv", 2, L),
+        "w_visual": ca.SX.sym("wv", L),
         "knee_visual": ca.SX.sym("kv", 1 + len(shape.further)),
-        "quat_sensor": ca.SX.sym("qs", 4, S), "w_sensor": ca.SX.sym("ws", S),
-        "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)), "w_torso": ca.SX.sym("wt", len(shape.torso)),
-        "b_world": ca.SX.sym("b", 3, B), "w_bone": ca.SX.sym("wb", B),
-        "p_root": ca.SX.sym("pr", 3), "w_root": ca.SX.sym("wr"),
-        "w_floor": ca.SX.sym("wf", F), "w_prior": ca.SX.sym("wp"),
-    }  # fmt: skip
+        "quat_sensor": ca.SX.sym("qs", 4, S),
+        "w_sensor": ca.SX.sym("ws", S),
+        "quat_torso": ca.SX.sym("qt", 4, len(shape.torso)),
+        "w_torso": ca.SX.sym("wt", len(shape.torso)),
+        "b_world": ca.SX.sym("b", 3, B),
+        "w_bone": ca.SX.sym("wb", B),
+        "p_root": ca.SX.sym("pr", 3),
+        "w_root": ca.SX.sym("wr"),
+        "w_floor": ca.SX.sym("wf", F),
+        "w_prior": ca.SX.sym("wp"),
+    }
     if C := len(shape.contacts):
         symbols |= {"p_contact": ca.SX.sym("pc", 3, C), "w_contact": ca.SX.sym("wc", C)}
     for term in shape.points:
@@ -305,10 +308,13 @@ def _constant(space: StateSpace, shape: Shape) -> dict[str, Any]:
     return {
         "offsets": ca.SX.sym("o", 3, len(space.skeleton.names)),
         **{name: ca.SX.sym(name, *shape) for camera in cameras for name, shape in camera},
-        "whitening": ca.SX.sym("W", 9, S), "levers": ca.SX.sym("l", 3, S),
-        "places": ca.SX.sym("c", 3, len(shape.landmarks)), "quat_mean": ca.SX.sym("qm", 4, turning),
-        "precision": ca.SX.sym("P", 3 * turning, 3 * turning), "floor": ca.SX.sym("f"),
-    }  # fmt: skip
+        "whitening": ca.SX.sym("W", 9, S),
+        "levers": ca.SX.sym("l", 3, S),
+        "places": ca.SX.sym("c", 3, len(shape.landmarks)),
+        "quat_mean": ca.SX.sym("qm", 4, turning),
+        "precision": ca.SX.sym("P", 3 * turning, 3 * turning),
+        "floor": ca.SX.sym("f"),
+    }
 
 
 def camera_names(which: int) -> tuple[str, str, str]:

@@ -1,9 +1,8 @@
 """Jerk of the tangent coordinates: gradient and Gauss-Newton Hessian by the states.
 
-With v_t the step from frame t to t + 1, the energy is that of the second differences of v. A step changes
-by L_t with the tangent of the later frame and by -L_t^T with that of the earlier one, where L_t is the
-inverse right Jacobian of its rotation vector. Approximating L by 1 in the Hessian slows convergence of
-slow motions of the whole fragment.
+With v_t the step from frame t to t + 1, the energy is that of the second differences of v. A step changes by L_t with
+the tangent of the later frame and by -L_t^T with that of the earlier one, where L_t is the inverse right Jacobian of
+its rotation vector. Approximating L by 1 in the Hessian slows convergence of slow motions of the whole fragment.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Jerk:
         """Set the fragment to be evaluated.
 
         Args:
-            w_jerk: (N - 3,) weights. rate_hz: frames per second. length_scale: of the body.
+            w_jerk: (N - 3,) weights. rate_hz: frames per second.
         """
         N = self.frames
         if length_scale != 1 or self.sigma is not self._sigma:

@@ -59,15 +59,19 @@ class JointProblem:
     """A `FragmentEnergy` of N frames that evaluates whole arrays."""
 
     def __init__(
-        self, space: StateSpace, functions: list[Any], energy: frame_energy.FrameEnergy, frames: int,
-        sigma_jerk: Array, robust_acceleration: float,
-    ) -> None:  # fmt: skip
+        self,
+        space: StateSpace,
+        functions: list[Any],
+        energy: frame_energy.FrameEnergy,
+        frames: int,
+        sigma_jerk: Array,
+        robust_acceleration: float,
+    ) -> None:
         """Map the functions of one frame over N.
 
         Args:
             functions: those of `energy`, interpreted or compiled.
             sigma_jerk: (D,) of every tangent coordinate, m/s^3 and rad/s^3.
-            robust_acceleration: threshold of the pseudo-Huber loss of accelerations, sigmas.
         """
         self.space, self.energy, self.frames, self.sigma_jerk = space, energy, frames, sigma_jerk
         self._jerk = Jerk(space, frames, sigma_jerk)
@@ -160,9 +164,7 @@ class JointProblem:
         N, D = self.frames, self.space.size
         frame, column, row = self._band.strides
         # Column c of a block begins at its diagonal: row c of the block.
-        shifted = np.lib.stride_tricks.as_strided(
-            self._band, (N, D, 3 * D + 1 + BEYOND), (frame, column + row, row)
-        )
+        shifted = np.lib.stride_tricks.as_strided(self._band, (N, D, 3 * D + 1 + BEYOND), (frame, column + row, row))
         band = np.ascontiguousarray(shifted).reshape(N * D, -1)
         band[:, 0] += damping
         return factorise(band)
@@ -175,9 +177,14 @@ class JointProblem:
         tangent = np.concatenate([steps[:, :3], steps[:, 3:] @ self.space.expand], axis=1)
         terms, points, residuals = self._value(x.ravel())
         out = self._temporal(
-            points, tangent.ravel(), data.a_world.ravel(), data.w_acceleration.ravel(),
-            data.w_jerk, np.array([data.rate_hz]), self._jerk.sigma,
-        )  # fmt: skip
+            points,
+            tangent.ravel(),
+            data.a_world.ravel(),
+            data.w_acceleration.ravel(),
+            data.w_jerk,
+            np.array([data.rate_hz]),
+            self._jerk.sigma,
+        )
         shapes = (N, N - 1, N - 2)
         force, pull, slope = (v.reshape(n, -1) for v, n in zip(out[2:], shapes, strict=True))
         values = [*terms.reshape(N, -1).sum(axis=0).tolist(), float(out[0][0]), float(out[1][0])]

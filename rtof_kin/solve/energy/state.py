@@ -39,7 +39,7 @@ class StateSpace:
         """Collect the moving joints.
 
         Args:
-            skeleton: the body. moving: names of joints that turn; the root always does.
+            moving: names of joints that turn; the root always does.
             hinged: whether knees and elbows turn about one axis only.
         """
         self.skeleton = skeleton
@@ -51,9 +51,7 @@ class StateSpace:
                 joint = skeleton.table.joints[j]
                 flexion = next(i for i, d in enumerate(joint.dofs) if d.clinical.endswith("flexion"))
                 self.hinge_axis[self.joints.index(j)] = XYZ.index(joint.axes[flexion])
-        kept = [
-            3 * a + c for a, axis in enumerate(self.hinge_axis) for c in (range(3) if axis < 0 else (axis,))
-        ]
+        kept = [3 * a + c for a, axis in enumerate(self.hinge_axis) for c in (range(3) if axis < 0 else (axis,))]
         self.expand = np.eye(3 * len(self.joints))[:, kept]
         self.size = 3 + len(kept)
         self._widths = np.where(self.hinge_axis < 0, 3, 1)
@@ -117,7 +115,7 @@ class StateSpace:
         """Return low-pass filtered states.
 
         Args:
-            x: (T, 3 + 4A). rate_hz: of the frames. cutoff_hz: -3 dB frequency.
+            x: (T, 3 + 4A). cutoff_hz: -3 dB frequency.
         """
         if len(x) < 4 or cutoff_hz >= rate_hz / 2:
             return x
@@ -148,7 +146,7 @@ class StateSpace:
         """Return states moved and turned alike so that one frame becomes a known state.
 
         Args:
-            x: (T, 3 + 4A). frame: index of the frame. known: (3 + 4A,) its state.
+            x: (T, 3 + 4A). known: (3 + 4A,) its state.
         """
         q, r = self.rotations(x), self.rotations(known[None])[0]
         turn = quat.multiply(quat.conjugate(q[frame]), r)
@@ -189,7 +187,7 @@ class StateSpace:
         """Return derivatives (T, K, 3, D) of points on segments by the tangent.
 
         Args:
-            p: (T, J, 3) joints, m. turns: their `turn_rates`. joints: K segments. points: (T, K, 3) m.
+            p: (T, J, 3) joints, m. turns: their `turn_rates`. points: (T, K, 3) m.
         """
         arm = points[:, :, None] - p[:, None, self._turning[0]]
         moved = np.swapaxes(np.cross(turns[:, list(joints)], arm), -1, -2)

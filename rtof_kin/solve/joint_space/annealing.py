@@ -27,15 +27,18 @@ class Annealing:
     """
 
     def __init__(
-        self, settings: JointSpaceSettings, problem: FragmentEnergy, confidence: Array, sizes: Array,
-        observation: dict[str, Array], least_px: float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        settings: JointSpaceSettings,
+        problem: FragmentEnergy,
+        confidence: Array,
+        sizes: Array,
+        observation: dict[str, Array],
+        least_px: float = 0.0,
+    ) -> None:
         """Set the initial weights.
 
         Args:
-            settings: bounds of the estimate. problem: with the fragment bound to it.
             confidence: (N, L) of the landmarks. sizes: (L,) their errors relative to those of the others.
-            observation: of the fragment. least_px: lower bound of sigma.
         """
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation

@@ -15,7 +15,7 @@ def camera_data(seen: Sequence[KeypointSequence], frames: int) -> tuple[dict[str
     """Undistorted landmarks by frame, and the cameras; a camera that sees nothing where there is none.
 
     Args:
-        seen: what each camera sees, the first one first. frames: T.
+        seen: what each camera sees, the first one first.
     """
     rows = {"uv_px": np.zeros((frames, 0, 2)), "w_visual": np.zeros((frames, 0))}
     if not seen:

@@ -31,11 +31,7 @@ _NOWHERE: Final = 3.0
 
 
 def state_covariances(problem: FragmentEnergy, solver: LevenbergMarquardt, solved: Solved) -> Array:
-    """Return the covariances (N, D, D) of the states' tangents; NaN where the Hessian is singular.
-
-    Args:
-        problem: with the fragment bound to it. solver: of that problem. solved: its solution.
-    """
+    """Return the covariances (N, D, D) of the states' tangents; NaN where the Hessian is singular."""
     N, D = len(solved.x), problem.space.size
     solver.linearise(solved.x, solved.multipliers)
     try:
@@ -62,9 +58,6 @@ def blended(earlier: Array, later: Array, share: Array) -> Array:
 def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
     """Return the pairs of segments of a `Confidence`: each with the world, with its parent, and with the
     nearest ancestor that usually carries a sensor (upper arm with trunk, trunk with pelvis).
-
-    Args:
-        skeleton: the body.
     """
     names, parents = skeleton.names, skeleton.parents
     carriers = {joint for joint, _ in skeleton.sensors.values()}
@@ -82,8 +75,7 @@ def confidence_of(
     """Return the covariances of positions and orientations.
 
     Args:
-        space: state space. times: (T,) s. x: (T, 3 + 4A) states. covariance: (T, D, D) of their tangents.
-        fixed: joints of the space with a fixed orientation.
+        times: (T,) s. x: (T, 3 + 4A) states. covariance: (T, D, D) of their tangents.
     """
     skeleton, (p, R) = space.skeleton, space.poses(x)
     rates = space.turn_rates(R)

@@ -96,9 +96,7 @@ class FixedLagSmoother:
         prior = MarginalPrior.none(self.space, self.x[1:LAGS])
         if self.inside[0]:
             self._leaving.bind(self._first_terms())
-            prior = marginalised(
-                self.prior, self._leaving, self.limits, self.x[:LAGS], self._multipliers[:LAGS]
-            )
+            prior = marginalised(self.prior, self._leaving, self.limits, self.x[:LAGS], self._multipliers[:LAGS])
         self.prior = prior
         for array in (*self.rows.values(), self.a_world, self.w_acceleration, self.inside, self._multipliers):
             array[:-1] = array[1:]
@@ -139,7 +137,7 @@ class FixedLagSmoother:
         """Improve the states; return whether they have converged.
 
         Args:
-            iterations: most Levenberg-Marquardt iterations. tolerance: by default that of the settings.
+            tolerance: by default that of the settings.
 
         Raises:
             SolverError: the energy is not finite; the states are unchanged.
@@ -194,9 +192,8 @@ class FixedLagSmoother:
         w = self._early * (inside[2:] & inside[1:-1] & inside[:-2])
         jerk = (np.convolve(inside, np.ones(LAGS), mode="valid") == LAGS).astype(float)
         return FragmentData(
-            rows, self.constant, self.a_world[1:-1], w[:, None] * self.w_acceleration[1:-1], jerk,
-            self.rate_hz,
-        )  # fmt: skip
+            rows, self.constant, self.a_world[1:-1], w[:, None] * self.w_acceleration[1:-1], jerk, self.rate_hz
+        )
 
     def _first_terms(self) -> FragmentData:
         """Observations of the first four frames, with the weights of terms that contain the first one."""
@@ -207,9 +204,8 @@ class FixedLagSmoother:
         w[1:] = 0.0
         inside = self.inside[:LAGS]
         return FragmentData(
-            rows, self.constant, self.a_world[1:3], w * inside[:3].all(), np.array([float(inside.all())]),
-            self.rate_hz,
-        )  # fmt: skip
+            rows, self.constant, self.a_world[1:3], w * inside[:3].all(), np.array([float(inside.all())]), self.rate_hz
+        )
 
 
 class _RunningErrors:
@@ -219,8 +215,10 @@ class _RunningErrors:
         s = data.settings
         self._given, self._bounds = s.sigma_reprojection, s.sigma_reprojection_range
         self._sizes, self._robust, self._largest = (
-            data.points.sizes, s.robust_reprojection, s.largest_correlation_factor,
-        )  # fmt: skip
+            data.points.sizes,
+            s.robust_reprojection,
+            s.largest_correlation_factor,
+        )
         self._size, self._factor = 0.0, 1.0
         self._estimated = False
 

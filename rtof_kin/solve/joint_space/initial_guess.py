@@ -51,7 +51,6 @@ def initial_guess(
         keypoints: at the times of `start`. None, without a camera, leaves the poses unchanged.
         bone_imus: any subset of the sensors, at any times; those on shanks and feet determine the root.
         refit_root: whether the root is moved onto the rays of its landmarks.
-        views: keypoints of further cameras at the same times.
     """
     sigma = np.zeros(len(start))
     if keypoints is None:

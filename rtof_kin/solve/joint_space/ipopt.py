@@ -44,9 +44,9 @@ class Ipopt:
         """Minimise from a state.
 
         Args:
-            x: (N, 3 + 4A) initial state. max_iterations: iteration limit.
-            tolerance: a hundredth of the largest remaining derivative of the Lagrangian, by a millimetre
-                or milliradian.
+            x: (N, 3 + 4A) initial state.
+            tolerance: a hundredth of the largest remaining derivative of the Lagrangian, by a millimetre or
+                milliradian.
         """
         self._point.begin(x)
         problem, limits, N = self.problem, self.limits, len(x)
@@ -63,9 +63,12 @@ class Ipopt:
             multipliers = np.asarray(result["lam_g"]).reshape(N, -1)
         ended = str(stats["return_status"])
         return Solved(
-            state, int(stats["iter_count"]), ended == "Solve_Succeeded", multipliers,
+            state,
+            int(stats["iter_count"]),
+            ended == "Solve_Succeeded",
+            multipliers,
             out_of_iterations=ended == "Maximum_Iterations_Exceeded",
-        )  # fmt: skip
+        )
 
     def _solver(self, max_iterations: int, tolerance: float) -> Any:
         key = (max_iterations, tolerance)
@@ -73,15 +76,26 @@ class Ipopt:
             functions = dict(self._functions)
             nlp = functions.pop("nlp")
             options: dict[str, Any] = {
-                **functions, "print_time": False, "error_on_fail": False, "show_eval_warnings": False,
-                "calc_lam_p": False, "calc_lam_x": False, "no_nlp_grad": True,
+                **functions,
+                "print_time": False,
+                "error_on_fail": False,
+                "show_eval_warnings": False,
+                "calc_lam_p": False,
+                "calc_lam_x": False,
+                "no_nlp_grad": True,
                 "ipopt": {
-                    "print_level": 0, "sb": "yes", "linear_solver": "mumps",
+                    "print_level": 0,
+                    "sb": "yes",
+                    "linear_solver": "mumps",
                     "tol": _GRADIENT * tolerance,
-                    "max_iter": max_iterations, "nlp_scaling_method": "none", "mu_init": 1e-5,
-                    "mumps_scaling": 0, "mumps_permuting_scaling": 0, "mumps_pivot_order": _METIS,
+                    "max_iter": max_iterations,
+                    "nlp_scaling_method": "none",
+                    "mu_init": 1e-5,
+                    "mumps_scaling": 0,
+                    "mumps_permuting_scaling": 0,
+                    "mumps_pivot_order": _METIS,
                 },
-            }  # fmt: skip
+            }
             with BUILDING:
                 self._solvers[key] = ca.nlpsol("joint_fragment", "ipopt", nlp, options)
         return self._solvers[key]

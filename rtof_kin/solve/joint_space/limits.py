@@ -25,9 +25,6 @@ class Limits:
     def __init__(self, space: StateSpace) -> None:
         """Collect the limits of the hinges that move.
 
-        Args:
-            space: the moving joints.
-
         Raises:
             InvalidInputError: a lower limit is not below its upper one.
         """

@@ -48,7 +48,7 @@ class MarginalPrior:
         """Return a prior without information.
 
         Args:
-            space: of the states. x: (3, 3 + 4A) any states.
+            x: (3, 3 + 4A) any states.
         """
         size = MEMORY * space.size
         return cls(x, np.zeros((size, size)), np.zeros(size))
@@ -57,7 +57,7 @@ class MarginalPrior:
         """Return the energy and its gradient (3, D) by tangents at x.
 
         Args:
-            space: of the states. x: (3, 3 + 4A).
+            x: (3, 3 + 4A).
         """
         d = space.difference(self.x, x).ravel()
         pulled = self.precision @ d
@@ -76,7 +76,7 @@ def marginalised(
 
     Args:
         prior: of frames 0 to 2. leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
-        limits: of the hinges. x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
+        x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
 
     Raises:
         SolverError: the frame's Hessian is not positive definite.

@@ -85,13 +85,9 @@ class Observations:
         """Collect the observations.
 
         Args:
-            skeleton: the body. frames: N of a fragment. settings: standard deviations.
-            guess: initial guess (T). keypoints: at its times. bone_imus: at any times.
-            footholds: of standing feet (T).
-            places: further segments with a place for a sensor; recordings with any of them share the
-                compiled code.
-            views: keypoints of further cameras, at the times of the guess.
-            terms: further residuals. observed: their observations (T) by name.
+            guess: initial guess (T). bone_imus: at any times. footholds: of standing feet (T).
+            places: further segments with a place for a sensor; recordings with any of them share the compiled code.
+            views: keypoints of further cameras, at the times of the guess. observed: their observations (T) by name.
         """
         self.skeleton, self.frames, self.settings, self._terms = skeleton, frames, settings, terms
         start = guess.poses
@@ -162,9 +158,7 @@ class Observations:
         """Remove from the pixels what moves the points beside their segments at poses (T, J)."""
         if self.points.place_covariance.any():
             off = self._by_camera(lambda camera: self.points.displaced(camera, p, R))
-            self.rows["uv_px"] = self._uv_px - np.where(
-                self.confidence[..., None] > 0, np.nan_to_num(off), 0.0
-            )
+            self.rows["uv_px"] = self._uv_px - np.where(self.confidence[..., None] > 0, np.nan_to_num(off), 0.0)
 
     def _by_camera(self, of: Callable[[Camera], Array]) -> Array:
         """Values (T, L, ...) of the points, each by the camera that sees it."""
@@ -191,9 +185,7 @@ class Observations:
         """Return an energy like `problem` of another number of frames, with arrays of its own."""
         return self._energy_of(frames)
 
-    def _energies(
-        self, active: Collection[str], standing: tuple[str, ...]
-    ) -> Callable[[int], FragmentEnergy]:
+    def _energies(self, active: Collection[str], standing: tuple[str, ...]) -> Callable[[int], FragmentEnergy]:
         """The energy of a number of frames, for joints with sensors and those that may have footholds."""
         skeleton, s = self.skeleton, self.settings
         index = skeleton.names.index
@@ -213,14 +205,24 @@ class Observations:
         others = s.jerk if active else unsensed
         jerk = others, *(unsensed if name in smooth else others for name in self.space.names)
         return lambda frames: built_energy(
-            skeleton.name, shape, self.space.names, frames, s.hinges, s.compile, jerk,
-            s.robust_acceleration, skeleton.table.prior,
-        )  # fmt: skip
+            skeleton.name,
+            shape,
+            self.space.names,
+            frames,
+            s.hinges,
+            s.compile,
+            jerk,
+            s.robust_acceleration,
+            skeleton.table.prior,
+        )
 
     def _observe(
-        self, start: PoseSequence, seen: Sequence[KeypointSequence], bone_imus: BoneImuSequence | None,
+        self,
+        start: PoseSequence,
+        seen: Sequence[KeypointSequence],
+        bone_imus: BoneImuSequence | None,
         active: Collection[str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Set rows, constant, a_world and w_acceleration."""
         skeleton, s, T = self.skeleton, self.settings, len(start)
         bones, bare_joints, p = self.problem.energy.shape.bones, bare(active), start.p_world_joint
@@ -302,14 +304,18 @@ class Observations:
 
 
 def fragment_of(
-    rows: Mapping[str, Array], constant: Mapping[str, Array], a_world: Array, w_acceleration: Array,
-    rate_hz: float, first: int, frames: int,
-) -> tuple[Index, Mask, FragmentData]:  # fmt: skip
+    rows: Mapping[str, Array],
+    constant: Mapping[str, Array],
+    a_world: Array,
+    w_acceleration: Array,
+    rate_hz: float,
+    first: int,
+    frames: int,
+) -> tuple[Index, Mask, FragmentData]:
     """Return the indices of a fragment's frames, which of them exist, and their data.
 
     Args:
-        rows: name -> (T, ...). constant: name -> value. a_world: (T, S, 3) m/s^2.
-        w_acceleration: (T, S). rate_hz: of the frames. first: frame. frames: N.
+        rows: name -> (T, ...). a_world: (T, S, 3) m/s^2. w_acceleration: (T, S).
     """
     frame = np.arange(first, first + frames)
     inside = (frame >= 0) & (frame < len(a_world))
@@ -318,17 +324,25 @@ def fragment_of(
     for name in (n for n in observation if n.startswith("w_") and n != "w_prior"):  # 0 in the padding
         observation[name] = (observation[name].T * inside).T
     whole = inside[2:] & inside[1:-1] & inside[:-2]
-    return index, inside, FragmentData(
-        observation, dict(constant), a_world[index][1:-1], w_acceleration[index][1:-1] * whole[:, None],
-        (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float), rate_hz,
-    )  # fmt: skip
+    return (
+        index,
+        inside,
+        FragmentData(
+            observation,
+            dict(constant),
+            a_world[index][1:-1],
+            w_acceleration[index][1:-1] * whole[:, None],
+            (np.convolve(inside, np.ones(4), mode="valid") == 4).astype(float),
+            rate_hz,
+        ),
+    )
 
 
 def low_passed(bone_imus: BoneImuSequence | None, settings: JointSpaceSettings) -> BoneImuSequence | None:
     """Return the sensors with accelerations filtered as the settings ask for.
 
     Args:
-        bone_imus: at their own rate. settings: `acceleration_cutoff_hz`.
+        settings: `acceleration_cutoff_hz`.
     """
     cutoff_hz = settings.acceleration_cutoff_hz
     if bone_imus is None or cutoff_hz is None:
@@ -342,7 +356,7 @@ def sensor_data(
     """Return quaternions (T, S, 4) and weights (T, S), accelerations (T, S, 3) and weights, levers (S, 3).
 
     Args:
-        times: (T,) s. bone_imus: resampled to them. sensors: S segments. settings: standard deviations.
+        times: (T,) s.
     """
     T, S = len(times), len(sensors)
     quat = np.zeros((T, S, 4))
@@ -383,11 +397,7 @@ def _limb_bones(skeleton: SkeletonModel) -> tuple[tuple[int, int], ...]:
 
 
 def bone_axis(skeleton: SkeletonModel, joint: str) -> Array:
-    """Return the unit direction (3,) of a segment's bone in its frame; 0 for several bones or none.
-
-    Args:
-        skeleton: the body. joint: where the segment begins.
-    """
+    """Return the unit direction (3,) of a segment's bone in its frame; 0 for several bones or none."""
     children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))
     return np.asarray(so3.unit(skeleton.joint_offsets[children[0]]) if len(children) == 1 else np.zeros(3))
 

@@ -10,14 +10,20 @@ import numpy as np
 from rtof_kin.core.choices import BACKENDS, Backend, Compile
 from rtof_kin.core.errors import InvalidInputError
 
-_OPTIONAL: Final = (
-    "sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root", "acceleration_cutoff_hz"
-)  # fmt: skip
+_OPTIONAL: Final = ("sigma_reprojection", "sigma_torso", "sigma_bone", "sigma_root", "acceleration_cutoff_hz")
 """Fields that may be None."""
 _POSITIVE: Final = (
-    "torso_inflation", "jerk", "jerk_without_sensors", "prior_inflation", "floor_cutoff", "smooth_start_hz",
-    "tolerance", "ankle_height", "largest_correlation_factor", "acceleration_cutoff_hz",
-)  # fmt: skip
+    "torso_inflation",
+    "jerk",
+    "jerk_without_sensors",
+    "prior_inflation",
+    "floor_cutoff",
+    "smooth_start_hz",
+    "tolerance",
+    "ankle_height",
+    "largest_correlation_factor",
+    "acceleration_cutoff_hz",
+)
 """Fields that are positive and finite, with those that begin with sigma_ or robust_."""
 
 

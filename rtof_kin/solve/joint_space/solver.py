@@ -41,9 +41,13 @@ class JointSpaceSolver:
     """Optimises configurations of a skeleton; see `rtof_kin.solve.fragment_solver.FragmentSolver`."""
 
     def __init__(
-        self, skeleton: SkeletonModel, frames: int, settings: JointSpaceSettings,
-        places: tuple[str, ...] = (), terms: tuple[PointTerm, ...] = (),
-    ) -> None:  # fmt: skip
+        self,
+        skeleton: SkeletonModel,
+        frames: int,
+        settings: JointSpaceSettings,
+        places: tuple[str, ...] = (),
+        terms: tuple[PointTerm, ...] = (),
+    ) -> None:
         """Keep the arguments of `Observations`."""
         self.skeleton, self.frames, self.settings = skeleton, frames, settings
         self.places, self.terms = places, terms
@@ -65,9 +69,18 @@ class JointSpaceSolver:
             if not set(used.names) & set(keypoints.names):
                 raise SolverError("keypoints: none of the landmarks is one of the skeleton")
         data = Observations(
-            self.skeleton, self.frames, self.settings, guess, keypoints, bone_imus, footholds, self.places,
-            views, self.terms, observed,
-        )  # fmt: skip
+            self.skeleton,
+            self.frames,
+            self.settings,
+            guess,
+            keypoints,
+            bone_imus,
+            footholds,
+            self.places,
+            views,
+            self.terms,
+            observed,
+        )
         half, times = self.frames // 2, guess.poses.times
         i = np.arange(self.frames)
         taper = np.minimum(i + 0.5, self.frames - i - 0.5) ** 2
@@ -101,9 +114,12 @@ class JointSpaceSolver:
             yield Block(frames, *data.space.poses(x), tuple(reports), known, spread)
 
     def oriented(
-        self, poses: PoseSequence, keypoints: KeypointSequence | None, _: BoneImuSequence | None,
+        self,
+        poses: PoseSequence,
+        keypoints: KeypointSequence | None,
+        _: BoneImuSequence | None,
         views: Sequence[KeypointSequence] = (),
-    ) -> PoseSequence:  # fmt: skip
+    ) -> PoseSequence:
         """Return the poses with flags of the orientations that landmarks beside the joints show."""
         ends = [j not in self.skeleton.parents for j in range(len(poses.names))]
         for seen in (keypoints, *views):
@@ -189,9 +205,13 @@ class _Fragments:
         began = perf_counter()
         data.problem.bind(values)
         annealing = Annealing(
-            self.settings, data.problem, data.confidence[index], data.points.sizes, values.observation,
+            self.settings,
+            data.problem,
+            data.confidence[index],
+            data.points.sizes,
+            values.observation,
             self.least_px.get(first, 0.0),
-        )  # fmt: skip
+        )
         x, failed = data.start[index] if start is None else start, True
         try:
             solved = self._minimised(x, annealing)
@@ -223,9 +243,7 @@ class _Fragments:
         solved = self._ipopt.solve(annealed.x, s.max_iterations, s.tolerance)
         return replace(solved, iterations=annealed.iterations + solved.iterations)
 
-    def _report(
-        self, solved: Solved, first: int, sigma: float, seconds: float, inside: Mask
-    ) -> FragmentReport:
+    def _report(self, solved: Solved, first: int, sigma: float, seconds: float, inside: Mask) -> FragmentReport:
         """Report measured at the returned point."""
         data = self.data
         energy, _ = data.problem.value(solved.x)

@@ -33,9 +33,6 @@ TIME: Final = 0.5
 def unseen_times(data: Observations) -> Array:
     """Return the time (T, A), s, to the nearest frame in which a landmark or a sensor is seen that the joint
     moves; inf where there is none in the recording. The root counts as seen.
-
-    Args:
-        data: observations of T frames, A joints in its space.
     """
     space, joints = data.space, data.skeleton.names
     seen = np.concatenate([data.confidence > 0, data.rows["w_sensor"] > 0], axis=1)
@@ -55,7 +52,7 @@ def unseen_covariance(data: Observations, times: Array) -> Array:
     """Return the covariances (T, D, D) of the states' tangents; zero where everything is seen.
 
     Args:
-        data: whose prior. times: (T, A) s, frames of `unseen_times`.
+        times: (T, A) s, frames of `unseen_times`.
     """
     space = data.space
     owner = np.repeat(np.arange(len(space.joints)), np.where(space.hinge_axis < 0, 3, 1))[3:]

@@ -8,11 +8,10 @@ for the whole recording: they do not average out. So every covariance C becomes
 
     K C K + B^2 + a^2 D + (m f)^2 r r^T      K = k0 + m (k - k0)      B = m d b
 
-with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, equal for
-right and left. D are mean squares of the difference between solution and initial guess (`disagreement`),
-with one factor a for all joints of a kind. r is the vector from the camera to a joint, of positions in
-world only: how far a person is away follows from the apparent size, and is known to a share f of it.
-`ResidualStatistics` of the recording give the rest:
+with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, equal for right and
+left. D are mean squares of the difference between solution and initial guess (`disagreement`), with one factor a for
+all joints of a kind. r is the vector from the camera to a joint, of positions in world only: how far a person is away
+follows from the apparent size, and is known to a share f of it. `ResidualStatistics` of the recording give the rest:
 
 - m: autocorrelation of the keypoints' residuals, 0 (white) to 1 (a detector's). k0 stands for the errors
   of the sensors alone.
@@ -105,9 +104,7 @@ class Widening:
         for name, least in (("factor", 1.0), ("floor", 0.0)):
             value = np.asarray(getattr(self, name), dtype=float)
             if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
-                raise InvalidInputError(
-                    f"widening {name}: {value} must be one or three numbers, none below {least:g}"
-                )
+                raise InvalidInputError(f"widening {name}: {value} must be one or three numbers, none below {least:g}")
             object.__setattr__(self, name, np.broadcast_to(value, 3))
 
 
@@ -145,19 +142,13 @@ class CovarianceInflation:
     def read(cls, path: str | Path) -> Self:
         """Read a file that `text` wrote.
 
-        Args:
-            path: of the file.
-
         Raises:
             FileFormatError: it is not one.
         """
         data = load_toml(Path(path))
         try:
             widenings = {
-                seen: {
-                    kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()}
-                    for kind in kinds
-                }
+                seen: {kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()} for kind in kinds}
                 for seen, kinds in SEEN.items()
             }
             return cls(widenings, data.get(_SHARES, {}), data.get(_DEPTHS, {}))
@@ -182,13 +173,15 @@ class CovarianceInflation:
         return "\n".join(lines)
 
     def apply(
-        self, confidence: Confidence, statistics: ResidualStatistics, apart: Disagreement | None = None,
+        self,
+        confidence: Confidence,
+        statistics: ResidualStatistics,
+        apart: Disagreement | None = None,
         p_camera_joint: Array | None = None,
-    ) -> Confidence:  # fmt: skip
+    ) -> Confidence:
         """Return inflated covariances.
 
         Args:
-            confidence: of the Hessian. statistics: of the recording.
             apart: of solution and initial guess, at the same times; None: D = 0.
             p_camera_joint: (T, J, 3) m, joints as seen from the camera, world axes; None: f = 0.
         """
@@ -235,7 +228,7 @@ def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
     """Return K.
 
     Args:
-        factor: k. autocorrelation: m, 0 to 1.
+        autocorrelation: m, 0 to 1.
     """
     k = np.asarray(factor, dtype=float)
     white = np.minimum(k, WHITE_FACTOR)
@@ -246,8 +239,7 @@ def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
     """Return the class of the observation of a covariance, a key of `SEEN`.
 
     Args:
-        kind: of `UNITS`. name: the joint, or parent and child. root: the root joint's name.
-        sensors: joints whose segments carry one.
+        kind: of `UNITS`. root: the root joint's name.
     """
     if not sensors:
         return "camera"

@@ -49,8 +49,7 @@ def disagreement(
     """Return the difference of two estimates.
 
     Args:
-        solved, start: of the same joints at the same times. pairs: of segments, as `Confidence.pairs`.
-        window: averaged before and after a frame, s.
+        pairs: of segments, as `Confidence.pairs`. window: averaged before and after a frame, s.
     """
     off = solved.p_world_joint - start.p_world_joint
     names = (*solved.names, WORLD)

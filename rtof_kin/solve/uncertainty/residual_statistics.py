@@ -45,9 +45,8 @@ def residual_statistics(
     """Return the statistics of a reconstructed recording.
 
     Args:
-        keypoints: as used, evenly spaced, at the motion's times. motion: compared with them.
+        keypoints: as used, evenly spaced, at the motion's times.
         lifted: the lifter's poses with their standard deviations (`PoseSequence.sigma_rad`).
-        sensors: joints whose segments carry one.
     """
     keypoints = measurements(keypoints, motion.skeleton)
     points, poses = image_points(motion.skeleton, keypoints.names), motion.poses
@@ -95,11 +94,7 @@ class LegMisfit:
     """Size of the person in the image."""
 
     def excess(self, rate_hz: float, sensed: bool = True) -> Array:
-        """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame.
-
-        Args:
-            rate_hz: of the frames. sensed: the thighs carry sensors.
-        """
+        """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame."""
         usual = _USUAL_M if sensed else _USUAL_ALONE_M
         near = maximum_filter1d(self.thighs, 2 * round(_NEAR_S * rate_hz) + 1)
         return np.asarray(np.sqrt(np.maximum(near**2 - usual**2, 0.0)))
@@ -138,12 +133,7 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
 def leg_spread(
     confidence: Confidence, misfit: LegMisfit, motion: MotionSequence, sensors: Collection[str] = ()
 ) -> Confidence | None:
-    """Return the covariances that a misfit of the legs adds, isotropic; None where it is usual.
-
-    Args:
-        confidence: gives names, pairs and times. misfit: at these times. motion: of it.
-        sensors: joints whose segments carry one that is used.
-    """
+    """Return the covariances that a misfit of the legs adds, isotropic; None where it is usual."""
     excess = misfit.excess(motion.poses.rate_hz, bool({"LeftUpLeg", "RightUpLeg"} & {*sensors}))
     if not excess.any():
         return None
@@ -157,15 +147,17 @@ def leg_spread(
     joints = [_REST if name.endswith("UpLeg") else factor(name) for name in confidence.names]
     length = skeleton.bone_lengths
     turns = [
-        max((_TURNS * factor(name) / length[name.replace("UpLeg", "Leg")]
-             for name in pair if name.endswith("Leg") and name not in sensors), default=0.0)
+        max(
+            (
+                _TURNS * factor(name) / length[name.replace("UpLeg", "Leg")]
+                for name in pair
+                if name.endswith("Leg") and name not in sensors
+            ),
+            default=0.0,
+        )
         for pair in confidence.pairs
-    ]  # fmt: skip
-    position, turn = (
-        (excess[:, None] * factors)[..., None, None] ** 2 * np.eye(3) for factors in (joints, turns)
-    )
+    ]
+    position, turn = ((excess[:, None] * factors)[..., None, None] ** 2 * np.eye(3) for factors in (joints, turns))
     relative = position.copy()
     relative[:, 0] = 0.0
-    return replace(
-        confidence, position_covariance=position, relative_covariance=relative, turn_covariance=turn
-    )
+    return replace(confidence, position_covariance=position, relative_covariance=relative, turn_covariance=turn)

@@ -37,28 +37,17 @@ class AngleLabels:
     """(T, A) deg, half width of the 95 % band; NaN where unknown."""
 
     def widest(self, index: int) -> str:
-        """Return a text as wide as any of an angle.
-
-        Args:
-            index: of the angle.
-        """
+        """Return a text as wide as any of an angle."""
         values, half = self.values_deg[:, index], self.half_deg[:, index]
         if not np.isfinite(values).any():
             return f"{self.titles[index]} {UNKNOWN}"
-        digits = [
-            len(str(round(float(np.nanmax(np.abs(x)))))) if np.isfinite(x).any() else 0
-            for x in (values, half)
-        ]
+        digits = [len(str(round(float(np.nanmax(np.abs(x)))))) if np.isfinite(x).any() else 0 for x in (values, half)]
         sign = "−" if np.nanmin(values) < 0 else ""
         band = f"  ± {'8' * digits[1]}°" if digits[1] else ""
         return f"{self.titles[index]} {sign}{'8' * digits[0]}°{band}"
 
     def text(self, index: int, moment: Moment) -> str:
-        """Return the title and the value of an angle at an instant.
-
-        Args:
-            index: of the angle. moment: of the motion.
-        """
+        """Return the title and the value of an angle at an instant."""
         frames = moment.frames
         value = float(moment.mix(self.values_deg[frames, index]))
         half = float(moment.mix(self.half_deg[frames, index]))
@@ -81,7 +70,7 @@ def angle_labels(motion: MotionSequence, chosen: Sequence[str] | None = None) ->
     """Return the labels of chosen angles.
 
     Args:
-        motion: with poses. chosen: names of angles; by default `USUAL`, those with a value at any time.
+        chosen: names of angles; by default `USUAL`, those with a value at any time.
 
     Raises:
         UnknownNameError: there is no such angle.
@@ -93,9 +82,12 @@ def angle_labels(motion: MotionSequence, chosen: Sequence[str] | None = None) ->
     child = {row.name: joint.child for joint in table.joints for row in joint.angles}
     half = np.full(angles.values.shape, np.nan) if angles.sigma is None else BAND_95 * angles.sigma
     return AngleLabels(
-        names, tuple(map(short_name, names)), tuple(motion.skeleton.index(*(child[name] for name in names))),
-        np.degrees(angles.trusted_values), np.degrees(half),
-    )  # fmt: skip
+        names,
+        tuple(map(short_name, names)),
+        tuple(motion.skeleton.index(*(child[name] for name in names))),
+        np.degrees(angles.trusted_values),
+        np.degrees(half),
+    )
 
 
 def _observed(angles: ClinicalAngles) -> list[str]:
@@ -105,11 +97,7 @@ def _observed(angles: ClinicalAngles) -> list[str]:
 
 
 def short_name(name: str) -> str:
-    """Return a short title of an angle: 'R knee', 'L hip adduction'.
-
-    Args:
-        name: e.g. 'right_knee_flexion'.
-    """
+    """Return a short title of an angle: 'R knee', 'L hip adduction'."""
     side, _, rest = name.partition("_")
     title = f"{side[0].upper()} {rest}" if side in SIDES else name
     return title.replace("_", " ").removesuffix(" flexion")

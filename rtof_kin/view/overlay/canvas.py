@@ -57,24 +57,13 @@ class Box:
         return self.top + self.height
 
     def overlaps(self, other: Box) -> bool:
-        """Return whether two boxes share a pixel.
-
-        Args:
-            other: the other one.
-        """
+        """Return whether two boxes share a pixel."""
         return (
-            self.left < other.right
-            and other.left < self.right
-            and self.top < other.bottom
-            and other.top < self.bottom
+            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
         )
 
     def inside(self, other: Box) -> bool:
-        """Return whether no pixel lies outside another box.
-
-        Args:
-            other: the other one.
-        """
+        """Return whether no pixel lies outside another box."""
         return (
             self.left >= other.left
             and self.top >= other.top
@@ -99,7 +88,7 @@ class Canvas:
         """Draw a line with round ends; nothing if an end is not finite.
 
         Args:
-            start, end: (2,) px. stroke: how.
+            start, end: (2,) px.
         """
         (ax, ay), (bx, by) = map(float, start), map(float, end)
         margin = stroke.radius + stroke.edge_width + 1
@@ -128,7 +117,7 @@ class Canvas:
         """Draw a diagonal cross.
 
         Args:
-            centre: (2,) px. arm: half its width, px. stroke: of its lines.
+            centre: (2,) px. arm: half its width, px.
         """
         x, y = map(float, centre)
         for rise in (arm, -arm):
@@ -139,7 +128,7 @@ class Canvas:
 
         Args:
             centre: (2,) px. shape: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``.
-            stroke: of the border. fill: opacity of the interior, 0 to 1.
+            fill: opacity of the interior, 0 to 1.
         """
         cx, cy = map(float, centre)
         if not np.isfinite(shape).all():
@@ -167,7 +156,7 @@ class Canvas:
         """Cover a box with a translucent colour.
 
         Args:
-            box: to be covered. colour: of the cover. opacity: 0 to 1.
+            opacity: 0 to 1.
         """
         patch = self.image[max(box.top, 0) : max(box.bottom, 0), max(box.left, 0) : max(box.right, 0)]
         levels = np.arange(256)[:, None] * (1 - opacity) + np.array(colour[::-1]) * opacity + 0.5
@@ -178,7 +167,7 @@ class Canvas:
         """Blend a colour where a mask says so.
 
         Args:
-            left, top: where the mask's first pixel lies, px. coverage: (h, w), 0 to 1. colour: RGB.
+            left, top: where the mask's first pixel lies, px. coverage: (h, w), 0 to 1.
         """
         height, width = coverage.shape
         x, y = max(left, 0), max(top, 0)

@@ -90,8 +90,7 @@ class Captions:
         """Draw captions.
 
         Args:
-            canvas: to draw on. time: s, of the motion; None where there is none.
-            video_time: s, of the video. seen: whether the person is observed.
+            time: s, of the motion; None where there is none. video_time: s, of the video.
         """
         above, below = self.boxes(time)
         for box in (above, below):
@@ -154,11 +153,7 @@ class Captions:
 
 
 def font_size(width_px: int, height_px: int) -> int:
-    """Return the size of the font for a picture, px.
-
-    Args:
-        width_px, height_px: of the picture.
-    """
+    """Return the size of the font for a picture, px."""
     return max(round(_SIZE * float(np.sqrt(width_px * height_px))), _SMALLEST_PX)
 
 

@@ -123,7 +123,7 @@ def pixelate(image: Image, region: FaceRegion) -> None:
     """Replace a region of an image, in place, by the mean colours of its blocks.
 
     Args:
-        image: (height, width, 3). region: to be blurred.
+        image: (height, width, 3).
     """
     height, width = image.shape[:2]
     box = region.box or Box(0, 0, width, height)

@@ -27,14 +27,7 @@ from rtof_kin.view.overlay.film_source import (
     open_source,
     scale_of,
 )
-from rtof_kin.view.overlay.film_writer import (
-    GIF_HEIGHT,
-    GIF_WIDTH,
-    FilmWriter,
-    GifWriter,
-    Mp4Writer,
-    check_suffix,
-)
+from rtof_kin.view.overlay.film_writer import GIF_HEIGHT, GIF_WIDTH, FilmWriter, GifWriter, Mp4Writer, check_suffix
 from rtof_kin.view.overlay.painter import Painter
 from rtof_kin.view.overlay.picture_view import PictureView, ScaledView, virtual_view
 from rtof_kin.view.overlay.projected_motion import ProjectedMotion
@@ -84,9 +77,6 @@ class OverlayResult:
 def read_result(folder: str | Path) -> ResultFiles:
     """Read the output of `reconstruct` or `run`.
 
-    Args:
-        folder: of the output.
-
     Raises:
         FileFormatError: a file is missing or damaged; of an output of an earlier version, the message says
             what to do.
@@ -95,9 +85,10 @@ def read_result(folder: str | Path) -> ResultFiles:
     saved = read_motion_npz(folder / MOTION)
     if not (folder / MEASUREMENTS).is_file():
         raise FileFormatError(
-            folder / MEASUREMENTS, "is missing, which has the cameras and the times of the video: this "
-            "output is of an earlier version; run rtof-kin reconstruct (or run) again"
-        )  # fmt: skip
+            folder / MEASUREMENTS,
+            "is missing, which has the cameras and the times of the video: this "
+            "output is of an earlier version; run rtof-kin reconstruct (or run) again",
+        )
     measurements = read_measurements_npz(folder / MEASUREMENTS)
     if not np.array_equal(measurements.times, saved.poses.times):
         raise FileFormatError(folder / MEASUREMENTS, "is not of the motion.npz beside it; reconstruct again")
@@ -105,18 +96,23 @@ def read_result(folder: str | Path) -> ResultFiles:
 
 
 def write_overlay(
-    folder: str | Path, output: str | Path, video: str | Path | None = None, *, view: int = 1,
-    settings: OverlaySettings | None = None, overwrite: bool = False, progress: Progress | None = None,
-) -> OverlayResult:  # fmt: skip
+    folder: str | Path,
+    output: str | Path,
+    video: str | Path | None = None,
+    *,
+    view: int = 1,
+    settings: OverlaySettings | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> OverlayResult:
     """Draw a motion on its video, or on a plain background, and write it as an MP4 or GIF.
 
     Sound and metadata of the video are not copied.
 
     Args:
         folder: output of `reconstruct` or `run`. output: file to write, .mp4 or .gif.
-        video: that the motion was computed from; None for a plain background.
-        view: number of the camera, from 1. settings: what to draw. overwrite: replace an existing file.
-        progress: called with ("draw", pictures done, pictures in all).
+        video: that the motion was computed from; None for a plain background. view: number of the camera, from 1.
+        overwrite: replace an existing file. progress: called with ("draw", pictures done, pictures in all).
 
     Raises:
         RtofError: an input is missing, damaged or does not fit; the output exists or cannot be written.
@@ -149,7 +145,7 @@ def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureVi
     """Return the camera of a motion, or a virtual one where there was none.
 
     Args:
-        result: of the reconstruction. number: of the camera, from 1. with_video: whether a video is drawn on.
+        number: of the camera, from 1.
 
     Raises:
         InvalidInputError: no camera of this number, or none with the geometry of the video.
@@ -210,9 +206,13 @@ def _output_size(size: tuple[int, int], width_px: int | None, gif: bool) -> tupl
 
 
 def _draw(
-    source: FilmSource, painter: Painter, writer: FilmWriter, size: tuple[int, int],
-    settings: OverlaySettings, progress: Progress | None,
-) -> tuple[int, int]:  # fmt: skip
+    source: FilmSource,
+    painter: Painter,
+    writer: FilmWriter,
+    size: tuple[int, int],
+    settings: OverlaySettings,
+    progress: Progress | None,
+) -> tuple[int, int]:
     """Draw all pictures; return their number, and that of those without a person."""
     frames = without = total = 0
     shift = settings.shift if isinstance(source, VideoSource) else 0.0

@@ -115,9 +115,6 @@ class PlainSource:
 def open_source(path: str | Path, view: PictureView) -> VideoSource:
     """Return the frames of a video whose picture has the shape of a view's.
 
-    Args:
-        path: video file. view: of the motion.
-
     Raises:
         FileFormatError: not a readable video. InvalidInputError: its picture has another shape.
     """
@@ -139,18 +136,14 @@ def scale_of(size: tuple[int, int], view: PictureView) -> float:
     Where the sides differ, pixels were cut or added at the right or lower edge.
 
     Args:
-        size: width and height of the picture, px. view: of the motion.
+        size: width and height of the picture, px.
     """
     across, down = size[0] / view.camera.width_px, size[1] / view.camera.height_px
     return min((across, down), key=lambda scale: abs(scale - 1))
 
 
 def check_size(source: VideoSource, view: PictureView) -> tuple[str, ...]:
-    """Return a sentence if some pixels were cut off or added.
-
-    Args:
-        source: the video. view: of the motion.
-    """
+    """Return a sentence if some pixels were cut off or added."""
     camera, size, scale = view.camera, source.size, scale_of(source.size, view)
     wrong = max(abs(size[0] - scale * camera.width_px), abs(size[1] - scale * camera.height_px))
     if wrong <= _ROUNDING_PX:
@@ -165,7 +158,7 @@ def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[s
     """Return sentences on what does not fit between a video and a motion.
 
     Args:
-        source: the video. view: of the motion. shift: s, added to the times of the video.
+        shift: s, added to the times of the video.
 
     Raises:
         InvalidInputError: no frame of the video is at a time of the motion.

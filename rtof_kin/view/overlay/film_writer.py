@@ -80,9 +80,7 @@ class Mp4Writer:
 
     def __enter__(self) -> Self:
         """Open the file."""
-        self._container = self._av.open(
-            str(self._path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"}
-        )
+        self._container = self._av.open(str(self._path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"})
         rate = Fraction(self._rate).limit_denominator(1001)
         stream = self._container.add_stream(self.encoder, rate=rate, options=_ENCODERS[self.encoder])
         width, height = self._size
@@ -209,16 +207,19 @@ class GifWriter:
         last = self._stamps[-1] + max(self._step, self._shortest)
         ends = np.round(100 * (np.array([*self._stamps, last]) - self._stamps[0]))
         self._images[0].save(
-            self._path, format="GIF", save_all=True, append_images=self._images[1:],
-            duration=(10 * np.diff(ends)).astype(int).tolist(), loop=0, optimize=False, disposal=1,
-        )  # fmt: skip
+            self._path,
+            format="GIF",
+            save_all=True,
+            append_images=self._images[1:],
+            duration=(10 * np.diff(ends)).astype(int).tolist(),
+            loop=0,
+            optimize=False,
+            disposal=1,
+        )
 
 
 def check_suffix(path: str | Path) -> str:
     """Return the suffix of a film that can be written.
-
-    Args:
-        path: of the film.
 
     Raises:
         InvalidInputError: another suffix.

@@ -53,9 +53,7 @@ class LabelLayout:
         """Return a box for each label; a label for which there is no room is left out.
 
         Args:
-            labels: in the order of importance. picture: that they stay in.
-            avoided: (n, 2) px, points that are covered only where there is no other room.
-            taken: boxes to keep free.
+            avoided: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
         """
         used = list(taken)
         out: dict[str, Box] = {}

@@ -39,19 +39,11 @@ class Lettering:
         return int(ascent + descent)
 
     def width(self, text: str) -> int:
-        """Return the width of a text, px.
-
-        Args:
-            text: one line.
-        """
+        """Return the width of a text, px."""
         return int(np.ceil(self._font.getlength(text)))
 
     def mask(self, text: str) -> Coverage:
-        """Return the coverage (line height, width), 0 to 1, of a text.
-
-        Args:
-            text: one line.
-        """
+        """Return the coverage (line height, width), 0 to 1, of a text."""
         if text not in self._masks:
             if len(self._masks) >= _CACHED:
                 self._masks.clear()
@@ -69,7 +61,7 @@ class Lettering:
         """Break a text into lines; what does not fit ends with an ellipsis.
 
         Args:
-            text: words. width: of a line, px. lines: most lines.
+            width: of a line, px.
         """
         out = [""]
         words = text.split()
@@ -88,7 +80,7 @@ class Lettering:
         """Return a text that fits, cut with an ellipsis where needed.
 
         Args:
-            text: one line. width: px.
+            width: px.
         """
         if self.width(text) <= width:
             return text

@@ -14,14 +14,7 @@ from rtof_kin.view.overlay.face import FaceFinder, pixelate
 from rtof_kin.view.overlay.label_layout import Label, LabelLayout
 from rtof_kin.view.overlay.projected_motion import Moment, ProjectedMotion, ProjectedPose
 from rtof_kin.view.overlay.settings import OverlaySettings
-from rtof_kin.view.overlay.skeleton_drawing import (
-    BLACK,
-    WHITE,
-    SkeletonStyle,
-    draw_bands,
-    draw_detected,
-    draw_skeleton,
-)
+from rtof_kin.view.overlay.skeleton_drawing import BLACK, WHITE, SkeletonStyle, draw_bands, draw_detected, draw_skeleton
 
 _LABEL_OPACITY: Final = 0.6
 _ALONG: Final = np.linspace(0, 1, 5)
@@ -31,9 +24,7 @@ _ALONG: Final = np.linspace(0, 1, 5)
 class Painter:
     """Draws on pictures of one size; labels keep their places from one picture to the next."""
 
-    def __init__(
-        self, projected: ProjectedMotion, angles: AngleLabels, texts: CaptionTexts, settings: OverlaySettings
-    ):
+    def __init__(self, projected: ProjectedMotion, angles: AngleLabels, texts: CaptionTexts, settings: OverlaySettings):
         """Take the motion in the pixels of the pictures, labels, captions and what to draw."""
         camera = projected.view.camera
         size = camera.width_px, camera.height_px

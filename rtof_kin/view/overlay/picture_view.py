@@ -83,9 +83,6 @@ class VirtualView:
 def virtual_view(motion: MotionSequence) -> VirtualView:
     """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
 
-    Args:
-        motion: to look at.
-
     Raises:
         InvalidInputError: no frame of the motion has a pose.
     """

@@ -119,11 +119,7 @@ class ProjectedMotion:
         return Moment(before, after, weight) if self._known[[before, after]].all() else None
 
     def pose(self, moment: Moment) -> ProjectedPose:
-        """Return the person at an instant.
-
-        Args:
-            moment: of the motion.
-        """
+        """Return the person at an instant."""
         frames = moment.frames
         uv = moment.mix(self.view.project(self._p_world[frames], frames))
         provenance = self._provenance[frames].min(axis=0)
@@ -132,19 +128,11 @@ class ProjectedMotion:
         return ProjectedPose(float(moment.mix(self.motion.times[frames])), uv, provenance)
 
     def detected(self, moment: Moment) -> Array:
-        """Return detected points (L, 2) px at an instant, NaN where there are none.
-
-        Args:
-            moment: of the motion.
-        """
+        """Return detected points (L, 2) px at an instant, NaN where there are none."""
         return moment.mix(self.view.in_video(moment.frames))
 
     def covariance_px(self, frame: int) -> Array | None:
-        """Return covariances (J, 2, 2) px^2 of the joints in the picture; None without a confidence.
-
-        Args:
-            frame: of the motion.
-        """
+        """Return covariances (J, 2, 2) px^2 of the joints in the picture; None without a confidence."""
         confidence = self.motion.confidence
         if confidence is None:
             return None
@@ -162,9 +150,6 @@ def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
     """Return `Provenance` (T, J) as it is drawn: unreliable positions count as unobserved.
 
     A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.
-
-    Args:
-        motion: with poses.
     """
     poses = motion.poses
     given = poses.provenance if poses.provenance.any() else np.full(poses.provenance.shape, Provenance.CAMERA)
@@ -173,11 +158,7 @@ def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
 
 
 def limb_ends(skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the farthest landmark of each joint without children: top of the head, hand ends, toes.
-
-    Args:
-        skeleton: of the motion.
-    """
+    """Return the farthest landmark of each joint without children: top of the head, hand ends, toes."""
     leaves = [name for j, name in enumerate(skeleton.names) if j not in skeleton.parents]
     out = []
     for leaf in leaves:

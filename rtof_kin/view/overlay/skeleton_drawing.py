@@ -44,24 +44,18 @@ class SkeletonStyle:
         """Half the width of a cross, px."""
 
     def bone_stroke(self, provenance: int, right: bool) -> Stroke:
-        """Return how a bone is drawn.
-
-        Args:
-            provenance: of its child. right: whether it is of the right side.
-        """
+        """Return how a bone is drawn."""
         return Stroke(COLOURS[Provenance(provenance)], self.bone, WHITE if right else BLACK, self.edge)
 
 
 def draw_skeleton(
-    canvas: Canvas, pose: ProjectedPose, bones: tuple[tuple[int, int], ...], names: tuple[str, ...],
+    canvas: Canvas,
+    pose: ProjectedPose,
+    bones: tuple[tuple[int, int], ...],
+    names: tuple[str, ...],
     style: SkeletonStyle,
-) -> None:  # fmt: skip
-    """Draw bones and joints.
-
-    Args:
-        canvas: to draw on. pose: of the person. bones: pairs of points. names: P of the points.
-        style: widths of lines.
-    """
+) -> None:
+    """Draw bones and joints."""
     for parent, child in sorted(bones, key=lambda bone: pose.provenance[bone[1]]):
         stroke = style.bone_stroke(int(pose.provenance[child]), is_right(names[child]))
         canvas.line(pose.uv_px[parent], pose.uv_px[child], stroke)
@@ -76,8 +70,7 @@ def draw_bands(
     """Draw the 95 % ellipses of joints.
 
     Args:
-        canvas: to draw on. uv_px: (J, 2). covariance_px: (J, 2, 2) px^2; NaN where unknown.
-        provenance: (J,) of the joints. style: widths of lines.
+        uv_px: (J, 2). covariance_px: (J, 2, 2) px^2; NaN where unknown. provenance: (J,) of the joints.
     """
     for uv, covariance, how in zip(uv_px, covariance_px, provenance, strict=True):
         stroke = Stroke(COLOURS[Provenance(int(how))], style.thin)
@@ -88,7 +81,7 @@ def draw_detected(canvas: Canvas, uv_px: Array, style: SkeletonStyle) -> None:
     """Draw a cross at each detected point.
 
     Args:
-        canvas: to draw on. uv_px: (L, 2); NaN where not detected. style: widths of lines.
+        uv_px: (L, 2); NaN where not detected.
     """
     stroke = Stroke(DETECTED, style.thin, BLACK, style.edge / 2)
     for uv in uv_px:
@@ -96,9 +89,5 @@ def draw_detected(canvas: Canvas, uv_px: Array, style: SkeletonStyle) -> None:
 
 
 def is_right(name: str) -> bool:
-    """Return whether a joint or landmark is of the right side.
-
-    Args:
-        name: of a shipped skeleton, e.g. 'RightLeg' or 'RKnee'.
-    """
+    """Return whether a joint or landmark is of the right side."""
     return name.startswith("Right") or (len(name) > 1 and name[0] == "R" and name[1].isupper())

@@ -33,11 +33,7 @@ class AngleBlocks:
     """
 
     def __init__(self, motion: MotionBlocks):
-        """Compute nothing yet.
-
-        Args:
-            motion: with its file.
-        """
+        """Compute nothing yet."""
         self._motion = motion
         table = angle_table(motion.skeleton.table)
         self.names = tuple(row.name for row in table.rows)
@@ -50,9 +46,6 @@ class AngleBlocks:
 
     def part(self, frame: int, seconds: float = 0.0) -> ClinicalAngles | None:
         """Return the angles of the part of the motion around a frame; None while they are computed.
-
-        Args:
-            frame: number. seconds: to wait.
 
         Raises:
             RtofError: the motion cannot be read.
@@ -76,9 +69,7 @@ class AngleBlocks:
 
     def _compute(self, start: int, stop: int) -> ClinicalAngles:
         margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
-        found = clinical_angles(
-            self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion)))
-        )
+        found = clinical_angles(self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion))))
         for first in self._hinges:
             values = found.values[:, first : first + 3]
             known = np.isfinite(values[:, 0])

@@ -24,14 +24,12 @@ T = TypeVar("T")
 class BlockCache(Generic[T]):
     """Blocks of a motion by frame. All methods but the computation are of one thread."""
 
-    def __init__(
-        self, frames: int, available: Callable[[], int], compute: Callable[[int, int], T], block: int = BLOCK
-    ):
+    def __init__(self, frames: int, available: Callable[[], int], compute: Callable[[int, int], T], block: int = BLOCK):
         """Compute nothing yet.
 
         Args:
-            frames: number of frames. available: returns how many can be read now, from the first.
-            compute: makes a block from its first frame and the one after its last. block: frames of a block.
+            available: returns how many can be read now, from the first.
+            compute: makes a block from its first frame and the one after its last.
         """
         self.frames, self._available, self._compute = frames, available, compute
         self._size = block
@@ -40,9 +38,6 @@ class BlockCache(Generic[T]):
 
     def at(self, frame: int, seconds: float = 0.0) -> tuple[T, int] | None:
         """Return the block of a frame and the frame's place in it; None while that is read or computed.
-
-        Args:
-            frame: number. seconds: to wait until it is read and computed.
 
         Raises:
             RtofError: the block cannot be read.

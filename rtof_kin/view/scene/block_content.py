@@ -77,15 +77,16 @@ class BlockContent:
 
 
 def block_content(
-    poses: PoseSequence, skeleton: SkeletonModel, solids: SegmentSolids, start: int = 0,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    solids: SegmentSolids,
+    start: int = 0,
     confidence: Confidence | None = None,
-) -> BlockContent:  # fmt: skip
+) -> BlockContent:
     """Return what is drawn of a block.
 
     Args:
-        poses: of the block; joints of the skeleton that they do not have are missing.
-        skeleton: whose segments are drawn. solids: of the skeleton. start: first frame of the block.
-        confidence: of the same frames and joints.
+        poses: of the block; joints of the skeleton that they do not have are missing. start: first frame of the block.
     """
     poses = with_joints_of(poses, skeleton)
     p, R = poses.p_world_joint, poses.R_world_bone
@@ -115,9 +116,6 @@ def segment_provenance(poses: PoseSequence, skeleton: SkeletonModel) -> NDArray[
 
     A segment whose direction was not observed, although its joint was, has that of the prior. One whose whole
     orientation was observed needs no other joint.
-
-    Args:
-        poses: of all joints. skeleton: of the poses.
     """
     own = np.array(poses.provenance)
     if not own.any():

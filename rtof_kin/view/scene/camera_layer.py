@@ -43,11 +43,7 @@ class CameraBlock:
 
 
 def video_camera(view: KeypointSequence) -> Camera:
-    """Return the camera whose images the video has, with the pose of the mean orientation.
-
-    Args:
-        view: of the camera.
-    """
+    """Return the camera whose images the video has, with the pose of the mean orientation."""
     return view.camera if view.turning is None else view.turning.camera
 
 
@@ -55,7 +51,7 @@ def camera_block(view: KeypointSequence, p_world: Array) -> CameraBlock:
     """Return what is drawn of a camera.
 
     Args:
-        view: frames of a block. p_world: (n, J, 3) m, joints of the motion in them.
+        p_world: (n, J, 3) m, joints of the motion in them.
     """
     camera, frames = video_camera(view), np.arange(len(view))
     R_world_still = view.camera.R_camera_world.T
@@ -84,7 +80,7 @@ class CameraLayer:
         """Add the camera to the scene.
 
         Args:
-            server: of viser. name: of the nodes. view: any frames of the camera. label: shown at the camera.
+            view: any frames of the camera.
         """
         self.camera = video_camera(view)
         self.center = view.camera.center_world
@@ -94,17 +90,21 @@ class CameraLayer:
         edges += [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
         scene = server.scene
         self.edges = scene.add_line_segments(
-            f"{name}/frustum", np.array(edges, dtype=np.float32), _EDGES, thickness=1.5,
-            thickness_units="screen",
-        )  # fmt: skip
+            f"{name}/frustum", np.array(edges, dtype=np.float32), _EDGES, thickness=1.5, thickness_units="screen"
+        )
         points = {"detected": (DETECTED, "circle", 1.0), "reprojected": (REPROJECTED, "diamond", 0.8)}
         self.points = {
             what: scene.add_point_cloud(
-                f"{name}/{what}", np.zeros((0, 3), dtype=np.float32), colour, point_size=size * _POINT,
-                point_shape=shape, precision="float32", point_shading="flat",
+                f"{name}/{what}",
+                np.zeros((0, 3), dtype=np.float32),
+                colour,
+                point_size=size * _POINT,
+                point_shape=shape,
+                precision="float32",
+                point_shading="flat",
             )
             for what, (colour, shape, size) in points.items()
-        }  # fmt: skip
+        }
         self.label = scene.add_label(f"{name}/label", label, anchor="bottom-center")
         self.image: Any = None
         self._server, self._name, self._image_visible = server, name, True
@@ -124,7 +124,7 @@ class CameraLayer:
         """Show one frame.
 
         Args:
-            block: of this camera. i: frame in it. depth: of the image before the camera, m.
+            depth: of the image before the camera, m.
         """
         self._depth = depth
         self._show_pose(block.R_world_camera[i])
@@ -142,19 +142,23 @@ class CameraLayer:
             camera = self.camera
             quat, position, depth = self._image_pose()
             self.image = self._server.scene.add_image(
-                f"{self._name}/image", image, camera.width_px / camera.K[0, 0],
-                camera.height_px / camera.K[1, 1], format="jpeg", cast_shadow=False, receive_shadow=False,
-                visible=self._image_visible, wxyz=quat, position=position, scale=depth,
-            )  # fmt: skip
+                f"{self._name}/image",
+                image,
+                camera.width_px / camera.K[0, 0],
+                camera.height_px / camera.K[1, 1],
+                format="jpeg",
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=self._image_visible,
+                wxyz=quat,
+                position=position,
+                scale=depth,
+            )
         else:
             self.image.image = image
 
     def set_visible(self, what: str, visible: bool) -> None:
-        """Show or hide a part.
-
-        Args:
-            what: 'frustum', 'image', 'detected' or 'reprojected'. visible: whether it is shown.
-        """
+        """Show or hide a part."""
         if what == "image":
             self._image_visible = visible
             if self.image is not None:

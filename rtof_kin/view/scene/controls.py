@@ -25,14 +25,19 @@ class Controls:
     """What a person sets, and what the viewer tells. `changed` is set by whatever needs a frame redrawn."""
 
     def __init__(
-        self, server: Any, scene: MotionScene, playback: Playback, rate_hz: float, verdict: Verdict,
-        notes: Sequence[str] = (), images: bool = False,
-    ):  # fmt: skip
+        self,
+        server: Any,
+        scene: MotionScene,
+        playback: Playback,
+        rate_hz: float,
+        verdict: Verdict,
+        notes: Sequence[str] = (),
+        images: bool = False,
+    ):
         """Build the panel.
 
         Args:
-            server: of viser. scene: shown. playback: of it. rate_hz: of its frames. verdict: first line.
-            notes: what is not shown, and why. images: whether there are videos.
+            verdict: first line. notes: what is not shown, and why.
         """
         self._server, self._scene, self._playback, self._step = server, scene, playback, 1 / rate_hz
         self.changed, self._images = True, images
@@ -44,9 +49,7 @@ class Controls:
             self._add_playback(gui)
         self.status = gui.add_html("")
         gui.add_html(
-            legend_html(
-                cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None
-            )
+            legend_html(cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None)
         )
         with gui.add_folder("shown"):
             self._add_layers(gui)
@@ -55,11 +58,7 @@ class Controls:
         self._add_keys(gui)
 
     def tell(self, sentence: str) -> None:
-        """Show a sentence below the playback.
-
-        Args:
-            sentence: plain text.
-        """
+        """Show a sentence below the playback."""
         text = sentences_html([sentence])
         if self.status.content != text:
             self.status.content = text
@@ -83,9 +82,12 @@ class Controls:
     def _add_playback(self, gui: Any) -> None:
         playback = self._playback
         self._slider = gui.add_slider(
-            "time [s]", min=_down(playback.start), max=-_down(-playback.stop), step=_SLIDER_STEP,
+            "time [s]",
+            min=_down(playback.start),
+            max=-_down(-playback.stop),
+            step=_SLIDER_STEP,
             initial_value=_down(playback.start),
-        )  # fmt: skip
+        )
         self._slider.on_update(self._scrub)
         self._button = gui.add_button("play")
         self._button.on_click(lambda _: self._toggle())
@@ -169,7 +171,7 @@ class Controls:
         """Put a browser's view into a camera, with its image behind the person.
 
         Args:
-            client: of viser; None for all of them. number: of the camera.
+            client: of viser; None for all of them.
         """
         layer = self._scene.cameras[number]
         self._follow.value = False

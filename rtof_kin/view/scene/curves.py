@@ -39,11 +39,7 @@ class Curves:
     """Panel with up to three curves."""
 
     def __init__(self, server: Any, angles: AngleBlocks):
-        """Add the panel.
-
-        Args:
-            server: of viser. angles: of the motion.
-        """
+        """Add the panel."""
         self._angles, self.changed = angles, True
         gui = server.gui
         self._shown_limits = _EMPTY
@@ -52,9 +48,14 @@ class Curves:
             self._legend = gui.add_html("")
             empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
             self._plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), *empty), _series(), scales=_scales(_EMPTY), axes=_AXES,
-                legend={"show": False}, height=150, padding=(6, 14, 0, 0),
-            )  # fmt: skip
+                (np.array([0.0, 1.0]), *empty),
+                _series(),
+                scales=_scales(_EMPTY),
+                axes=_AXES,
+                legend={"show": False},
+                height=150,
+                padding=(6, 14, 0, 0),
+            )
         options = (_NONE, *angles.labels)
         first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
         self._choices = []
@@ -72,15 +73,14 @@ class Curves:
         """Names of the chosen angles; None where there is none."""
         labels = [choice.value for choice in self._choices]
         return tuple(
-            None if label == _NONE else self._angles.names[self._angles.labels.index(label)]
-            for label in labels
+            None if label == _NONE else self._angles.names[self._angles.labels.index(label)] for label in labels
         )
 
     def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
         """Show the curves around a time; return False while they are computed.
 
         Args:
-            frame: that is shown. time: of it, s. seconds: to wait.
+            time: of it, s.
 
         Raises:
             RtofError: the motion cannot be read.
@@ -117,8 +117,7 @@ class Curves:
     def _choose(self) -> None:
         self.changed = True
         self._legend.content = curves_html(
-            [(COLOURS[i], c.value) for i, c in enumerate(self._choices) if c.value != _NONE],
-            self._angles.in_parts,
+            [(COLOURS[i], c.value) for i, c in enumerate(self._choices) if c.value != _NONE], self._angles.in_parts
         )
 
 

@@ -49,32 +49,31 @@ def _put(handle: Any, positions: Array, quat_wxyz: Array, scales: Array) -> None
 class BodyLayer:
     """Solids of the segments of one person."""
 
-    def __init__(
-        self, server: Any, name: str, solids: SegmentSolids, colour: Rgb | None = None, opacity: float = 1.0
-    ):
+    def __init__(self, server: Any, name: str, solids: SegmentSolids, colour: Rgb | None = None, opacity: float = 1.0):
         """Add the solids to the scene, not yet shown.
 
         Args:
-            server: of viser. name: of the node. solids: of the segments.
-            colour: of all segments; None: that of their provenance. opacity: of all segments.
+            colour: of all segments; None: that of their provenance.
         """
         count = len(solids.sizes)
         mesh = barrel()
         self._sizes, self._colour = np.asarray(solids.sizes, dtype=np.float32), colour
         self.handle = server.scene.add_batched_meshes_simple(
-            name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
+            name,
+            mesh.vertices.astype(np.float32),
+            mesh.faces,
+            _upright(count),
+            np.zeros((count, 3)),
             batched_scales=np.zeros((count, 3)),
             batched_colors=solid_colours(np.tile(np.array(colour or _UNKNOWN, dtype=np.uint8), (count, 1))),
-            opacity=None if opacity == 1 else opacity, lod="off", cast_shadow=opacity == 1,
+            opacity=None if opacity == 1 else opacity,
+            lod="off",
+            cast_shadow=opacity == 1,
             receive_shadow=False,
-        )  # fmt: skip
+        )
 
     def show(self, content: BlockContent, i: int) -> None:
-        """Show one frame.
-
-        Args:
-            content: of a block. i: frame in it.
-        """
+        """Show one frame."""
         sizes = self._sizes * content.shown[i][:, None]
         _put(self.handle, content.centers[i], content.solids_wxyz[i], sizes)
         if self._colour is None:
@@ -87,22 +86,18 @@ class JointAxesLayer:
     """Axes of the segments' frames, at the joints."""
 
     def __init__(self, server: Any, name: str, count: int):
-        """Add the axes to the scene.
-
-        Args:
-            server: of viser. name: of the node. count: number of joints.
-        """
+        """Add the axes to the scene."""
         self.handle = server.scene.add_batched_axes(
-            name, _upright(count), np.zeros((count, 3)), np.zeros(count),
-            axes_length=AXES_LENGTH, axes_radius=_AXES_RADIUS,
-        )  # fmt: skip
+            name,
+            _upright(count),
+            np.zeros((count, 3)),
+            np.zeros(count),
+            axes_length=AXES_LENGTH,
+            axes_radius=_AXES_RADIUS,
+        )
 
     def show(self, content: BlockContent, i: int) -> None:
-        """Show one frame.
-
-        Args:
-            content: of a block. i: frame in it.
-        """
+        """Show one frame."""
         _put(self.handle, content.p_joint[i], content.joints_wxyz[i], content.axes[i])
 
 
@@ -110,24 +105,24 @@ class EllipsoidLayer:
     """95 % ellipsoids of the joint positions."""
 
     def __init__(self, server: Any, name: str, count: int):
-        """Add the ellipsoids to the scene.
-
-        Args:
-            server: of viser. name: of the node. count: number of joints.
-        """
+        """Add the ellipsoids to the scene."""
         mesh = sphere()
         self.handle = server.scene.add_batched_meshes_simple(
-            name, mesh.vertices.astype(np.float32), mesh.faces, _upright(count), np.zeros((count, 3)),
-            batched_scales=np.zeros((count, 3)), batched_colors=_ELLIPSOID, opacity=_ELLIPSOID_OPACITY,
-            lod="off", cast_shadow=False, receive_shadow=False,
-        )  # fmt: skip
+            name,
+            mesh.vertices.astype(np.float32),
+            mesh.faces,
+            _upright(count),
+            np.zeros((count, 3)),
+            batched_scales=np.zeros((count, 3)),
+            batched_colors=_ELLIPSOID,
+            opacity=_ELLIPSOID_OPACITY,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     def show(self, content: BlockContent, i: int, found: Ellipsoids) -> None:
-        """Show one frame.
-
-        Args:
-            content: of a block. i: frame in it. found: the ellipsoids of the block that are shown.
-        """
+        """Show one frame."""
         _put(self.handle, content.p_joint[i], found.quat_wxyz[i], found.sizes[i])
 
 
@@ -135,21 +130,28 @@ class SensorLayer:
     """Sensors on their segments, with the axes that they measured."""
 
     def __init__(self, server: Any, name: str, count: int):
-        """Add the sensors to the scene.
-
-        Args:
-            server: of viser. name: of the nodes. count: number of sensors.
-        """
+        """Add the sensors to the scene."""
         mesh = box()
         self.boxes = server.scene.add_batched_meshes_simple(
-            f"{name}/boxes", mesh.vertices.astype(np.float32), mesh.faces, _upright(count),
-            np.zeros((count, 3)), batched_scales=np.zeros((count, 3)), batched_colors=_SENSOR, lod="off",
-            flat_shading=True, receive_shadow=False,
-        )  # fmt: skip
+            f"{name}/boxes",
+            mesh.vertices.astype(np.float32),
+            mesh.faces,
+            _upright(count),
+            np.zeros((count, 3)),
+            batched_scales=np.zeros((count, 3)),
+            batched_colors=_SENSOR,
+            lod="off",
+            flat_shading=True,
+            receive_shadow=False,
+        )
         self.axes = server.scene.add_batched_axes(
-            f"{name}/axes", _upright(count), np.zeros((count, 3)), np.zeros(count),
-            axes_length=_SENSOR_AXES, axes_radius=_AXES_RADIUS,
-        )  # fmt: skip
+            f"{name}/axes",
+            _upright(count),
+            np.zeros((count, 3)),
+            np.zeros(count),
+            axes_length=_SENSOR_AXES,
+            axes_radius=_AXES_RADIUS,
+        )
 
     def show(self, p_world: Array, quat_wxyz: Array, measured: NDArray[np.bool_]) -> None:
         """Show one frame.
@@ -166,15 +168,14 @@ class PathLayer:
     """Path of the root, as a line at its height."""
 
     def __init__(self, server: Any, name: str):
-        """Add the path to the scene, empty.
-
-        Args:
-            server: of viser. name: of the node.
-        """
+        """Add the path to the scene, empty."""
         self.handle = server.scene.add_line_segments(
-            name, np.zeros((1, 2, 3), dtype=np.float32), np.zeros((1, 2, 3), dtype=np.uint8),
-            thickness=2.0, thickness_units="screen",
-        )  # fmt: skip
+            name,
+            np.zeros((1, 2, 3), dtype=np.float32),
+            np.zeros((1, 2, 3), dtype=np.uint8),
+            thickness=2.0,
+            thickness_units="screen",
+        )
 
     def show(self, p_root: Array, colours: NDArray[np.uint8]) -> None:
         """Show a path; it has gaps where a position is missing.

@@ -88,9 +88,7 @@ class LiveClient:
                 self.skeleton, self.floor = _described(first)
                 failed.pop_all()
         except (OSError, self._errors) as error:
-            raise SourceError(
-                f"{url}: no answer ({error or 'timeout'}); start rtof-kin live --out ws first"
-            ) from error
+            raise SourceError(f"{url}: no answer ({error or 'timeout'}); start rtof-kin live --out ws first") from error
         self._thread = threading.Thread(target=self._run, name=url, daemon=True)
         self._thread.start()
 
@@ -122,9 +120,8 @@ class LiveClient:
 
     def _open(self) -> Any:
         return self._connect(
-            self.url, open_timeout=_PATIENCE, close_timeout=_PATIENCE, max_size=_LARGEST, proxy=None,
-            compression=None,
-        )  # fmt: skip
+            self.url, open_timeout=_PATIENCE, close_timeout=_PATIENCE, max_size=_LARGEST, proxy=None, compression=None
+        )
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -174,9 +171,6 @@ def estimated_poses(data: dict[str, Any], skeleton: SkeletonModel) -> PoseSequen
     Orientations follow from the configuration, else from the positions; which of them a sensor observed is
     not in the message, so that the segments of hands, feet and head count as unobserved.
 
-    Args:
-        data: the message. skeleton: that was described.
-
     Raises:
         SourceError: not such a message.
     """
@@ -189,9 +183,13 @@ def estimated_poses(data: dict[str, Any], skeleton: SkeletonModel) -> PoseSequen
         if data["position"]:
             R = skeleton.forward_kinematics(_configuration(data, skeleton)[None])[1]
         return PoseSequence(
-            np.array([time]), p.reshape(1, J, 3), R, skeleton.names,
-            np.array(joints["provenance"]).reshape(1, J), np.array(joints["valid"]).reshape(1, J),
-        )  # fmt: skip
+            np.array([time]),
+            p.reshape(1, J, 3),
+            R,
+            skeleton.names,
+            np.array(joints["provenance"]).reshape(1, J),
+            np.array(joints["valid"]).reshape(1, J),
+        )
     except (KeyError, TypeError, ValueError, RtofError) as error:
         raise SourceError(f"not an estimate of rtof-kin live ({type(error).__name__}: {error})") from error
 

@@ -38,7 +38,7 @@ class LiveViewer:
         """Build scene and panel.
 
         Args:
-            server: of `local_server`. client: connected.
+            server: of `local_server`.
         """
         self._server, self._client = server, client
         self.stage = Stage(server, None, client.skeleton, floor=client.floor)
@@ -50,9 +50,11 @@ class LiveViewer:
         self.status = gui.add_html(sentences_html([f"live, from {client.url}: waiting for a pose"]))
         with gui.add_folder("shown"):
             for label, handle in (
-                ("segments", self.person.body.handle), ("joint axes", self.person.axes.handle),
-                ("root path", self._path.handle), ("floor", self.stage.floor),
-            ):  # fmt: skip
+                ("segments", self.person.body.handle),
+                ("joint axes", self.person.axes.handle),
+                ("root path", self._path.handle),
+                ("floor", self.stage.floor),
+            ):
                 box = gui.add_checkbox(label, True)
                 box.on_update(lambda event, handle=handle: setattr(handle, "visible", event.target.value))
             follow = gui.add_checkbox("follow the person", True)
@@ -60,11 +62,7 @@ class LiveViewer:
         gui.add_html(legend_html())
 
     def run(self, stop: threading.Event) -> None:
-        """Show the newest pose until an event is set.
-
-        Args:
-            stop: the event.
-        """
+        """Show the newest pose until an event is set."""
         while not stop.is_set():
             self.update(time.monotonic())
             stop.wait(_STEP)

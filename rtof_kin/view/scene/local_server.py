@@ -27,7 +27,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
     `rtof_kin.core.local_door`.
 
     Args:
-        port: TCP port; 0: a free one. title: of the panel.
+        port: TCP port; 0: a free one.
 
     Raises:
         SourceError: the port is taken. RtofError: the extra is not installed.
@@ -46,8 +46,7 @@ def local_server(port: int = 0, title: str = "rtof_kin") -> Iterator[Any]:
             _keep_local(server)
         except (AttributeError, AssertionError, RtofError) as error:  # viser's own names have changed
             raise RtofError(
-                f"this version of viser cannot be kept to this machine ({error}): "
-                f"{install('view')} viser==1.1.1"
+                f"this version of viser cannot be kept to this machine ({error}): {install('view')} viser==1.1.1"
             ) from error
         _DOORS[server] = door
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")

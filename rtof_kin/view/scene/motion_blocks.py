@@ -31,9 +31,7 @@ class MotionBlocks(ScannedFile):
             FileFormatError: missing, damaged, of a newer schema, or not a motion.
         """
         self._motion = found = MotionReader(path)
-        self.times, self.skeleton, self.mode, self.rate_hz = (
-            found.times, found.skeleton, found.mode, found.rate_hz,
-        )  # fmt: skip
+        self.times, self.skeleton, self.mode, self.rate_hz = (found.times, found.skeleton, found.mode, found.rate_hz)
         super().__init__(path, found)
 
     def __len__(self) -> int:

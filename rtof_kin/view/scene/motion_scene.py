@@ -70,21 +70,20 @@ class MotionScene:
     """
 
     def __init__(
-        self, server: Any, motion: MotionBlocks, measurements: MeasurementBlocks | None = None,
+        self,
+        server: Any,
+        motion: MotionBlocks,
+        measurements: MeasurementBlocks | None = None,
         second: MotionBlocks | None = None,
-    ):  # fmt: skip
+    ):
         """Add everything to the scene; nothing is shown before `show`.
-
-        Args:
-            server: of viser. motion: shown. measurements: it was computed from. second: beside it.
 
         Raises:
             InvalidInputError: the measurements are of another motion. FileFormatError: a damaged file.
         """
         if measurements is not None and measurements.length != len(motion):
             raise InvalidInputError(
-                f"{measurements.path}: has {measurements.length} frames, the motion {len(motion)}; "
-                "reconstruct again"
+                f"{measurements.path}: has {measurements.length} frames, the motion {len(motion)}; reconstruct again"
             )
         self._server, self._motion, self._measurements, self._second = server, motion, measurements, second
         given = None if measurements is None else measurements.first
@@ -113,9 +112,6 @@ class MotionScene:
     def show(self, frame: int, seconds: float = 0.0) -> SceneBlock | None:
         """Show a frame; return its block, or None while it is being read.
 
-        Args:
-            frame: number. seconds: to wait for it.
-
         Raises:
             RtofError: it cannot be read.
         """
@@ -141,10 +137,14 @@ class MotionScene:
         """Show or hide a layer.
 
         Args:
-            layer: of `layers`. visible: whether it is shown.
+            layer: of `layers`.
         """
-        part = {Layer.CAMERAS: "frustum", Layer.IMAGE: "image", Layer.DETECTED: "detected",
-                Layer.REPROJECTED: "reprojected"}.get(layer)  # fmt: skip
+        part = {
+            Layer.CAMERAS: "frustum",
+            Layer.IMAGE: "image",
+            Layer.DETECTED: "detected",
+            Layer.REPROJECTED: "reprojected",
+        }.get(layer)
         with self._server.atomic():
             for handle in self.layers[layer]:
                 if part is None:
@@ -187,9 +187,11 @@ class MotionScene:
     def _handles(self, confidence: bool) -> dict[Layer, list[Any]]:
         person = self.person
         out: dict[Layer, list[Any]] = {
-            Layer.SEGMENTS: [person.body.handle], Layer.AXES: [person.axes.handle],
-            Layer.PATH: [self._path.handle], Layer.FLOOR: [self.stage.floor],
-        }  # fmt: skip
+            Layer.SEGMENTS: [person.body.handle],
+            Layer.AXES: [person.axes.handle],
+            Layer.PATH: [self._path.handle],
+            Layer.FLOOR: [self.stage.floor],
+        }
         if confidence and person.ellipsoids is not None:
             out[Layer.CONFIDENCE] = [person.ellipsoids.handle]
         if self.sensors is not None:

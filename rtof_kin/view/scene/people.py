@@ -30,12 +30,7 @@ class Person:
     """The motion: segments by provenance, axes of its joints, ellipsoids of its positions."""
 
     def __init__(self, server: Any, name: str, skeleton: SkeletonModel, confidence: bool):
-        """Add the person to the scene.
-
-        Args:
-            server: of viser. name: of the nodes. skeleton: of the person.
-            confidence: whether there are covariances.
-        """
+        """Add the person to the scene."""
         self.skeleton, self.solids = skeleton, segment_solids(skeleton)
         count = len(skeleton.names)
         self.body = BodyLayer(server, f"{name}/segments", self.solids)
@@ -45,11 +40,7 @@ class Person:
         """Whether ellipsoids are those relative to the root."""
 
     def show(self, content: BlockContent, i: int) -> None:
-        """Show one frame.
-
-        Args:
-            content: of a block. i: frame in it.
-        """
+        """Show one frame."""
         self.body.show(content, i)
         self.axes.show(content, i)
         found = content.to_root if self.relative else content.in_world
@@ -66,11 +57,7 @@ class Companion:
     """Another person at the same times, transparent and of one colour."""
 
     def __init__(self, server: Any, name: str, skeleton: SkeletonModel, colour: Rgb):
-        """Add the person to the scene.
-
-        Args:
-            server: of viser. name: of the nodes. skeleton: of the person. colour: of all segments.
-        """
+        """Add the person to the scene."""
         self.skeleton, self.solids = skeleton, segment_solids(skeleton)
         self.frame = server.scene.add_frame(name, show_axes=False)
         self.body = BodyLayer(server, f"{name}/segments", self.solids, colour, _TRANSPARENT)
@@ -91,18 +78,14 @@ class Sensors:
         """Add the sensors to the scene.
 
         Args:
-            server: of viser. name: of the nodes. skeleton: of the motion. measurements: any frames.
+            measurements: any frames.
         """
         self._joints = skeleton.index(*measurements.segments)
         self._p_bone_sensor = measurements.p_bone_sensor
         self.layer = SensorLayer(server, name, len(self._joints))
 
     def place(self, poses: PoseSequence, measurements: Measurements) -> SensorBlock:
-        """Return the sensors in the frames of a block.
-
-        Args:
-            poses: of the motion. measurements: of the same frames.
-        """
+        """Return the sensors in the frames of a block."""
         p = poses.p_world_joint[:, self._joints]
         R = poses.R_world_bone[:, self._joints]
         at = p + np.einsum("nsij,sj->nsi", R, self._p_bone_sensor)
@@ -116,7 +99,7 @@ class Sensors:
         """Show one frame.
 
         Args:
-            block: of `place`. i: frame in it.
+            block: of `place`.
         """
         self.layer.show(block.p_world[i], block.quat_wxyz[i], block.measured[i])
 

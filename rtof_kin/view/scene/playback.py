@@ -70,7 +70,7 @@ class Playback:
         """Change the speed.
 
         Args:
-            speed: relative to real time, positive. now: of the clock, s.
+            now: of the clock, s.
         """
         time = self.at(now)
         with self._lock:

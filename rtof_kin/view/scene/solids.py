@@ -56,9 +56,10 @@ def barrel(power: float = 3.0) -> Mesh:
     z = -np.cos(angles)
     radius = np.maximum(1 - np.abs(z) ** power, 0.0) ** (1 / power)
     turn = np.arange(_AROUND) * 2 * np.pi / _AROUND
-    rings = np.stack(np.broadcast_arrays(
-        radius[1:-1, None] * np.cos(turn), radius[1:-1, None] * np.sin(turn), z[1:-1, None]
-    ), axis=-1)  # fmt: skip
+    rings = np.stack(
+        np.broadcast_arrays(radius[1:-1, None] * np.cos(turn), radius[1:-1, None] * np.sin(turn), z[1:-1, None]),
+        axis=-1,
+    )
     vertices = np.concatenate([rings.reshape(-1, 3), [[0, 0, -1.0], [0, 0, 1.0]]])
     return Mesh(vertices, _faces(len(rings)))
 
@@ -78,11 +79,7 @@ def box() -> Mesh:
 
 
 def segment_solids(skeleton: SkeletonModel) -> SegmentSolids:
-    """Return the solids of a person's segments, of the thickness in the skeleton's table.
-
-    Args:
-        skeleton: of the person.
-    """
+    """Return the solids of a person's segments, of the thickness in the skeleton's table."""
     centers, turns, sizes = [], [], []
     for joint in skeleton.table.joints:
         along = so3.unit(joint.end)

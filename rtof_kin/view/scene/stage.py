@@ -17,8 +17,7 @@ WORLD: Final = "/world"
 _DISTANCE: Final = 3.4
 """[m] of the first view from the person."""
 _ASIDE: Final = np.radians(52.0)
-"""[rad] Direction of the first view from the person, away from that to the camera or from where the person
-faces."""
+"""[rad] Direction of the first view from the person, away from that to the camera or from where the person faces."""
 _HIGH: Final = 1.5
 """[m] of the first view above the floor."""
 _MIDDLE: Final = 0.9
@@ -37,15 +36,19 @@ class Stage:
     """
 
     def __init__(
-        self, server: Any, poses: PoseSequence | None, skeleton: SkeletonModel | None = None,
-        measurements: Measurements | None = None, floor: float | None = None,
-    ):  # fmt: skip
+        self,
+        server: Any,
+        poses: PoseSequence | None,
+        skeleton: SkeletonModel | None = None,
+        measurements: Measurements | None = None,
+        floor: float | None = None,
+    ):
         """Add floor and axes, and choose the first view.
 
         Args:
-            server: of viser. poses: first frames of the motion. skeleton: of the poses.
-            measurements: of the motion. floor: height of the floor, m; default: that of the measurements,
-                else the lowest point of the first frames.
+            poses: first frames of the motion.
+            floor: height of the floor, m; default: that of the measurements, else the lowest point of the first
+                frames.
         """
         self._server = server
         given = floor if measurements is None or floor is not None else measurements.floor_height
@@ -54,13 +57,17 @@ class Stage:
         scene = server.scene
         self.world = scene.add_frame(WORLD, show_axes=False)
         self.floor = scene.add_grid(
-            f"{WORLD}/floor", infinite_grid=True, cell_size=0.25, section_size=1.0, fade_distance=14.0,
-            cell_color=(222, 222, 226), section_color=(186, 186, 194),
-            shadow_opacity=0.0, position=(0.0, 0.0, self.height),
-        )  # fmt: skip
-        scene.add_frame(
-            f"{WORLD}/origin", axes_length=0.25, axes_radius=0.006, position=(0.0, 0.0, self.height)
+            f"{WORLD}/floor",
+            infinite_grid=True,
+            cell_size=0.25,
+            section_size=1.0,
+            fade_distance=14.0,
+            cell_color=(222, 222, 226),
+            section_color=(186, 186, 194),
+            shadow_opacity=0.0,
+            position=(0.0, 0.0, self.height),
         )
+        scene.add_frame(f"{WORLD}/origin", axes_length=0.25, axes_radius=0.006, position=(0.0, 0.0, self.height))
         scene.world_axes.visible = False
         _light(scene)
         self.following = True
@@ -68,11 +75,7 @@ class Stage:
         self.first_view(poses, measurements)
 
     def first_view(self, poses: PoseSequence | None, measurements: Measurements | None) -> None:
-        """Look at the person from the side of the camera, or of the face.
-
-        Args:
-            poses, measurements: as for the class.
-        """
+        """Look at the person from the side of the camera, or of the face."""
         direction, distance = -_ASIDE, _DISTANCE
         if poses is not None and np.isfinite(poses.p_world_joint[0, 0]).all():
             self.follow(poses.p_world_joint[0, 0])
@@ -107,9 +110,7 @@ def _light(scene: Any) -> None:
     """Light the scene from above and the sides, without maps and shadows, which weak machines cannot draw."""
     scene.configure_environment_map(hdri=None)
     scene.configure_default_lights(enabled=False)
-    scene.add_light_hemisphere(
-        "/lights/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.5
-    )
+    scene.add_light_hemisphere("/lights/sky", sky_color=(255, 255, 255), ground_color=(150, 150, 160), intensity=1.5)
     for number, place in enumerate(((3.0, -2.0, 6.0), (-4.0, 3.0, 4.0))):
         scene.add_light_directional(
             f"/lights/lamp {number + 1}", intensity=(1.5, 0.5)[number], position=place, cast_shadow=False

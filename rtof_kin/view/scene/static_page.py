@@ -55,7 +55,7 @@ def frames_of_page(times: Array, start: float | None, stop: float | None, rate_h
     """Return the frames that a page shows.
 
     Args:
-        times: (T,) s. start, stop: of the part, s; None: that of the motion. rate_hz: at most.
+        times: (T,) s. start, stop: of the part, s; None: that of the motion.
 
     Raises:
         InvalidInputError: the part is empty, or the rate not positive.
@@ -76,15 +76,21 @@ def frames_of_page(times: Array, start: float | None, stop: float | None, rate_h
 
 
 def write_static_page(
-    server: Any, files: Opened, path: str | Path, *, start: float | None = None, stop: float | None = None,
-    rate_hz: float = FASTEST_HZ, largest_mb: float = LARGEST_MB, overwrite: bool = False,
+    server: Any,
+    files: Opened,
+    path: str | Path,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    rate_hz: float = FASTEST_HZ,
+    largest_mb: float = LARGEST_MB,
+    overwrite: bool = False,
     progress: Progress | None = None,
-) -> StaticPage:  # fmt: skip
+) -> StaticPage:
     """Write a page; a long motion has fewer frames per second, so that the file stays within its limit.
 
     Args:
-        server: of `local_server`, without a scene. files: of the motion. path: file to write.
-        start, stop: of the part, s. rate_hz: frames per second, at most. largest_mb: limit of the file, MB.
+        server: of `local_server`, without a scene. start, stop: of the part, s. rate_hz: frames per second, at most.
         overwrite: replace an existing file. progress: called with ("page", frames done, frames in all).
 
     Raises:
@@ -129,9 +135,7 @@ def _sizes(server: Any, scene: MotionScene, frames: list[int]) -> tuple[float, f
     return page.stat().st_size / 1e6, size / len(spread)
 
 
-def _recorded(
-    server: Any, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None
-) -> str:  # fmt: skip
+def _recorded(server: Any, scene: MotionScene, times: Array, frames: list[int], progress: Progress | None) -> str:
     """Return viser's page with the frames at their times; it begins again at the end."""
     _show(scene, frames[0])
     serializer = server.get_scene_serializer()
@@ -158,9 +162,7 @@ def _part(times: Array, frames: list[int]) -> str:
 
 def _finished(text: str, verdict: Verdict, scene: MotionScene, part: str) -> str:
     """Return the page with its policy, title, verdict and legend."""
-    legend = legend_html(
-        cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None
-    )
+    legend = legend_html(cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None)
     box = (
         '<div style="position:fixed;left:12px;top:12px;max-width:min(24em,45vw);z-index:10;font-family:'
         "system-ui,sans-serif;color:#222;background:rgba(255,255,255,0.86);border-radius:6px;"

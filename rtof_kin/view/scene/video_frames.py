@@ -31,7 +31,7 @@ class VideoFrames:
         """Open the video and start the thread; end it with `close`.
 
         Args:
-            path: video file. receive: called in the thread with (height, width, 3) RGB images.
+            receive: called in the thread with (height, width, 3) RGB images.
 
         Raises:
             FileFormatError: not a readable video, or one without times. RtofError: the extra is missing.

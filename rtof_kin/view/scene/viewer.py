@@ -51,11 +51,7 @@ class MotionFiles:
     """The files of a viewer; a context that opens and closes them."""
 
     def __init__(self, motion: str | Path, second: str | Path | None = None):
-        """Take the places; nothing is opened.
-
-        Args:
-            motion: output of reconstruct or run, or its motion.npz. second: another one beside it.
-        """
+        """Take the places; nothing is opened."""
         self._path = motion_path(motion)
         self._second = None if second is None else motion_path(second)
         self._stack = ExitStack()
@@ -89,7 +85,7 @@ class MotionViewer:
         """Build scene and panel, and show the first frame.
 
         Args:
-            server: of `local_server`. files: of `MotionFiles`. videos: of the cameras, in their order.
+            server: of `local_server`. files: of `MotionFiles`.
 
         Raises:
             InvalidInputError: more videos than cameras. RtofError: a file cannot be read.
@@ -125,9 +121,6 @@ class MotionViewer:
 
     def run(self, stop: threading.Event) -> None:
         """Show what is asked for until an event is set.
-
-        Args:
-            stop: the event.
 
         Raises:
             RtofError: a file turned out to be damaged.

@@ -18,25 +18,15 @@ _UNKNOWN: Final = (90, 90, 90)
 
 
 def verdict_html(verdict: Verdict) -> str:
-    """Return the verdict as a paragraph.
-
-    Args:
-        verdict: of the motion.
-    """
+    """Return the verdict as a paragraph."""
     colour = GRADES.get(verdict.grade, _UNKNOWN)
     grade, _, reason = verdict.line.partition(": ")
     name = f"<b>{escape(verdict.recording)}</b><br>" if verdict.recording else ""
     return _block(f'<b style="color:rgb{colour}">{escape(grade.upper())}</b>: {escape(reason)}', before=name)
 
 
-def legend_html(
-    *, cameras: bool = False, truth: bool = False, second: bool = False, axes: bool = True
-) -> str:  # fmt: skip
-    """Return the meaning of the colours.
-
-    Args:
-        cameras, truth, second: whether these are in the scene. axes: whether to explain the axes.
-    """
+def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = False, axes: bool = True) -> str:
+    """Return the meaning of the colours."""
     merged: dict[Rgb, list[str]] = {}
     for kind in sorted(Provenance, reverse=True):
         merged.setdefault(COLOURS[kind], []).append(WORDS[kind])
@@ -66,11 +56,7 @@ def curves_html(curves: Sequence[tuple[Rgb, str]], in_parts: bool) -> str:
 
 
 def sentences_html(sentences: Sequence[str]) -> str:
-    """Return sentences as lines.
-
-    Args:
-        sentences: plain text.
-    """
+    """Return sentences as lines."""
     return _block("<br>".join(map(escape, sentences)))
 
 
