@@ -33,7 +33,7 @@ from benchmarks import harness
 from benchmarks.range_bands import clips
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import at_times
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics
 from rtof_kin.clinical.pose_errors import SPECTRA, ErrorSpectrum, error_gains, pose_errors
@@ -121,7 +121,7 @@ def run(case: Case) -> Found | None:
     return Found(about, (*joints, *WRENCH), error[known], sigma[known], products)
 
 
-def _products(motion: MotionSequence, chosen: Mask) -> Array:
+def _products(motion: Motion, chosen: Mask) -> Array:
     """`Found.products` of the chosen frames (T,)."""
     skeleton = motion.skeleton.with_mass(KG)
     total: Array = np.zeros((4, len(SPECTRA), skeleton.nv))
@@ -132,7 +132,7 @@ def _products(motion: MotionSequence, chosen: Mask) -> Array:
     return total
 
 
-def _products_of_run(skeleton: SkeletonModel, motion: MotionSequence, frames: Index) -> Array:
+def _products_of_run(skeleton: SkeletonModel, motion: Motion, frames: Index) -> Array:
     """The same of frames of one stretch, filtered as `joint_torques` does."""
     body = BodyDynamics(skeleton)
     q = np.array(smoothed(motion.q, RATE_HZ, CUTOFF_HZ))

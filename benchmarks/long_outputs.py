@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.formats.motion_npz import COVARIANCES, MOTION, read_motion_npz
 from rtof_kin.formats.motion_writer import MotionWriter
 
@@ -42,7 +42,7 @@ COMMANDS: Final = {
 }
 
 
-def repeated(motion: MotionSequence, start: int, stop: int) -> MotionSequence:
+def repeated(motion: Motion, start: int, stop: int) -> Motion:
     """Return frames [start, stop) of a motion that goes forth and back.
 
     Args:
@@ -55,10 +55,10 @@ def repeated(motion: MotionSequence, start: int, stop: int) -> MotionSequence:
     if known is not None:
         known = replace(known, times=times, **{name: getattr(known, name)[frames] for name in COVARIANCES})
     q = motion.q[frames]
-    return MotionSequence(motion.skeleton, q, poses, motion.skeleton.check(q), known)
+    return Motion(motion.skeleton, q, poses, motion.skeleton.check(q), known)
 
 
-def write_repeated(path: Path, motion: MotionSequence, minutes: float) -> None:
+def write_repeated(path: Path, motion: Motion, minutes: float) -> None:
     """Write a longer motion.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.verdicts.scores import rank_correlation
 from rtof_kin.body.metrics import at_times
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
@@ -51,7 +51,7 @@ def torso(estimate: PoseSequence, truth: PoseSequence) -> dict[str, float]:
     return {"hips_deg": float(hips), "trunk_deg": float(trunk)}
 
 
-def bands(motion: MotionSequence, truth: PoseSequence) -> dict[str, float]:
+def bands(motion: Motion, truth: PoseSequence) -> dict[str, float]:
     """Coverage, sharpness and rank correlation of the stated errors of positions."""
     motion = motion[::EVERY]
     stated = motion.confidence

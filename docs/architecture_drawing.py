@@ -22,7 +22,7 @@ PLACES = {
     "protocols": (1.0, 1, "protocols and tables\nof papers, data sets"),
     "batch": (4.0, 1, "many recordings,\nresumable; bundles"),
     "plan": (5.0, 1, "errors to expect,\nbefore recording"),
-    "report": (2.75, 2, "audit, page,\nexport, study"),
+    "reporting": (2.75, 2, "audit, page,\nexport, study"),
     "reconstruction": (1.25, 3, "recording to motion:\nprepare, lift, SF², solve"),
     "calibration": (0.3, 4, "delay, mounting, bones\nfrom the motion"),
     "lifting": (2.2, 4, "network: 2D to 3D\n(beside rtof_kin)"),
@@ -40,7 +40,7 @@ PLACES = {
 }
 """Folder -> column, row, what it is."""
 KINDS = {
-    "for people": ("cli", "setup", "live", "view", "protocols", "batch", "plan", "report", "clinical"),
+    "for people": ("cli", "setup", "live", "view", "protocols", "batch", "plan", "reporting", "clinical"),
     "the method": ("reconstruction", "calibration", "lifting", "solve"),
     "its data": ("simulation", "datasets", "recording"),
     "foundations": ("inertial", "vision", "formats", "body", "data", "core"),

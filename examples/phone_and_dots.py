@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from rtof_kin import Recording, export, reconstruct
-from rtof_kin.report.page import report
+from rtof_kin.reporting.page import report
 from rtof_kin.setup.init import SetupSettings, find_people, make_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.video import detect_video

@@ -9,7 +9,7 @@ import numpy as np
 from lifting.corpus import Corpus
 from rtof_kin.body.neutral_posture import NeutralPosture, posture_from_t_pose
 from rtof_kin.body.pose_prior import PosePrior, shipped_prior
-from rtof_kin.body.pose_prior_fit import Motion, fit_pose_prior, of_one_rig
+from rtof_kin.body.pose_prior_fit import PersonMotion, fit_pose_prior, of_one_rig
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
@@ -39,10 +39,10 @@ def prior_of_corpus(corpus: Corpus, choice: PriorChoice = "auto") -> PosePrior |
     return fit_pose_prior(corpus.names, corpus.parents, motions, even, postures_of(corpus), known)
 
 
-def motions_of(corpus: Corpus) -> list[Motion]:
+def motions_of(corpus: Corpus) -> list[PersonMotion]:
     """Return the training clips of `LEAST_FRAMES` or more."""
     return [
-        Motion(
+        PersonMotion(
             corpus.subjects[clip],
             corpus.R_world_bone[corpus.frames(clip)].astype(float),
             corpus.p_world_root[corpus.frames(clip)].astype(float),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rtof_kin.body.metrics import Metrics, evaluate
-    from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+    from rtof_kin.body.skeleton import Motion, SkeletonModel
     from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.core.errors import InvalidInputError, RtofError
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rtof_kin.reconstruction.settings import ReconstructionSettings
     from rtof_kin.recording.reader import RecordingReader
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.export import export, export_parts
+    from rtof_kin.reporting.export import export, export_parts
     from rtof_kin.solve.cartesian.settings import CartesianSettings
     from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
     from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "body.metrics": ("Metrics", "evaluate"),
-    "body.skeleton": ("MotionSequence", "SkeletonModel"),
+    "body.skeleton": ("Motion", "SkeletonModel"),
     "calibration.priors": ("CalibrationPriors",),
     "calibration.result": ("SelfCalibration",),
     "core.errors": ("InvalidInputError", "RtofError"),
@@ -57,7 +57,7 @@ _MODULES = {
     "reconstruction.self_calibration": ("calibrate_recording",),
     "recording.reader": ("RecordingReader",),
     "recording.recording": ("Recording",),
-    "report.export": ("export", "export_parts"),
+    "reporting.export": ("export", "export_parts"),
     "solve.cartesian.settings": ("CartesianSettings",),
     "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
     "solve.inertial_ik": ("InertialGuidedIK", "InertialGuidedIKSettings"),
@@ -81,7 +81,7 @@ __all__ = [
     "JointSpaceSettings",
     "KeypointSequence",
     "Metrics",
-    "MotionSequence",
+    "Motion",
     "OnlineEstimator",
     "OnlineSettings",
     "PoseSequence",

@@ -8,7 +8,7 @@ from pathlib import Path
 import planted
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 
 os.environ.setdefault("RTOF_KIN_COMPILE", "never")
@@ -28,7 +28,7 @@ def any_skeleton(request: pytest.FixtureRequest) -> SkeletonModel:
 
 
 @pytest.fixture(scope="session")
-def motion(skeleton: SkeletonModel) -> MotionSequence:
+def motion(skeleton: SkeletonModel) -> Motion:
     """One second of smooth random motion about standing, 60 Hz, completely observed."""
     return planted.seen(skeleton, 60)
 

@@ -28,7 +28,7 @@ FOLDERS = {
     "reconstruction": "recording to motion",
     "setup": "raw files to a recording",
     "clinical": "angles, gait, repetitions, torques",
-    "report": "figures, report, audit, export",
+    "reporting": "figures, report, audit, export",
     "plan": "expected errors of a recording before it is made",
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
@@ -104,7 +104,7 @@ def test_heavy_packages_are_imported_only_where_they_belong() -> None:
     assert users["torch"] == users["yourdfpy"] == users["viser"] == users["av"] == set()
     assert users["pinocchio"] == set()  # body/rigid_bodies.py asks `optional` for it
     assert users["casadi"] == {"core", "solve"}
-    assert users["matplotlib"] == {"report", "plan", "protocols"}
+    assert users["matplotlib"] == {"reporting", "plan", "protocols"}
 
 
 def loaded_by(*statements: str, packages: Set[str] = HEAVY) -> list[tuple[set[str], float]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks import harness
 from rtof_kin.body.metrics import at_times
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -43,7 +43,7 @@ class Case:
     sensors: str
     circumstances: ResidualStatistics
     """Residual statistics of the recording, with the segments of its sensors."""
-    motion: MotionSequence
+    motion: Motion
     """Confidence from the Hessian alone."""
     truth: PoseSequence
     """At the motion's times."""

@@ -15,7 +15,7 @@ import rtof_kin
 from benchmarks import harness
 from benchmarks.accuracy.__main__ import clips
 from benchmarks.calibration.sessions import joined
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.motion_npz import read_motion_npz
@@ -83,7 +83,7 @@ def jobs(options: Namespace) -> list[Job]:
     ]
 
 
-def batch(job: Job, recording: Recording) -> MotionSequence:
+def batch(job: Job, recording: Recording) -> Motion:
     """Reconstruct a whole recording as given (mode rtof), or take what was kept of it."""
     path = Path(job.work) / _version() / f"{job.key}_{len(recording.video)}.npz"
     if path.is_file():

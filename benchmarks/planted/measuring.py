@@ -28,7 +28,7 @@ from benchmarks.planted.gross import GROSS
 from benchmarks.planted.recordings import Scene
 from benchmarks.scoring import EVERY
 from rtof_kin.body.metrics import at_times, evaluate
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
@@ -37,10 +37,10 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.headline import headline
-from rtof_kin.report.residuals import reprojection_errors
-from rtof_kin.report.statistics import ReconstructionStatistics
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.residuals import reprojection_errors
+from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 Row = dict[str, Any]
 BANDS = ("world", "relative", "angles")
@@ -199,7 +199,7 @@ def _axes(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)))
 
 
-def _angles(motion: MotionSequence, truth: PoseSequence) -> tuple[Array, Array]:
+def _angles(motion: Motion, truth: PoseSequence) -> tuple[Array, Array]:
     """Errors of the clinical angles and their standard deviations, rad."""
     found, true = clinical_angles(motion), clinical_angles(all_observed(truth), motion.skeleton)
     assert found.sigma is not None

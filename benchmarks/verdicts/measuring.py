@@ -19,8 +19,8 @@ from rtof_kin.data.confidence import WORLD
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.report.audit import audit
-from rtof_kin.report.audit_results import Grade, section_verdict
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.audit_results import Grade, section_verdict
 
 Row = dict[str, Any]
 EVERY = 6

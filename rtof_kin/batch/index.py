@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from rtof_kin.batch.rows import DONE, ERROR, WORST_FIRST, Row
 from rtof_kin.core.files.text import write_text
-from rtof_kin.report.html import asset, fill, source_hash
+from rtof_kin.reporting.html import asset, fill, source_hash
 
 ROWS_PER_PAGE: Final = 10_000
 INDEX_PAGE: Final = "index.html"

@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 
 from rtof_kin.core.errors import WritingError
 from rtof_kin.core.files.text import write_text
-from rtof_kin.report.audit_results import Grade
+from rtof_kin.reporting.audit_results import Grade
 
 ERROR: Final = "error"
 """Verdict of a recording on which a command failed."""

@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from rtof_kin.body.observability import ObservationMasks
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 
 BLOCK: Final = 3600
@@ -20,7 +20,7 @@ BLOCK: Final = 3600
 class Block:
     """Consecutive frames of a motion."""
 
-    motion: MotionSequence
+    motion: Motion
     """The frames, with a margin on either side as far as the motion goes."""
     start: int
     stop: int
@@ -50,7 +50,7 @@ class MotionSource:
         self,
         skeleton: SkeletonModel,
         times: Array,
-        read: Callable[[int, int, bool], MotionSequence],
+        read: Callable[[int, int, bool], Motion],
         masks: ObservationMasks | None = None,
     ):
         """Read nothing yet.
@@ -64,12 +64,12 @@ class MotionSource:
         self._read, self._masks = read, masks
 
     @classmethod
-    def of(cls, motion: MotionSequence | Self) -> MotionSource:
+    def of(cls, motion: Motion | Self) -> MotionSource:
         """Return the source of a motion in memory; a source is returned as it is."""
         if isinstance(motion, MotionSource):
             return motion
 
-        def read(start: int, stop: int, _: bool) -> MotionSequence:
+        def read(start: int, stop: int, _: bool) -> Motion:
             return motion if stop - start == len(motion.q) else motion[start:stop]
 
         return MotionSource(motion.skeleton, motion.times, read)
@@ -81,7 +81,7 @@ class MotionSource:
         """Return consecutive frames."""
         first, last, _ = frames.indices(len(self))
 
-        def read(start: int, stop: int, confidence: bool) -> MotionSequence:
+        def read(start: int, stop: int, confidence: bool) -> Motion:
             return self._read(first + start, first + stop, confidence)
 
         return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last])
@@ -93,7 +93,7 @@ class MotionSource:
             times: (T,) s.
         """
 
-        def read(start: int, stop: int, _: bool) -> MotionSequence:
+        def read(start: int, stop: int, _: bool) -> Motion:
             motion = self._read(start, stop, False)
             return replace(motion, poses=replace(motion.poses, times=times[start:stop]), confidence=None)
 
@@ -113,7 +113,7 @@ class MotionSource:
         assert self._masks is not None
         return self._masks
 
-    def observed_blocks(self) -> Iterator[tuple[MotionSequence, ObservationMasks]]:
+    def observed_blocks(self) -> Iterator[tuple[Motion, ObservationMasks]]:
         """Return the motion in blocks, with their masks."""
         masks = self.masks
         for block in self.blocks():

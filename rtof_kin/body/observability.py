@@ -6,7 +6,7 @@ A configuration has a value for every degree of freedom, observed or not. A degr
 * for a rotation of a segment about its own bone, the whole orientation or a bone beyond it was observed;
 * the model lets it move: in joint space knees and elbows are hinges, whose other two angles stay zero.
 
-Accuracy is described by `MotionSequence.confidence`.
+Accuracy is described by `Motion.confidence`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.keypoints import KeypointSequence
@@ -61,7 +61,7 @@ class ObservationMasks:
     """Whether any orientation of the whole motion was observed."""
 
     @classmethod
-    def of(cls, motion: MotionSequence | Self) -> ObservationMasks:
+    def of(cls, motion: Motion | Self) -> ObservationMasks:
         """Return the masks of a motion; masks are returned as they are."""
         if isinstance(motion, ObservationMasks):
             return motion
@@ -172,7 +172,7 @@ def _rank(points: Array) -> int:
     return min(int(np.sum(spread > _APART)), WHOLE)
 
 
-def observed_dofs(motion: MotionSequence | ObservationMasks) -> Mask:
+def observed_dofs(motion: Motion | ObservationMasks) -> Mask:
     """Return a mask (T, D) of observed degrees of freedom, in the order of `SkeletonModel.dof_names`.
 
     A motion without provenance (mocap) is observed wherever it is finite.
@@ -198,7 +198,7 @@ def observed_dofs(motion: MotionSequence | ObservationMasks) -> Mask:
     return out
 
 
-def root_turn_observed(motion: MotionSequence | ObservationMasks) -> Mask:
+def root_turn_observed(motion: Motion | ObservationMasks) -> Mask:
     """Return a mask (T,) of frames with observed root orientation.
 
     Args:
@@ -208,7 +208,7 @@ def root_turn_observed(motion: MotionSequence | ObservationMasks) -> Mask:
     return np.asarray(masks.known & (masks.levels[:, 0] == WHOLE)) if masks.has_sources else masks.known
 
 
-def never_observed(motion: MotionSequence | ObservationMasks) -> tuple[str, ...]:
+def never_observed(motion: Motion | ObservationMasks) -> tuple[str, ...]:
     """Return the URDF names of degrees of freedom that were never observed and do not move anything observed.
 
     They are zero, or belong to a segment without children.
@@ -230,7 +230,7 @@ def never_observed(motion: MotionSequence | ObservationMasks) -> tuple[str, ...]
     )
 
 
-def observed_landmarks(motion: MotionSequence | ObservationMasks) -> Mask:
+def observed_landmarks(motion: Motion | ObservationMasks) -> Mask:
     """Return a mask (T, L) of observed landmarks.
 
     The position of the joint must be observed, and for other points than the joint the orientation of the
@@ -252,7 +252,7 @@ def observed_landmarks(motion: MotionSequence | ObservationMasks) -> Mask:
     return np.stack(columns, axis=1)
 
 
-def observed_bones(motion: MotionSequence | ObservationMasks) -> Mask:
+def observed_bones(motion: Motion | ObservationMasks) -> Mask:
     """Return a mask (T, J) of observed lines from parents to joints; of the root, whether it is observed.
 
     Both ends must be observed, or the orientation of the segment if the joint is valid.

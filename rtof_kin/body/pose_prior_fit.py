@@ -48,7 +48,7 @@ _MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Motion:
+class PersonMotion:
     """Motion of a person."""
 
     subject: str
@@ -73,7 +73,7 @@ def of_one_rig(names: Sequence[str], joint_offsets: Array) -> bool:
 def fit_pose_prior(
     names: Sequence[str],
     parents: Sequence[int],
-    motions: Sequence[Motion],
+    motions: Sequence[PersonMotion],
     even_spine: bool = True,
     postures: Mapping[str, NeutralPosture] | None = None,
     known: PosePrior | None = None,
@@ -118,7 +118,7 @@ def _other_side(names: Sequence[str]) -> list[int]:
     return [names.index(name) for name in swapped]
 
 
-def _observed(parents: Sequence[int], motion: Motion) -> tuple[Array, Array, Array]:
+def _observed(parents: Sequence[int], motion: PersonMotion) -> tuple[Array, Array, Array]:
     """Low-passed rotations relative to parents (T, J, 3, 3) and jerks (T - 3, J, 3), root's (T - 3, 3)."""
     rate = motion.rate_hz
     R = so3.nearest_rotation(signals.low_pass(motion.R_world_bone, rate, CUTOFF_HZ))

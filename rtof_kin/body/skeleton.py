@@ -36,7 +36,7 @@ SINGULAR_MARGIN = np.radians(5.0)  # of a middle angle from +-90 degrees; closer
 
 
 @dataclass(frozen=True)
-class MotionSequence:
+class Motion:
     """Motion of a skeleton: configurations and their forward kinematics."""
 
     skeleton: SkeletonModel
@@ -54,7 +54,7 @@ class MotionSequence:
         if known and not (known.names == poses.names and np.array_equal(known.times, poses.times)):
             raise InvalidInputError("motion: its confidence is of other joints or other times")
 
-    def __getitem__(self, frames: slice) -> MotionSequence:
+    def __getitem__(self, frames: slice) -> Motion:
         singular, excess = self.report.singular[frames], self.report.limit_excess[frames]
         report = replace(self.report, singular=singular, limit_excess=excess)
         confidence = None if self.confidence is None else self.confidence[frames]
@@ -360,12 +360,12 @@ class SkeletonModel:
         excess = np.maximum(np.maximum(self.limits[:, 0] - angles, angles - self.limits[:, 1]), 0.0)
         return ConfigurationReport(singular, excess, self.dof_names)
 
-    def motion(self, poses: PoseSequence, confidence: Confidence | None = None) -> MotionSequence:
+    def motion(self, poses: PoseSequence, confidence: Confidence | None = None) -> Motion:
         """Return the motion of this skeleton with the root positions and the orientations of poses."""
         self.check_joints(poses.names)
         q = self.inverse_kinematics(poses.p_world_joint, poses.R_world_bone)
         p, R = self.forward_kinematics(q)
-        return MotionSequence(self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q), confidence)
+        return Motion(self, q, replace(poses, p_world_joint=p, R_world_bone=R), self.check(q), confidence)
 
     def landmark_positions(self, p: Array, R: Array) -> Array:
         """Return landmark positions (T, L, 3) in world, m, in the order of `landmarks`.

@@ -87,7 +87,7 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     with new_folder(options.output, MARKER, options.overwrite, inputs) as folder:
         write_analysis(analysis, folder)
         if not options.no_figures and can_draw():
-            from rtof_kin.report.clinical_figures import write_clinical_figures
+            from rtof_kin.reporting.clinical_figures import write_clinical_figures
 
             write_clinical_figures(analysis, folder / "figures")
     return analysis
@@ -95,7 +95,7 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
 
 def _weight_and_sex(options: argparse.Namespace, folder: Path) -> tuple[float | None, str | None]:
     """Body mass and sex of the options, else of the recording."""
-    from rtof_kin.report.summary_file import SUMMARY, read_summary
+    from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
     summary = folder / SUMMARY
     subject = read_summary(summary).subject if summary.exists() else {}

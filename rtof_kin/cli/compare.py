@@ -58,9 +58,9 @@ def add_commands(commands: Any) -> None:
 def _compare(options: argparse.Namespace) -> None:
     from rtof_kin.clinical.comparison_spm import compare_spm
     from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.report.comparison.files import MARKER, write_comparison
-    from rtof_kin.report.comparison.sentences import cautions, opening
-    from rtof_kin.report.comparison.spm import spm_lines, write_spm
+    from rtof_kin.reporting.comparison.files import MARKER, write_comparison
+    from rtof_kin.reporting.comparison.sentences import cautions, opening
+    from rtof_kin.reporting.comparison.spm import spm_lines, write_spm
 
     if options.output:
         check_replaceable(options.output, MARKER, options.overwrite)
@@ -86,7 +86,7 @@ def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
     from rtof_kin.clinical.comparison import compare
     from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.report.comparison.inputs import distinct, read_compared
+    from rtof_kin.reporting.comparison.inputs import distinct, read_compared
 
     given = (name.strip() for name in (options.angles or "").split(","))
     names = list(dict.fromkeys(filter(None, given)))
@@ -122,8 +122,8 @@ def _found_shift(clocks: Alignment | None) -> float:
 
 def _print_angles(found: Comparison, all_of_them: bool) -> None:
     """Table of the largest differences; errors only where there are curves."""
-    from rtof_kin.report.angle_names import label
-    from rtof_kin.report.comparison.sentences import degrees, difference_text
+    from rtof_kin.reporting.angle_names import label
+    from rtof_kin.reporting.comparison.sentences import degrees, difference_text
 
     shown = found.angles if all_of_them else found.angles[:_SHOWN]
     curves = found.axis is not None

@@ -51,8 +51,8 @@ def add_commands(commands: Any) -> None:
 
 def _follow(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.report.follow.files import MARKER, write_follow_up
-    from rtof_kin.report.follow.sentences import cautions, opening
+    from rtof_kin.reporting.follow.files import MARKER, write_follow_up
+    from rtof_kin.reporting.follow.sentences import cautions, opening
 
     if options.output:
         check_replaceable(options.output, MARKER, options.overwrite)
@@ -74,7 +74,7 @@ def _found(options: argparse.Namespace) -> tuple[FollowUp, tuple[str, ...]]:
     """Answer as the options and ``follow.toml`` ask for it, and notes on the input."""
     from rtof_kin.clinical.follow_up import follow_up
     from rtof_kin.core.checks import indices_of
-    from rtof_kin.report.follow.inputs import read_visits
+    from rtof_kin.reporting.follow.inputs import read_visits
 
     with job_progress("reading") as update:
         read = read_visits(options.folder, lambda done, total: update(done, total, ""))
@@ -98,7 +98,7 @@ def _found(options: argparse.Namespace) -> tuple[FollowUp, tuple[str, ...]]:
 
 def _print_measures(found: FollowUp, all_of_them: bool) -> None:
     """Table of the last visit against the baseline; those that changed first, then the smallest p-values."""
-    from rtof_kin.report.follow.sentences import name_of, number, reasoning
+    from rtof_kin.reporting.follow.sentences import name_of, number, reasoning
 
     visit = found.last
 

@@ -13,7 +13,7 @@ from rtof_kin.cli.terminal import add_output, command, out, print_files
 
 if TYPE_CHECKING:
     from rtof_kin.data.gait_reference import GaitReference
-    from rtof_kin.report.gait.result import ScoredGait
+    from rtof_kin.reporting.gait.result import ScoredGait
 
 _BAR = 9
 """Longest bar of the printed profile, characters."""
@@ -46,7 +46,7 @@ def _from_recordings(options: argparse.Namespace) -> GaitReference:
     from rtof_kin.clinical.gait_reference import build_reference
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
-    from rtof_kin.report.gait.inputs import find_people
+    from rtof_kin.reporting.gait.inputs import find_people
 
     for_tables = {
         "--people": options.people,
@@ -139,10 +139,10 @@ def _scores(options: argparse.Namespace) -> None:
     from rtof_kin.data.gait_reference import STANDING_ZERO
     from rtof_kin.formats.gait_reference_json import read_gait_reference
     from rtof_kin.formats.motion_npz import motion_folder
-    from rtof_kin.report.gait.files import MARKER, write_gait_scores
-    from rtof_kin.report.gait.inputs import read_cycles
-    from rtof_kin.report.gait.result import score_gait
-    from rtof_kin.report.gait.sentences import cautions, opening
+    from rtof_kin.reporting.gait.files import MARKER, write_gait_scores
+    from rtof_kin.reporting.gait.inputs import read_cycles
+    from rtof_kin.reporting.gait.result import score_gait
+    from rtof_kin.reporting.gait.sentences import cautions, opening
 
     check_replaceable(options.output, MARKER, options.overwrite)
     reference = read_gait_reference(options.reference)
@@ -158,8 +158,8 @@ def _scores(options: argparse.Namespace) -> None:
     with new_folder(options.output, MARKER, options.overwrite) as folder:
         write_gait_scores(found, folder)
         if found.scores is not None and not options.no_figures and can_draw():
-            from rtof_kin.report.figures import save_figures
-            from rtof_kin.report.gait.figures import gait_figure
+            from rtof_kin.reporting.figures import save_figures
+            from rtof_kin.reporting.gait.figures import gait_figure
 
             save_figures({"gait_scores": gait_figure(found)}, folder)
     print_files(options.output)
@@ -167,8 +167,8 @@ def _scores(options: argparse.Namespace) -> None:
 
 def _print_profile(found: ScoredGait) -> None:
     """Bars of the Movement Analysis Profile, with bands and the reference's median."""
-    from rtof_kin.report.angle_names import label
-    from rtof_kin.report.gait.files import rows
+    from rtof_kin.reporting.angle_names import label
+    from rtof_kin.reporting.gait.files import rows
 
     scores = list(rows(found))
     largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)

@@ -71,7 +71,7 @@ def _declaration(text: str) -> tuple[str, str]:
 def _inspect(options: argparse.Namespace) -> int:
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.report.inspection import inspect
+    from rtof_kin.reporting.inspection import inspect
 
     if options.plot is not None:
         if len(options.files) > 1:
@@ -205,7 +205,7 @@ def _draw(found: Any, target: Path, overwrite: bool) -> None:
     from rtof_kin.core.packages import optional
 
     canvas = optional("matplotlib.backends.backend_agg", "figures", "a picture")
-    from rtof_kin.report.inspection_figures import picture
+    from rtof_kin.reporting.inspection_figures import picture
 
     figure = picture(found)
     if figure is None:

@@ -35,11 +35,11 @@ REPEATED = ("frames", "space", "backend", "paper", "guards", "lift_with_sensors"
 """Options of a run that its numbers depend on, beside its mode, files and threads."""
 
 if TYPE_CHECKING:
-    from rtof_kin.body.skeleton import MotionSequence
+    from rtof_kin.body.skeleton import Motion
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.recording.reader import RecordingSlices
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.statistics import ReconstructionStatistics
+    from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 
 def add_commands(commands: Any) -> None:
@@ -115,9 +115,9 @@ def _calibrate(options: argparse.Namespace) -> None:
     from rtof_kin.reconstruction.self_calibration import calibrate_recording
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.audit import calibration_results
-    from rtof_kin.report.audit_results import AuditResult
-    from rtof_kin.report.headline import headline
+    from rtof_kin.reporting.audit import calibration_results
+    from rtof_kin.reporting.audit_results import AuditResult
+    from rtof_kin.reporting.headline import headline
 
     settings = settings_of(options, "calibrate")
     if options.recording_output is not None:
@@ -171,7 +171,7 @@ def reconstruct_and_export(
     from rtof_kin.reconstruction.parts import reconstruct_in_parts
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.export import MARKER, export_parts
+    from rtof_kin.reporting.export import MARKER, export_parts
 
     check_replaceable(options.output, MARKER, options.overwrite)
     digest = recording.digest()
@@ -219,8 +219,8 @@ def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -
 
 def _reconstruct_to(recording: RecordingSlices, mode: Mode, options: argparse.Namespace) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
-    from rtof_kin.report.audit import audit
-    from rtof_kin.report.headline import headline
+    from rtof_kin.reporting.audit import audit
+    from rtof_kin.reporting.headline import headline
 
     found = reconstruct_and_export(recording, mode, options)
     verdict = headline(audit(found))
@@ -272,7 +272,7 @@ def _evaluate(options: argparse.Namespace) -> None:
         _evaluate_angles(options, motion.motion(), recording)
 
 
-def _evaluate_angles(options: argparse.Namespace, motion: MotionSequence, recording: Recording | None) -> None:
+def _evaluate_angles(options: argparse.Namespace, motion: Motion, recording: Recording | None) -> None:
     """Print the errors of clinical angles, and write them if asked."""
     from rtof_kin.protocols.angle_evaluation import against_opensim, against_recording
 

@@ -31,7 +31,7 @@ def _report(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.text import write_text
     from rtof_kin.formats.motion_npz import motion_folder
     from rtof_kin.recording.session import Session
-    from rtof_kin.report.page import PAGE, report
+    from rtof_kin.reporting.page import PAGE, report
 
     folder = motion_folder(options.motion)
     path = Path(options.output or folder / PAGE)
@@ -47,9 +47,9 @@ def _study(options: argparse.Namespace) -> None:
     from rtof_kin.core.jobs import open_runs
     from rtof_kin.core.packages import can_draw
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.sensor_study.files import remove_results, unused_removed, write_study
-    from rtof_kin.report.sensor_study.sentences import sentences
-    from rtof_kin.report.sensor_study.study import identity_of, number_of_runs, study_sensors
+    from rtof_kin.reporting.sensor_study.files import remove_results, unused_removed, write_study
+    from rtof_kin.reporting.sensor_study.sentences import sentences
+    from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
     folder, recording = Path(options.output), Recording.load(options.recording)
     camera = recording.keypoints is not None
@@ -75,7 +75,7 @@ def _study(options: argparse.Namespace) -> None:
     print_headline(study.verdict, "all sensors: ")
     written = []
     if not options.no_figures and can_draw():
-        from rtof_kin.report.sensor_study.figures import write_study_figures
+        from rtof_kin.reporting.sensor_study.figures import write_study_figures
 
         written += write_study_figures(study, folder / "figures")
     written += write_study(study, folder)

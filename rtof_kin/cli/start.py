@@ -181,8 +181,8 @@ def _run(options: argparse.Namespace) -> None:
     use_threads(options)
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.report.page import PAGE
-    from rtof_kin.report.summary_file import SUMMARY, read_summary
+    from rtof_kin.reporting.page import PAGE
+    from rtof_kin.reporting.summary_file import SUMMARY, read_summary
     from rtof_kin.setup.join import ABOUT
 
     if options.height is None:
@@ -356,7 +356,7 @@ def _write_page(folder: Path, options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import OutputExistsError
     from rtof_kin.core.files.manifest import read_contents, write_manifest
     from rtof_kin.core.files.text import write_text
-    from rtof_kin.report.page import PAGE, report
+    from rtof_kin.reporting.page import PAGE, report
 
     page, inputs = folder / PAGE, {PAGE: fingerprint(folder / MOTION, *_values(options, ("weight", "sex")))}
     if made_from(folder) == inputs:
@@ -393,6 +393,6 @@ def _camera_found(summary: Any) -> list[str]:
 
 
 def _headline(summary: Any) -> str:
-    from rtof_kin.report.headline import headline
+    from rtof_kin.reporting.headline import headline
 
     return headline(summary.results).line

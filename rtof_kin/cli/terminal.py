@@ -26,8 +26,8 @@ from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.report.headline import Headline
-    from rtof_kin.report.statistics import ReconstructionStatistics
+    from rtof_kin.reporting.headline import Headline
+    from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
 out, err = Console(markup=False), Console(stderr=True, markup=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_of
 from rtof_kin.clinical.decomposition import DecomposedAngles
@@ -55,7 +55,7 @@ class MotionAnalysis:
 
 
 def analyse_motion(
-    motion: MotionSequence | MotionSource,
+    motion: Motion | MotionSource,
     *,
     weight_kg: float | None = None,
     height: float | None = None,

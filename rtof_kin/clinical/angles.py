@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import DIRECTION, WHOLE, ObservationMasks
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical import joint_coordinate_systems as jcs
 from rtof_kin.clinical.angle_confidence import reliable_samples
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
@@ -127,7 +127,7 @@ class ClinicalAngles:
 
 
 def clinical_angles(
-    motion: MotionSequence | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None
+    motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None
 ) -> ClinicalAngles:
     """Compute clinical joint angles from segment orientations.
 

@@ -20,7 +20,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison_alignment import Alignment
@@ -158,7 +158,7 @@ class Comparison:
         )
 
 
-def compared(name: str, motion: MotionSequence, recording: str = "") -> Compared:
+def compared(name: str, motion: Motion, recording: str = "") -> Compared:
     """Return a motion with its angles, strides and repetitions."""
     angles, paths = clinical_angles(motion), body_paths(motion)
     found = with_strides(name, angles, analyse_gait(gait_events(paths), angles))

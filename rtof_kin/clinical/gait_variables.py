@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table, foot_table
 from rtof_kin.clinical.angles import ClinicalAngles, angles_of
 from rtof_kin.clinical.comparison_samples import usable
@@ -104,7 +104,7 @@ def joined_cycles(parts: Sequence[GaitCycles]) -> GaitCycles:
     )
 
 
-def gait_cycles(motion: MotionSequence | MotionSource, *, from_standing: bool = False) -> GaitCycles:
+def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -> GaitCycles:
     """Return the nine variables over the strides of a motion; none if it is no gait, with the reason.
 
     Args:

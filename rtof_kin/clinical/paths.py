@@ -9,7 +9,7 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.neutral_posture import standing_frames
 from rtof_kin.body.observability import ObservationMasks
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
@@ -93,7 +93,7 @@ class PathCollector:
 
 
 def body_paths(
-    motion: MotionSequence | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
+    motion: Motion | MotionSource | PoseSequence, skeleton: SkeletonModel | None = None, standing: bool = False
 ) -> BodyPaths:
     """Return the paths of a motion.
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.limbs import LIMBS
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, angle_table, clinical_name
 from rtof_kin.clinical.body_dynamics import MASS_SIGMA, UNKNOWN, BodyDynamics
 from rtof_kin.clinical.pose_errors import pose_errors
@@ -81,7 +81,7 @@ class JointTorques:
 
 
 def joint_torques(
-    motion: MotionSequence | MotionSource,
+    motion: Motion | MotionSource,
     weight_kg: float | None,
     height: float | None = None,
     sex: str | None = None,

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
 from rtof_kin.clinical.comparison import repetition_spans
 from rtof_kin.clinical.comparison_samples import Spans
@@ -79,7 +79,7 @@ class Visit:
     day: date | None = None
 
 
-def trial(name: str, motion: MotionSequence | MotionSource, setup: Setup | None = None) -> Trial:
+def trial(name: str, motion: Motion | MotionSource, setup: Setup | None = None) -> Trial:
     """Return a motion with its analysis, repetitions and stated errors of its strides."""
     source = MotionSource.of(motion)
     analysis = analyse_motion(source)

@@ -51,7 +51,7 @@ _shipped = cache(SkeletonModel.human36m)
 
 
 @dataclass(frozen=True)
-class Motion:
+class ActionMotion:
     """Positions of one action of one subject."""
 
     subject: str
@@ -97,7 +97,7 @@ class Human36M:
         motions = self._archives.all_positions
         return tuple((subject, a) for subject in by_number(motions) for a in sorted(motions[subject]))
 
-    def motion(self, subject: str, action: str) -> Motion:
+    def motion(self, subject: str, action: str) -> ActionMotion:
         """Return the positions of an action and the subject's body.
 
         Raises:
@@ -117,7 +117,7 @@ class Human36M:
                 f"{self.skeleton.names[bone]} is {own[bone]:.3f} m long, but {usual[bone]:.3f} m in all "
                 "of the subject's actions together; get the archive again",
             )
-        return Motion(subject, action, p, offsets)
+        return ActionMotion(subject, action, p, offsets)
 
     def recording(self, subject: str, action: str, camera: int) -> Recording:
         """Return an action seen by one camera, with the truth.
@@ -149,7 +149,7 @@ class Human36M:
             notes=self._remark(subject, action, camera, _reprojection(cam, truth.p_world_joint, uv)),
         )
 
-    def _poses(self, motion: Motion, frames: int) -> PoseSequence:
+    def _poses(self, motion: ActionMotion, frames: int) -> PoseSequence:
         """Return the first frames of a motion, with orientations from the positions."""
         p, parents = motion.p_world_joint[:frames], self.skeleton.parents
         return PoseSequence(

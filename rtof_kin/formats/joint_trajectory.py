@@ -18,7 +18,7 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
 from rtof_kin.body.rigid_bodies import pin
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
@@ -50,7 +50,7 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
     return np.asarray((padded[:-1] + padded[1:]) / 2)
 
 
-def write_joint_trajectory_csv(path: str | Path, motion: MotionSequence | MotionSource) -> None:
+def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
     """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's
     orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table.
 
@@ -107,7 +107,7 @@ def read_joint_trajectory_csv(path: str | Path) -> tuple[tuple[str, ...], Array]
     return tuple(columns), table
 
 
-def write_ros_trajectory(folder: str | Path, motion: MotionSequence | MotionSource) -> list[Path]:
+def write_ros_trajectory(folder: str | Path, motion: Motion | MotionSource) -> list[Path]:
     """Write ``ros_joint_trajectory.json`` (trajectory_msgs/JointTrajectory: angles and velocities) and
     ``ros_base_trajectory.json`` (trajectory_msgs/MultiDOFJointTrajectory: pose of the root link).
 

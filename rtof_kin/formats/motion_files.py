@@ -40,7 +40,7 @@ from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.formats.motion_table import CONVENTION, write_motion_csv, write_motion_parquet
 from rtof_kin.formats.motion_views import (
-    Motion,
+    AnyMotion,
     dofs_from_prior,
     even_times,
     from_prior,
@@ -76,7 +76,7 @@ class Format:
     """True for formats with a rate in place of times, or whose readers expect even ones."""
 
 
-def write_motion_files(folder: str | Path, motion: Motion, formats: Sequence[str] = DEFAULT) -> Path:
+def write_motion_files(folder: str | Path, motion: AnyMotion, formats: Sequence[str] = DEFAULT) -> Path:
     """Write a motion, its URDF and an index of the files into an existing folder, which is returned.
 
     Args:

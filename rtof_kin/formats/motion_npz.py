@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.skeleton import MotionSequence, known_body
+from rtof_kin.body.skeleton import Motion, known_body
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
@@ -103,10 +103,10 @@ class MotionFile:
     sex: str | None = None
     """'male', 'female' or None where unknown."""
 
-    def motion(self) -> MotionSequence:
+    def motion(self) -> Motion:
         """Return the motion on the subject's skeleton."""
         skeleton = known_body(self.skeleton, self.joint_offsets.tobytes(), self.mass_kg, self.sex)
-        return MotionSequence(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
+        return Motion(skeleton, self.q, self.poses, skeleton.check(self.q), self.confidence)
 
 
 def motion_path(path: str | Path) -> Path:

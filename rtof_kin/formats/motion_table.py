@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import ObservationMasks, observed_dofs, observed_landmarks, root_turn_observed
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import Provenance
@@ -47,7 +47,7 @@ class Column:
     """'clinical' and 'opensim' names, '-' in front where the sign is opposite."""
 
 
-def motion_columns(motion: MotionSequence, masks: ObservationMasks | None = None) -> list[Column]:
+def motion_columns(motion: Motion, masks: ObservationMasks | None = None) -> list[Column]:
     """Return the columns of the table of a motion, in their order."""
     skeleton, poses = motion.skeleton, motion.poses
     masks = masks or ObservationMasks.of(motion)
@@ -71,7 +71,7 @@ def motion_columns(motion: MotionSequence, masks: ObservationMasks | None = None
     return columns + [Column(f"{n}_valid", "", valid) for n, valid in zip(names, observed.T, strict=True)]
 
 
-def write_motion_csv(path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False) -> None:
+def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
 
     Args:
@@ -98,7 +98,7 @@ def _cells(values: NDArray[Any]) -> list[str]:
     return ["" if value != value else repr(value) for value in values.tolist()]
 
 
-def write_motion_parquet(path: str | Path, motion: MotionSequence | MotionSource, *, overwrite: bool = False) -> None:
+def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
     convention, skeleton and joint offsets in that of the table.
 

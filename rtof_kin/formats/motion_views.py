@@ -11,7 +11,7 @@ import numpy as np
 from rtof_kin.body import kinematics
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import ObservationMasks, observed_dofs, observed_landmarks, root_turn_observed
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.errors import InvalidInputError
@@ -21,12 +21,12 @@ from rtof_kin.formats.joint_trajectory import BASE_TURN
 from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
-Motion = MotionSequence | MotionSource
+AnyMotion = Motion | MotionSource
 MOST_UNEVEN: Final = 0.02
 """Largest deviation of a time from an even grid, frames, in formats without times."""
 
 
-def pieces(motion: Motion) -> list[tuple[int, int]]:
+def pieces(motion: AnyMotion) -> list[tuple[int, int]]:
     """Return frames [start, stop) of the runs in which the person was seen, for formats without gaps.
 
     A frame is in a gap where its configuration is unknown or no joint is valid (it was bridged).
@@ -39,13 +39,13 @@ def outside_gaps(masks: ObservationMasks) -> Mask:
     return np.asarray(masks.known & masks.valid.any(axis=1))
 
 
-def from_prior(motion: Motion) -> dict[str, float]:
+def from_prior(motion: AnyMotion) -> dict[str, float]:
     """Return joints whose position was unobserved outside gaps -> the share of those frames, 0 to 1."""
     masks = MotionSource.of(motion).masks
     return _shares(masks, masks.skeleton.names, masks.position_observed)
 
 
-def dofs_from_prior(motion: Motion) -> dict[str, float]:
+def dofs_from_prior(motion: AnyMotion) -> dict[str, float]:
     """Return the same shares of degrees of freedom by URDF name, and of the root's orientation."""
     masks = MotionSource.of(motion).masks
     return _shares(masks, root_and_dof_names(masks.skeleton), root_and_dofs_observed(masks))
@@ -61,7 +61,7 @@ def root_and_dofs_observed(masks: ObservationMasks) -> Mask:
     return np.column_stack([root_turn_observed(masks), observed_dofs(masks)])
 
 
-def landmarks_from_prior(motion: Motion) -> dict[str, float]:
+def landmarks_from_prior(motion: AnyMotion) -> dict[str, float]:
     """Return the same shares of landmarks that are no joints, e.g. heels."""
     masks = MotionSource.of(motion).masks
     shares = _shares(masks, tuple(masks.skeleton.landmarks), observed_landmarks(masks))
@@ -74,7 +74,7 @@ def _shares(masks: ObservationMasks, names: tuple[str, ...], observed: Mask) -> 
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0}
 
 
-def check_known(motion: Motion) -> None:
+def check_known(motion: AnyMotion) -> None:
     """Raise `InvalidInputError` where a configuration is unknown, for formats without gaps."""
     unknown = np.flatnonzero(~MotionSource.of(motion).masks.known)
     if len(unknown):
@@ -105,7 +105,7 @@ def even_times(times: Array) -> Array:
     return np.asarray(even)
 
 
-def landmark_markers(motion: MotionSequence) -> MarkerSequence:
+def landmark_markers(motion: Motion) -> MarkerSequence:
     """Return all landmarks of the skeleton, joints first, as markers; NaN where unobserved."""
     p = landmark_points(motion, ObservationMasks.of(motion))
     return MarkerSequence(motion.times, tuple(motion.skeleton.landmarks), p)
@@ -121,7 +121,7 @@ def landmark_blocks(motion: MotionSource) -> MarkerBlocks:
     return MarkerBlocks(motion.times, tuple(motion.skeleton.landmarks), blocks)
 
 
-def landmark_points(motion: MotionSequence, masks: ObservationMasks) -> Array:
+def landmark_points(motion: Motion, masks: ObservationMasks) -> Array:
     """Return positions (T, L, 3) of landmarks in world, m; NaN where unobserved."""
     p = motion.skeleton.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
     return np.where(observed_landmarks(masks)[..., None], p, np.nan)
@@ -139,7 +139,7 @@ def joint_tree_blocks(motion: MotionSource) -> Iterator[ArticulatedMotion]:
         yield replace(_tree(block.motion, "y", "cm"), rate_hz=rate_hz)
 
 
-def joint_tree(motion: MotionSequence, *, up: str = "y", unit: str = "cm") -> ArticulatedMotion:
+def joint_tree(motion: Motion, *, up: str = "y", unit: str = "cm") -> ArticulatedMotion:
     """Return the skeleton as a tree of joints, with end sites at the far ends of its leaves.
 
     Args:
@@ -160,7 +160,7 @@ def _even_rate_hz(times: Array) -> float:
     return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 60.0
 
 
-def _tree(motion: MotionSequence, up: str, unit: str) -> ArticulatedMotion:
+def _tree(motion: Motion, up: str, unit: str) -> ArticulatedMotion:
     """`joint_tree` of known frames, with a rate that is not theirs."""
     skeleton, R_world_file = motion.skeleton, world_of_file(up)
     leaves = [j for j in range(len(skeleton.names)) if j not in skeleton.parents]

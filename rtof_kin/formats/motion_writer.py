@@ -10,7 +10,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.compact import multiples, rotation_vectors
@@ -74,7 +74,7 @@ class MotionWriter:
     ) -> bool | None:
         return self._open.__exit__(kind, error, trace)
 
-    def append(self, motion: MotionSequence) -> None:
+    def append(self, motion: Motion) -> None:
         """Append the next frames.
 
         Args:
@@ -147,7 +147,7 @@ class MotionWriter:
             self._arrays.add("confidence_pairs", np.array(self._pairs).reshape(-1, 2))
 
 
-def write_motion_npz(path: str | Path, motion: MotionSequence, *, first_frame: int = 0, mode: str = "") -> None:
+def write_motion_npz(path: str | Path, motion: Motion, *, first_frame: int = 0, mode: str = "") -> None:
     """Write a motion over an existing file.
 
     Args:

@@ -28,7 +28,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_names
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.formats.joint_trajectory import BASE_TURN
-from rtof_kin.formats.motion_views import Motion, check_known, dofs_from_prior, even_times, from_prior
+from rtof_kin.formats.motion_views import AnyMotion, check_known, dofs_from_prior, even_times, from_prior
 from rtof_kin.formats.world_axes import R_WORLD_GROUND
 
 ROOT_AXES: Final = "yxz"
@@ -88,7 +88,7 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
     return Coordinate(opensim or urdf, joint, unit, True, (low, high), urdf)
 
 
-def coordinate_values(motion: Motion) -> tuple[tuple[Coordinate, ...], Array]:
+def coordinate_values(motion: AnyMotion) -> tuple[tuple[Coordinate, ...], Array]:
     """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
 
     Args:
@@ -120,7 +120,7 @@ def _value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
 # --- files ---------------------------------------------------------------------------------------
 
 
-def write_mot(path: str | Path, motion: Motion, *, overwrite: bool = False) -> None:
+def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
     """Write coordinates, angles in degrees, without those that were never observed.
 
     Args:
@@ -139,7 +139,7 @@ def write_mot(path: str | Path, motion: Motion, *, overwrite: bool = False) -> N
     _write_table(Path(path), source, names, values, True, overwrite)
 
 
-def write_sto(path: str | Path, motion: Motion, *, overwrite: bool = False) -> None:
+def write_sto(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
     """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
     differences (0 for a single frame).
 

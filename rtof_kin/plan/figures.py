@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from rtof_kin.plan.calibration_time import ENOUGH, UNITS
 from rtof_kin.plan.plan import Option, Plan
 from rtof_kin.plan.sentences import where
-from rtof_kin.report.angle_names import label
-from rtof_kin.report.figures import save_figures
+from rtof_kin.reporting.angle_names import label
+from rtof_kin.reporting.figures import save_figures
 
 _OWN, _OTHER, _WEAK = "#1f77b4", "#9ecae1", "#d62728"
 _CUT: Final = 45.0

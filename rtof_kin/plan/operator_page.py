@@ -10,7 +10,7 @@ from typing import Final
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.plan.movements import MovementInfo
 from rtof_kin.plan.placing import Framing
-from rtof_kin.report.html import bullets, fill, source_hash
+from rtof_kin.reporting.html import bullets, fill, source_hash
 
 MOST_LINES: Final = 29
 """Lines of all texts together that fit on the sheet beside the drawing."""

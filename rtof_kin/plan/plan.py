@@ -20,7 +20,7 @@ from rtof_kin.plan.protocol import Protocol
 from rtof_kin.plan.setup import Setup, seen_share
 from rtof_kin.plan.sources import liveliest
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.report.angle_names import XZY, angle_name
+from rtof_kin.reporting.angle_names import XZY, angle_name
 
 Progress = Callable[[str, int, int], None]
 """Called with (stage, steps done, steps in all)."""

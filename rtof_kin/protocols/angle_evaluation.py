@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import AngleErrors, angle_differences, error_rows
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.clinical.comparison_opensim import opensim_angles
@@ -32,7 +32,7 @@ class AngleEvaluation:
         return write_angle_tables(folder, self.rows, self.tables, self.first, {})
 
 
-def against_recording(motion: MotionSequence, recording: Recording, movement: Movement = "other") -> AngleEvaluation:
+def against_recording(motion: Motion, recording: Recording, movement: Movement = "other") -> AngleEvaluation:
     """Compare with the truth of a recording, on one clock and with one definition of the angles.
 
     Raises:
@@ -51,9 +51,7 @@ def against_recording(motion: MotionSequence, recording: Recording, movement: Mo
     return _evaluation(rows, title, f"{title}: {len(found)} angles, on the recording's own clock.", notes)
 
 
-def against_opensim(
-    motion: MotionSequence, path: Path, movement: Movement = "other", reach: float = 1.0
-) -> AngleEvaluation:
+def against_opensim(motion: Motion, path: Path, movement: Movement = "other", reach: float = 1.0) -> AngleEvaluation:
     """Compare with OpenSim's coordinates, whose zeros are those of their model; the clocks are aligned.
 
     Args:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core.jobs import Outcome
-from rtof_kin.report.figures import STAGE_COLORS, TRUTH, save_figures, views
+from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, save_figures, views
 
 NAMES = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.body.metrics import stage_metrics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import Confidence
@@ -98,7 +98,7 @@ def lost(like: Reconstruction, recording: Recording, times: Array, why: str) -> 
     q = np.full((T, skeleton.nq), np.nan)
     p = np.full((T, len(skeleton.names), 3), np.nan)
     poses = PoseSequence(times, p, np.full((*p.shape, 3), np.nan), skeleton.names)
-    motion = MotionSequence(skeleton, q, poses, skeleton.check(q), _unknown(like.motion.confidence, times))
+    motion = Motion(skeleton, q, poses, skeleton.check(q), _unknown(like.motion.confidence, times))
     keypoints, imus = like.keypoints, like.bone_imus
     if keypoints is not None:
         keypoints = evenly_spaced(recording.keypoints or keypoints, times)

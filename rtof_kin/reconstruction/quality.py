@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.metrics import hinges
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.plausibility import Check
 from rtof_kin.data.confidence import BAND_95, Confidence
@@ -111,13 +111,13 @@ def misfit_warnings(solution: FragmentSolution, off_px: Array, settings: Reconst
 
 
 def with_covariances(
-    motion: MotionSequence,
+    motion: Motion,
     prepared: Prepared,
     solution: FragmentSolution | None,
     others: Iterable[PoseSequence],
     room: Room,
     misfit: LegMisfit | None = None,
-) -> tuple[MotionSequence, Room]:
+) -> tuple[Motion, Room]:
     """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from rtof_kin.body.metrics import Metrics
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.array_types import Array
@@ -67,7 +67,7 @@ class Reconstruction:
     recording: Recording
     """Input after self-calibration."""
     mode: Mode
-    motion: MotionSequence
+    motion: Motion
     """Configurations, poses, flags and, in modes rto and rtof in joint space, pose covariances."""
     stages: dict[str, PoseSequence]
     """Poses after each stage by mode name; the first one of mode imu is 'start'."""

@@ -33,7 +33,7 @@ class ReconstructionSettings:
     guards: tuple[Guard, ...] = GUARDS
     """Which outliers of keypoints and sensors are rejected (`Reconstruction.faults`)."""
     confidence: bool = True
-    """Compute pose covariances (`MotionSequence.confidence`) in modes rto and rtof in joint space."""
+    """Compute pose covariances (`Motion.confidence`) in modes rto and rtof in joint space."""
     checks: bool = True
     """Check what the recording declares (`Reconstruction.checks`)."""
     sensor_joints: tuple[str, ...] = ()

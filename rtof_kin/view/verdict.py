@@ -8,7 +8,7 @@ from typing import Final
 
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_json
-from rtof_kin.report.summary_file import SUMMARY
+from rtof_kin.reporting.summary_file import SUMMARY
 
 _GRADES: Final = ("pass", "warn", "fail")
 

@@ -19,7 +19,7 @@ from benchmarks.confidence.motions import FITTED_ON
 from benchmarks.confidence.sharpness import sharpness
 from benchmarks.confidence.study import NOMINAL, rows
 from benchmarks.confidence.tables import report
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import Confidence
@@ -57,7 +57,7 @@ def case(number: int, sensors: str = "8", sigma: float = 1.0) -> Case:
     turn = np.tile(np.eye(3), (T, len(PAIRS), 1, 1)) * twice[:, None, None] * (sigma * SIGMA_RAD) ** 2
     stated = Confidence(truth.times, BODY.names, one, 2 * one, PAIRS, turn)
     q = np.tile(BODY.t_pose(), (T, 1))
-    motion = MotionSequence(BODY, q, poses, BODY.check(q), stated)
+    motion = Motion(BODY, q, poses, BODY.check(q), stated)
     apart = disagreement(poses, poses, PAIRS)
     told_of = ResidualStatistics(CARRIERS[sensors])
     away = truth.p_world_joint + np.array([0.0, 4.0, 0.0])

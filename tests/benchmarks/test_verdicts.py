@@ -17,7 +17,7 @@ from scipy.stats import spearmanr
 from benchmarks.verdicts import __main__ as command
 from benchmarks.verdicts import measuring, recordings, scores, study
 from benchmarks.verdicts.tables import tables
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.solve.joint_space.covariance import segment_pairs
@@ -104,7 +104,7 @@ def result(apart: float) -> Any:
     q = np.tile(BODY.t_pose(), (30, 1))
     bent = BODY.dof_names.index(BODY.table.joints[BODY.index("LeftLeg")[0]].dofs[1].urdf)
     q[:, 7 + bent] = BODY.limits[bent, 1] + 0.5
-    motion = MotionSequence(BODY, q, poses, BODY.check(q), confidence)
+    motion = Motion(BODY, q, poses, BODY.check(q), confidence)
     fault = SimpleNamespace(start=truth.times[0] - 1, stop=truth.times[0])
     return SimpleNamespace(motion=motion, recording=SimpleNamespace(truth=truth), faults=(fault,))
 

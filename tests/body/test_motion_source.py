@@ -11,7 +11,7 @@ import pytest
 from rtof_kin.body import motion_source
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import ObservationMasks, never_observed, observed_dofs
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.poses import Provenance
 
 BODY = SkeletonModel.default()
@@ -19,7 +19,7 @@ T = 40
 
 
 @pytest.fixture
-def motion() -> MotionSequence:
+def motion() -> Motion:
     """All but the left hand observed by sensors; the left knee bends in the first quarter alone."""
     motion = planted.moving(BODY, T)
     q = np.array(motion.q)
@@ -46,7 +46,7 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("short_blocks")
 @pytest.mark.parametrize("margin", [0, 1, 9])
-def test_blocks_are_the_motion_and_their_margin_is_what_is_beside_them(motion: MotionSequence, margin: int) -> None:
+def test_blocks_are_the_motion_and_their_margin_is_what_is_beside_them(motion: Motion, margin: int) -> None:
     covered = []
     for block in MotionSource.of(motion).blocks(margin):
         first, last = max(block.start - margin, 0), min(block.stop + margin, T)
@@ -57,7 +57,7 @@ def test_blocks_are_the_motion_and_their_margin_is_what_is_beside_them(motion: M
 
 
 @pytest.mark.usefixtures("short_blocks")
-def test_masks_of_blocks_are_those_of_the_whole(motion: MotionSequence) -> None:
+def test_masks_of_blocks_are_those_of_the_whole(motion: Motion) -> None:
     source, whole = MotionSource.of(motion), ObservationMasks.of(motion)
     np.testing.assert_array_equal(observed_dofs(source.masks), observed_dofs(motion))
     np.testing.assert_array_equal(source.masks.levels, whole.levels)
@@ -69,7 +69,7 @@ def test_masks_of_blocks_are_those_of_the_whole(motion: MotionSequence) -> None:
 
 
 @pytest.mark.usefixtures("short_blocks")
-def test_part_of_a_source_is_that_part_of_the_motion(motion: MotionSequence) -> None:
+def test_part_of_a_source_is_that_part_of_the_motion(motion: Motion) -> None:
     part = MotionSource.of(motion)[5:25][3:]
     found = np.concatenate([block.motion.q for block in part.blocks()])
     np.testing.assert_array_equal(found, motion.q[8:25])
@@ -77,7 +77,7 @@ def test_part_of_a_source_is_that_part_of_the_motion(motion: MotionSequence) -> 
     np.testing.assert_array_equal(part.masks.valid, motion.poses.valid[8:25])
 
 
-def test_source_of_a_source_is_itself_and_times_can_be_replaced(motion: MotionSequence) -> None:
+def test_source_of_a_source_is_itself_and_times_can_be_replaced(motion: Motion) -> None:
     source = MotionSource.of(motion)
     assert MotionSource.of(source) is source
     later = source.with_times(motion.times + 5)

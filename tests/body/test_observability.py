@@ -21,7 +21,7 @@ from rtof_kin.body.observability import (
     root_turn_observed,
     segment_levels,
 )
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
@@ -36,20 +36,20 @@ ENDS = {f"{leaf}_{axis}" for leaf in LEAVES for axis in "xyz"}
 HAND = {"RightHand_x", "RightHand_y", "RightHand_z"}
 
 
-def seen_by(motion: MotionSequence, *sensors: str) -> MotionSequence:
+def seen_by(motion: Motion, *sensors: str) -> Motion:
     """The camera sees all joints, and sensors these segments."""
     observed = BODY.orientation_observed(sensors)
     return replace(motion, poses=replace(motion.poses, orientation_observed=observed))
 
 
-def hinged(motion: MotionSequence) -> MotionSequence:
+def hinged(motion: Motion) -> Motion:
     """The same with knees and elbows that only bend."""
     q = np.array(motion.q)
     q[:, [7 + BODY.dof_names.index(name) for name in ELBOWS_AND_KNEES]] = 0.0
     return replace(motion, q=q)
 
 
-def unobserved(motion: MotionSequence) -> set[str]:
+def unobserved(motion: Motion) -> set[str]:
     """Degrees of freedom that were not observed in any frame."""
     return {n for n, seen in zip(BODY.dof_names, observed_dofs(motion).T, strict=True) if not seen.any()}
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics, pose_prior_fit
 from rtof_kin.body.neutral_posture import HIPS, SPINE, NeutralPosture
-from rtof_kin.body.pose_prior_fit import Motion, fit_pose_prior, of_one_rig, shrunk
+from rtof_kin.body.pose_prior_fit import PersonMotion, fit_pose_prior, of_one_rig, shrunk
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -29,14 +29,14 @@ def symmetric_covariance(seed: int) -> Array:
     return np.asarray((covariance + SWAP @ covariance @ SWAP.T) / 2)
 
 
-def motion(subject: str, mean: Array, covariance: Array) -> Motion:
+def motion(subject: str, mean: Array, covariance: Array) -> PersonMotion:
     """Twenty seconds in which slow sines have this covariance exactly, about mean rotations (J - 1, 3, 3)."""
     cycles = 2 * np.pi * np.arange(1, SIZE + 1) * np.arange(FRAMES)[:, None] / FRAMES
     vectors = np.sqrt(2) * np.sin(cycles) @ np.linalg.cholesky(covariance).T
     local = np.tile(np.eye(3), (FRAMES, len(NAMES), 1, 1))
     local[:, 1:] = mean @ so3.exp(vectors.reshape(FRAMES, -1, 3))
     p = np.stack([np.sin(cycles[:, k]) for k in (0, 1, 2)], axis=1)
-    return Motion(subject, kinematics.world_rotations(PARENTS, local), p, RATE_HZ)
+    return PersonMotion(subject, kinematics.world_rotations(PARENTS, local), p, RATE_HZ)
 
 
 def mean_of(seed: int) -> Array:
@@ -121,7 +121,7 @@ def test_the_prior_of_several_rigs_is_the_formula_written_out() -> None:
         np.testing.assert_allclose(fitted.arrays()[name], value, rtol=1e-12, atol=1e-12, err_msg=name)
 
 
-def written_out(motions: list[Motion]) -> dict[str, Array]:
+def written_out(motions: list[PersonMotion]) -> dict[str, Array]:
     """The arrays of the shipped prior, step by step."""
     local, jerk, root_jerk = [], [], []
     for m in motions:

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.resources import model_path
@@ -439,7 +439,7 @@ def test_root_quaternion_is_continuous_over_several_turns() -> None:
     assert np.abs(np.diff(found[:, 3:7], axis=0)).max() < 0.05
 
 
-def test_positions_alone_are_reproduced_and_twist_follows_the_parent(motion: MotionSequence) -> None:
+def test_positions_alone_are_reproduced_and_twist_follows_the_parent(motion: Motion) -> None:
     skeleton, p = motion.skeleton, motion.poses.p_world_joint
     q = skeleton.inverse_kinematics(p)
     p_again, R = skeleton.forward_kinematics(q)
@@ -514,7 +514,7 @@ def test_nan_frames_violate_nothing() -> None:
 # --- motion -------------------------------------------------------------------------------------------
 
 
-def test_motion_of_poses_reproduces_them(motion: MotionSequence) -> None:
+def test_motion_of_poses_reproduces_them(motion: Motion) -> None:
     again = motion.skeleton.motion(motion.poses)
     assert_close(again.poses.p_world_joint, motion.poses.p_world_joint)
     assert_close(again.poses.R_world_bone, motion.poses.R_world_bone)
@@ -523,7 +523,7 @@ def test_motion_of_poses_reproduces_them(motion: MotionSequence) -> None:
     assert_close(again.q, motion.q, 1e-8)
 
 
-def test_motion_of_another_body_has_its_own_bones(motion: MotionSequence) -> None:
+def test_motion_of_another_body_has_its_own_bones(motion: Motion) -> None:
     short = motion.skeleton.with_height(1.4)
     out = short.motion(motion.poses)
     assert_close(out.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0])
@@ -532,7 +532,7 @@ def test_motion_of_another_body_has_its_own_bones(motion: MotionSequence) -> Non
     assert_close(lengths, short.bone_lengths["Spine2"])
 
 
-def test_motion_of_other_joints_or_in_another_order_is_refused(motion: MotionSequence) -> None:
+def test_motion_of_other_joints_or_in_another_order_is_refused(motion: Motion) -> None:
     human36m = SkeletonModel.human36m()
     with pytest.raises(UnknownNameError, match="unknown joint 'Hips'"):
         human36m.motion(motion.poses)
@@ -554,7 +554,7 @@ def test_limits_are_checked_on_equivalent_angles(skeleton: SkeletonModel) -> Non
     assert skeleton.check(q).violations == {}
 
 
-def test_slice_of_a_motion_cuts_every_field(motion: MotionSequence) -> None:
+def test_slice_of_a_motion_cuts_every_field(motion: Motion) -> None:
     piece = motion[10:14]
     np.testing.assert_array_equal(piece.q, motion.q[10:14])
     np.testing.assert_array_equal(piece.times, motion.times[10:14])

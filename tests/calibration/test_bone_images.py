@@ -9,7 +9,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.bone_images import best_exchange, bone_images, exchanged_sides
 from rtof_kin.calibration.clock_check import check_clocks, scan_clocks
 from rtof_kin.core.plausibility import Verdict
@@ -20,7 +20,7 @@ LEGS = ("LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")
 
 
 @cache
-def waved() -> MotionSequence:
+def waved() -> Motion:
     """Somebody who moves everything, differently on either side."""
     return planted.moving(BODY, 360)
 

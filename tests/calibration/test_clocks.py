@@ -9,7 +9,7 @@ import planted
 import pytest
 from clocks_support import cut, filmed, joints, shifted, skeleton, worn
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.core.errors import CalibrationError, UnknownNameError
 from rtof_kin.data.imu_calibration import ImuCalibration
@@ -17,7 +17,7 @@ from rtof_kin.data.imu_stream import SensorLog
 
 
 @cache
-def session(seconds: int = 90, rate_hz: float = 100.0) -> tuple[MotionSequence, SensorLog, ImuCalibration]:
+def session(seconds: int = 90, rate_hz: float = 100.0) -> tuple[Motion, SensorLog, ImuCalibration]:
     motion = planted.moving(skeleton(), round(seconds * planted.RATE_HZ))
     return (motion, *worn(motion, rate_hz))
 

@@ -11,7 +11,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
@@ -24,7 +24,7 @@ T = 72
 
 
 @cache
-def truth() -> MotionSequence:
+def truth() -> Motion:
     return cs.motion(T)
 
 
@@ -82,7 +82,7 @@ def test_planted_image_biases_are_estimated_up_to_their_mean() -> None:
     assert np.sqrt(np.mean((left - left.mean(axis=0)) ** 2)) < 0.5 * np.sqrt(np.mean(bias**2))
 
 
-def standing(ankles: float = 0.08) -> MotionSequence:
+def standing(ankles: float = 0.08) -> Motion:
     """Somebody who stands and swings the arms, the ankles so high over the floor."""
     q, times = np.tile(cs.BODY.n_pose(), (T, 1)), np.arange(T) / 60
     swing = 0.6 * np.sin(2 * np.pi * times)[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError
@@ -22,12 +22,12 @@ T = 72
 
 
 @cache
-def moving() -> MotionSequence:
+def moving() -> Motion:
     return cs.motion(T)
 
 
 @cache
-def still() -> MotionSequence:
+def still() -> Motion:
     """Somebody who stands as in the first frame, all the time."""
     first = moving()
     q = np.tile(first.q[:1], (T, 1))

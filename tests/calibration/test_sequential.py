@@ -11,7 +11,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.estimate import even_noise
 from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -30,13 +30,13 @@ N = 24
 HEADINGS = np.radians([12.0, -8.0, 6.0, 10.0, -10.0, 7.0, -12.0, 9.0])
 
 
-def observations(recording: Recording, motion: MotionSequence) -> Observations:
+def observations(recording: Recording, motion: Motion) -> Observations:
     guess = cs.guessed(recording, motion.poses)
     imus = recording.bone_imus(times=motion.poses.times)
     return Observations(recording.skeleton, N, SETTINGS, guess, recording.video, imus)
 
 
-def window(data: Observations, recording: Recording, motion: MotionSequence, first: int) -> WindowObservations:
+def window(data: Observations, recording: Recording, motion: Motion, first: int) -> WindowObservations:
     """N frames with the true states."""
     part = slice(first, first + N)
     times = recording.video.times
@@ -50,7 +50,7 @@ def window(data: Observations, recording: Recording, motion: MotionSequence, fir
 
 
 def passed(
-    recording: Recording, motion: MotionSequence, found: SequentialCalibration | CalibrationPriors
+    recording: Recording, motion: Motion, found: SequentialCalibration | CalibrationPriors
 ) -> SequentialCalibration:
     """All windows of a recording, one after the other."""
     data = observations(recording, motion)

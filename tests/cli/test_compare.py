@@ -12,10 +12,10 @@ import pytest
 from clinical_support import walk
 from report_support import certain_to, folder_of
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 
 
-def bent(factor: float) -> MotionSequence:
+def bent(factor: float) -> Motion:
     """Real walking with the right knee's flexion scaled and bands of 2 degrees."""
     motion = walk()
     q = np.array(motion.q)

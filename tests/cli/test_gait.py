@@ -13,13 +13,13 @@ from clinical_support import posture, squatting, walk, walking
 from gait_support import means_only
 from report_support import folder_of
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.formats.gait_reference_json import write_gait_reference
 
 TERMS = ("--licence", "CC0-1.0", "--origin", "planted walking")
 
 
-def person(stride_time: float, speed: float) -> MotionSequence:
+def person(stride_time: float, speed: float) -> Motion:
     return walking(9.0, stride_time=stride_time, speed=speed)
 
 

@@ -25,7 +25,7 @@ from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_writer import write_motion_npz
-from rtof_kin.report.clinical_figures import SHOWN, angles_over_time, gait_cycles
+from rtof_kin.reporting.clinical_figures import SHOWN, angles_over_time, gait_cycles
 
 BODY = SkeletonModel.default()
 REACTION = {"ground_reaction.csv", "ground_reaction.json"}

@@ -11,7 +11,7 @@ import pytest
 from clinical_support import LEG, posture
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.angle_confidence import UNIFORM_SIGMA, angle_rates, reliable_samples, turns_too_fast
 from rtof_kin.clinical.angle_table import angle_table
@@ -23,7 +23,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.report.clinical_figures import angles_over_time
+from rtof_kin.reporting.clinical_figures import angles_over_time
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -32,12 +32,12 @@ DISTINCT = tuple(dict.fromkeys(PAIRS))
 TIMES = np.arange(60) / 60
 
 
-def motion(frames: int = 20) -> MotionSequence:
+def motion(frames: int = 20) -> Motion:
     moving = planted.moving(BODY, frames)
     return replace(moving, poses=all_observed(moving.poses))
 
 
-def with_covariance(given: MotionSequence, turn: Array) -> MotionSequence:
+def with_covariance(given: Motion, turn: Array) -> Motion:
     """A motion in which all rotations have the same covariance."""
     T, J = given.poses.p_world_joint.shape[:2]
     zero, turns = np.zeros((T, J, 3, 3)), np.broadcast_to(turn, (T, len(DISTINCT), 3, 3))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from report_support import certain_to
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.comparison import AngleComparison, Comparison, compare, compared, sides_of
 from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
 from rtof_kin.clinical.comparison_change import Verdict
@@ -31,7 +31,7 @@ def of(found: Comparison, name: str) -> AngleComparison:
     return next(angle for angle in found.angles if angle.name == name)
 
 
-def walking(sigma: float | None = 2.0, side_changed: float = 1.0) -> MotionSequence:
+def walking(sigma: float | None = 2.0, side_changed: float = 1.0) -> Motion:
     """Real walking with bands; the right knee's flexion scaled."""
     motion = walk()
     if side_changed != 1.0:
@@ -257,7 +257,7 @@ def test_changed_knee_is_found_by_cycle_and_range_on_other_clocks() -> None:
     assert len(of(ranges, KNEE).changes) == 1
 
 
-def squats(depth: float, count: int, seconds: float) -> MotionSequence:
+def squats(depth: float, count: int, seconds: float) -> Motion:
     """Equal squats of both legs to a knee flexion in degrees, with bands of 2 deg."""
     time = np.arange(round(60 * (count * seconds + 1))) / 60
     phase = np.clip((time - 0.5) / seconds, 0, count)
@@ -302,7 +302,7 @@ def test_symmetric_movement_has_equal_sides_and_a_mirrored_one_opposite_differen
             assert first.difference == pytest.approx(-second.difference, abs=1e-6)
 
 
-def mirror(motion: MotionSequence) -> MotionSequence:
+def mirror(motion: Motion) -> Motion:
     """The motion with left and right exchanged: reflected in the plane y = 0."""
     names, poses = motion.skeleton.names, motion.poses
     other = [names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right")) for n in names]

@@ -10,7 +10,7 @@ import pytest
 from clinical_support import LEG, limb, posture, walk, walking
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
@@ -232,7 +232,7 @@ def test_a_cycle_with_a_gap_in_an_angle_is_excluded_for_that_angle() -> None:
     assert len(curve(curves, "right_hip_flexion", "right").curves) == whole - 1
 
 
-def in_a_circle(radius: float, speed: float = 1.1) -> MotionSequence:
+def in_a_circle(radius: float, speed: float = 1.1) -> Motion:
     """Symmetric walking to the left along a circle of some radius, m."""
     motion = walking(10.0, speed=speed, treadmill=True)
     poses, angle = motion.poses, speed / radius * motion.times

@@ -9,7 +9,7 @@ import planted
 import pytest
 from clinical_support import squatting, walk, walking
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
@@ -22,7 +22,7 @@ WALKING = StrideShape(0.64, 0.5, swing=0.8, progress=1.3, forward=1.0, turn=0.0,
 SPOT = replace(WALKING, progress=0.02, forward=0.0, slip=0.45)
 
 
-def analysed(motion: MotionSequence) -> GaitAnalysis:
+def analysed(motion: Motion) -> GaitAnalysis:
     return analyse_gait(gait_events(body_paths(motion.poses, motion.skeleton)))
 
 
@@ -60,7 +60,7 @@ def test_treadmill_walking_is_gait_on_the_spot() -> None:
     assert verdict.on_the_spot
 
 
-def standing_first(motion: MotionSequence, seconds: float) -> MotionSequence:
+def standing_first(motion: Motion, seconds: float) -> Motion:
     """A motion whose first frame is held before it."""
     poses, held = motion.poses, round(60 * seconds)
     p, R = (np.concatenate([np.repeat(x[:1], held, axis=0), x]) for x in (poses.p_world_joint, poses.R_world_bone))

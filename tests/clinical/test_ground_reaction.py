@@ -12,7 +12,7 @@ from clinical_support import walk
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.foot_contacts import Contact
 from rtof_kin.clinical.ground_reaction import GroundReaction, _hull_distance, _shares
@@ -26,9 +26,9 @@ LIGHT_LINKS = 1e-3  # share of the body's mass that the URDF's massless links ad
 IN = slice(40, -40)
 
 
-def motion_of(q: Array) -> MotionSequence:
+def motion_of(q: Array) -> Motion:
     p, R = BODY.forward_kinematics(q)
-    return MotionSequence(BODY, q, PoseSequence(np.arange(len(q)) / RATE, p, R, BODY.names), BODY.check(q))
+    return Motion(BODY, q, PoseSequence(np.arange(len(q)) / RATE, p, R, BODY.names), BODY.check(q))
 
 
 def standing(**degrees: float) -> Array:

@@ -16,7 +16,7 @@ from long_motion import with_confidence
 
 from benchmarks.long_outputs import repeated, write_repeated
 from rtof_kin.body import motion_source
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
 from rtof_kin.clinical.files import write_analysis
 from rtof_kin.core.array_types import Array
@@ -28,7 +28,7 @@ EXPORTING_MB, ANALYSING_MB = 30, 40
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     """Walking forth and back for 15 s with a gap of half a second in it."""
     motion = repeated(with_confidence(walk()), 0, 900)
     valid = np.array(motion.poses.valid)
@@ -41,18 +41,18 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_source, "BLOCK", 130)
 
 
-def analysed(motion: MotionSequence) -> MotionAnalysis:
+def analysed(motion: Motion) -> MotionAnalysis:
     return analyse_motion(motion, weight_kg=70.0, repetitions="squat")
 
 
 @pytest.fixture(scope="module")
-def whole(motion: MotionSequence) -> MotionAnalysis:
+def whole(motion: Motion) -> MotionAnalysis:
     assert len(motion.q) < motion_source.BLOCK
     return analysed(motion)
 
 
 @pytest.mark.usefixtures("short_blocks")
-def test_analysis_by_blocks_is_that_of_the_whole(motion: MotionSequence, whole: MotionAnalysis) -> None:
+def test_analysis_by_blocks_is_that_of_the_whole(motion: Motion, whole: MotionAnalysis) -> None:
     found = analysed(motion)
     for name in ("values", "sigma", "provenance", "trusted", "singular"):
         np.testing.assert_array_equal(getattr(found.angles, name), getattr(whole.angles, name))
@@ -70,7 +70,7 @@ def test_analysis_by_blocks_is_that_of_the_whole(motion: MotionSequence, whole: 
 
 
 def test_files_by_blocks_are_those_of_the_whole(
-    motion: MotionSequence, whole: MotionAnalysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    motion: Motion, whole: MotionAnalysis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     formats = [name for name in FORMATS if name not in ("parquet", "c3d")]  # not the same bytes twice
     for name, block in (("whole", motion_source.BLOCK), ("blocks", 130)):

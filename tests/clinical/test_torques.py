@@ -12,7 +12,7 @@ import pytest
 from clinical_support import walk
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.body_dynamics import UNKNOWN
 from rtof_kin.clinical.foot_contacts import single_support
 from rtof_kin.clinical.gait import analyse_gait
@@ -30,13 +30,13 @@ LIGHT_LINKS = 1e-3
 """Share of the body's mass that the URDF's links between the revolutes of a ball joint add at most."""
 
 
-def static(**degrees: float) -> MotionSequence:
+def static(**degrees: float) -> Motion:
     """The T-pose with some revolutes turned, constant for a second."""
     q = np.tile(BODY.t_pose(), (T, 1))
     for name, angle in degrees.items():
         q[:, 7 + BODY.dof_names.index(name)] = np.radians(angle)
     p, R = BODY.forward_kinematics(q)
-    return MotionSequence(BODY, q, PoseSequence(np.arange(T) / 60, p, R, BODY.names), BODY.check(q))
+    return Motion(BODY, q, PoseSequence(np.arange(T) / 60, p, R, BODY.names), BODY.check(q))
 
 
 def middle(torques: JointTorques, name: str) -> float:

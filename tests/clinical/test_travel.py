@@ -10,7 +10,7 @@ import pytest
 from clinical_support import squatting, stepping, walk, walking
 from report_support import certain_to
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.clinical.travel import DRIFT, Travel
 from rtof_kin.core import rotations as so3
@@ -21,7 +21,7 @@ STANDING = np.tile([0.0, -0.78], (480, 1))
 TIMES = np.arange(480) / 60
 
 
-def of(motion: MotionSequence) -> Travel:
+def of(motion: Motion) -> Travel:
     return analyse_motion(motion).travel
 
 
@@ -132,7 +132,7 @@ def test_no_path_is_shorter_than_the_way_from_its_start_to_its_end() -> None:
     assert "crossed straight" in way.notes[0]
 
 
-def drifting(motion: MotionSequence, degrees: float) -> MotionSequence:
+def drifting(motion: Motion, degrees: float) -> Motion:
     """A motion whose body is turned about the pelvis by an angle that grows to so many degrees."""
     poses = motion.poses
     turn = so3.about_axis("z", np.radians(degrees) * np.linspace(0, 1, len(poses)))

@@ -28,7 +28,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.export import export
+from rtof_kin.reporting.export import export
 
 Results = tuple[Reconstruction, Reconstruction]
 
@@ -100,7 +100,7 @@ def test_the_page_of_report_is_the_old_or_the_new(
 ) -> None:
     export(results[0], tmp_path / "out", figures=False)
     page = tmp_path / "pages" / "page.html"
-    monkeypatch.setattr("rtof_kin.report.page.report", lambda *_: "new" * 10_000)
+    monkeypatch.setattr("rtof_kin.reporting.page.report", lambda *_: "new" * 10_000)
     codes: list[int] = []
 
     page.parent.mkdir()

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from lifting.checkpoint import save_tensors
 from lifting.curves import write_curves
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.cli import inspection
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
@@ -23,7 +23,7 @@ from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_
 from rtof_kin.formats.motion_table import write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
 from rtof_kin.formats.motion_writer import write_motion_npz
-from rtof_kin.report.figures import save_figures
+from rtof_kin.reporting.figures import save_figures
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import write_detections
 
@@ -32,11 +32,11 @@ DETECTIONS = Detections(NOISE, NOISE[..., 0])
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     return planted.moving(SkeletonModel.default(), 12)
 
 
-WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
+WRITERS: dict[str, Callable[[Path, Motion], object]] = {
     "page.html": lambda path, motion: write_text(path, "x" * 2 * ROOM, overwrite=True),
     "motion.c3d": lambda path, motion: write_c3d(path, landmark_markers(motion), overwrite=True),
     "motion.npz": write_motion_npz,
@@ -51,14 +51,14 @@ WRITERS: dict[str, Callable[[Path, MotionSequence], object]] = {
 
 
 def test_figure_of_inspect_is_complete_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtof_kin.report.inspection_figures.picture", lambda found: Figure())
+    monkeypatch.setattr("rtof_kin.reporting.inspection_figures.picture", lambda found: Figure())
     with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
         inspection._draw(None, tmp_path / "wrong.png", False)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("share", [0.2, 0.9])
-def test_truncated_c3d_file_is_an_error(share: float, motion: MotionSequence, tmp_path: Path) -> None:
+def test_truncated_c3d_file_is_an_error(share: float, motion: Motion, tmp_path: Path) -> None:
     path, markers = tmp_path / "motion.c3d", landmark_markers(motion)
     write_c3d(path, markers)
     room = int(share * path.stat().st_size)
@@ -68,7 +68,7 @@ def test_truncated_c3d_file_is_an_error(share: float, motion: MotionSequence, tm
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_full_disk_is_one_error_and_leaves_the_old_file(name: str, motion: MotionSequence, tmp_path: Path) -> None:
+def test_full_disk_is_one_error_and_leaves_the_old_file(name: str, motion: Motion, tmp_path: Path) -> None:
     (tmp_path / name).write_text("old")
     with full_disk(), pytest.raises(RtofError, match=name):
         WRITERS[name](tmp_path / name, motion)

@@ -16,7 +16,7 @@ from lifting_support import lifted_positions
 from numpy.typing import NDArray
 
 from lifting.predict import LiftedPoses
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.camera import Camera
@@ -42,7 +42,7 @@ CONFIG = f"[project]\nframe_rate = 30\n[markerAugmentation]\nparticipant_height 
 class NoisyTruth:
     """A lifter that returns the truth with a constant and a random error."""
 
-    def __init__(self, motion: MotionSequence):
+    def __init__(self, motion: Motion):
         self.p = motion.poses.p_world_joint[:FRAMES]
 
     def predict(self, keypoints: KeypointSequence, joint_offsets: Array | None = None, **others: object) -> LiftedPoses:
@@ -52,11 +52,11 @@ class NoisyTruth:
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     return walking()
 
 
-def around(motion: MotionSequence) -> list[Camera]:
+def around(motion: Motion) -> list[Camera]:
     middle = motion.poses.p_world_joint[:FRAMES, 0].mean(axis=0)
     places = [[4 * np.cos(a), 4 * np.sin(a), 0.7 + 0.1 * i] for i, a in enumerate(AZIMUTHS)]
     return [Camera.looking_at(middle + place, middle, 1250.0) for place in places]
@@ -73,7 +73,7 @@ def off(cameras: list[Camera], seed: int = 3) -> list[Camera]:
     return out
 
 
-def session(path: Path, motion: MotionSequence, cameras: list[Camera], calibrated: list[Camera]) -> Path:
+def session(path: Path, motion: Motion, cameras: list[Camera], calibrated: list[Camera]) -> Path:
     """A folder as Pose2Sim has it: seen by `cameras`, calibrated as `calibrated`; a bystander in one."""
     rng = np.random.default_rng(1)
     trial = path / "session" / "P00" / "T01_Walk"
@@ -95,7 +95,7 @@ def session(path: Path, motion: MotionSequence, cameras: list[Camera], calibrate
 
 
 @pytest.fixture(scope="module")
-def folder(motion: MotionSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     cameras = around(motion)
     return session(tmp_path_factory.mktemp("walk"), motion, cameras, off(cameras))
 
@@ -103,7 +103,7 @@ def folder(motion: MotionSequence, tmp_path_factory: pytest.TempPathFactory) -> 
 # --- several views -------------------------------------------------------------------------------
 
 
-def test_triangulation_is_robust_to_one_wrong_camera(motion: MotionSequence) -> None:
+def test_triangulation_is_robust_to_one_wrong_camera(motion: Motion) -> None:
     cameras = [replace(c, distortion=np.array([-0.05, 0.1, 1e-3, 0, 0])) for c in around(motion)]
     p = motion.poses.p_world_joint[:4]
     uv = np.stack([camera.project(p) for camera in cameras])
@@ -120,7 +120,7 @@ def test_triangulation_is_robust_to_one_wrong_camera(motion: MotionSequence) -> 
     assert np.isfinite(found).all(axis=-1).sum() == found[..., 0].size - 1
 
 
-def test_misplaced_cameras_are_adjusted(motion: MotionSequence) -> None:
+def test_misplaced_cameras_are_adjusted(motion: Motion) -> None:
     true = around(motion)
     given = off(true)
     p = motion.poses.p_world_joint[::4]
@@ -143,7 +143,7 @@ def test_misplaced_cameras_are_adjusted(motion: MotionSequence) -> None:
 # --- the session ---------------------------------------------------------------------------------
 
 
-def test_two_people_are_distinguished_by_their_size(motion: MotionSequence, tmp_path: Path) -> None:
+def test_two_people_are_distinguished_by_their_size(motion: Motion, tmp_path: Path) -> None:
     cameras = around(motion)
     root = session(tmp_path, motion, cameras, cameras)
     (root / "P00" / "Config.toml").write_text("[project]\nparticipant_height = [1.72, 1.2]\n")
@@ -164,7 +164,7 @@ def test_two_people_are_distinguished_by_their_size(motion: MotionSequence, tmp_
         pose2sim_trial.read_trial(root, "T01_Walk", participant=3)
 
 
-def points_small(motion: MotionSequence, cameras: list[Camera]) -> list[Array]:
+def points_small(motion: Motion, cameras: list[Camera]) -> list[Array]:
     """The same motion, 0.7 times as large and a metre away: seen by cameras scaled about it."""
     shift = np.array([0.6, 0.6, 0.0])
     out = []
@@ -217,7 +217,7 @@ def test_real_detections_of_two_people_are_grouped(tmp_path: Path) -> None:
 
 
 def test_the_example_measures_the_planted_errors(
-    folder: Path, motion: MotionSequence, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    folder: Path, motion: Motion, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     arguments = [str(folder), "--trial", "T01_Walk", "-o", str(out)]
@@ -250,7 +250,7 @@ def test_the_example_measures_the_planted_errors(
     assert real_camera.main(arguments) == 2  # nothing is overwritten unasked
 
 
-def test_the_triangulated_motion_is_the_planted_one(folder: Path, motion: MotionSequence) -> None:
+def test_the_triangulated_motion_is_the_planted_one(folder: Path, motion: Motion) -> None:
     trial = pose2sim_trial.read_trial(folder, "T01_Walk")
     assert trial.height == HEIGHT
     assert "number 1 in cam_1, 0 in cam_2, 0 in cam_3," in trial.person

@@ -12,7 +12,7 @@ import pinocchio as pin
 import planted
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.joint_trajectory import (
     BASE_COLUMNS,
@@ -27,23 +27,23 @@ T = 20
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     motion = planted.seen(BODY, T)
     return replace(motion, poses=replace(motion.poses, times=motion.poses.times + 12.25))
 
 
 @pytest.fixture
-def table(tmp_path: Path, motion: MotionSequence) -> Path:
+def table(tmp_path: Path, motion: Motion) -> Path:
     write_joint_trajectory_csv(tmp_path / "walk.csv", motion)
     return tmp_path / "walk.csv"
 
 
-def messages(folder: Path, motion: MotionSequence) -> tuple[dict[str, Any], dict[str, Any]]:
+def messages(folder: Path, motion: Motion) -> tuple[dict[str, Any], dict[str, Any]]:
     joints, base = write_ros_trajectory(folder, motion)
     return json.loads(joints.read_text()), json.loads(base.read_text())
 
 
-def test_velocities_are_central_differences_on_the_manifold(motion: MotionSequence) -> None:
+def test_velocities_are_central_differences_on_the_manifold(motion: Motion) -> None:
     v = joint_velocities(BODY, motion.q, motion.times)
     assert v.shape == (T, BODY.nv)
     steps = [pin.difference(BODY.model, *motion.q[t : t + 2]) * planted.RATE_HZ for t in range(T - 1)]
@@ -59,7 +59,7 @@ def test_velocities_use_the_times_given(times: list[float], expected: list[float
     np.testing.assert_allclose(v[:, 6], expected)
 
 
-def test_written_table_is_read_back(table: Path, motion: MotionSequence) -> None:
+def test_written_table_is_read_back(table: Path, motion: Motion) -> None:
     names, numbers = read_joint_trajectory_csv(table)
     valid = [f"{name}_valid" for name in ("base_q", *BODY.dof_names)]
     assert names == ("time", *BASE_COLUMNS, *BODY.dof_names, *valid)
@@ -81,7 +81,7 @@ def test_sidecar_has_unit_names_and_limits_of_every_column(table: Path) -> None:
     assert all(low < high for low, high in sidecar["limits"].values())
 
 
-def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: MotionSequence) -> None:
+def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[4] = np.nan
     write_joint_trajectory_csv(tmp_path / "a.csv", replace(motion, q=q))
@@ -97,7 +97,7 @@ def test_other_table_is_refused_with_its_name(tmp_path: Path, text: str) -> None
         read_joint_trajectory_csv(tmp_path / "walk.csv")
 
 
-def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: MotionSequence) -> None:
+def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: Motion) -> None:
     joints, base = messages(tmp_path, motion)
     assert set(joints) == set(base) == {"header", "joint_names", "points"}
     assert tuple(joints["joint_names"]) == BODY.dof_names
@@ -111,7 +111,7 @@ def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: M
     np.testing.assert_allclose(list(transform["rotation"].values()), motion.q[3, 3:7])
 
 
-def test_stamps_count_seconds_and_nanoseconds_from_the_start(tmp_path: Path, motion: MotionSequence) -> None:
+def test_stamps_count_seconds_and_nanoseconds_from_the_start(tmp_path: Path, motion: Motion) -> None:
     times = np.linspace(12.25, 12.25 + 0.7 * (T - 1), T)
     for message in messages(tmp_path, replace(motion, poses=replace(motion.poses, times=times))):
         stamps = [point["time_from_start"] for point in message["points"]]
@@ -120,7 +120,7 @@ def test_stamps_count_seconds_and_nanoseconds_from_the_start(tmp_path: Path, mot
         assert all(0 <= stamp["nanosec"] < 10**9 for stamp in stamps)
 
 
-def test_unknown_frames_separate_two_trajectories(tmp_path: Path, motion: MotionSequence) -> None:
+def test_unknown_frames_separate_two_trajectories(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[8:11] = np.nan
     paths = write_ros_trajectory(tmp_path, replace(motion, q=q))

@@ -15,7 +15,7 @@ import planted
 import pytest
 from scene_support import measured, walking
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
@@ -31,7 +31,7 @@ BLOCKS = (1, 16, 97, 300)
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     """A walk whose confidence varies, jumps, and is unknown of some joints for a while."""
     motion = walking(FRAMES, shaking=0.2)
     rng, known = np.random.default_rng(0), motion.confidence
@@ -59,9 +59,7 @@ def assert_same(found: MotionFile, expected: MotionFile) -> None:
 
 
 @pytest.mark.parametrize("size", BLOCKS)
-def test_file_does_not_depend_on_the_blocks_it_was_written_in(
-    motion: MotionSequence, tmp_path: Path, size: int
-) -> None:
+def test_file_does_not_depend_on_the_blocks_it_was_written_in(motion: Motion, tmp_path: Path, size: int) -> None:
     write_motion_npz(tmp_path / "whole.npz", motion, mode="rtof", first_frame=7)
     with MotionWriter(tmp_path / "m.npz", motion.skeleton, mode="rtof", first_frame=7) as writer:
         for start in range(0, FRAMES, size):
@@ -70,7 +68,7 @@ def test_file_does_not_depend_on_the_blocks_it_was_written_in(
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_blocks_of_a_motion_are_parts_of_the_whole(motion: MotionSequence, tmp_path: Path, version: int) -> None:
+def test_blocks_of_a_motion_are_parts_of_the_whole(motion: Motion, tmp_path: Path, version: int) -> None:
     path = tmp_path / "m.npz"
     (npz_v1.write_motion if version == 1 else write_motion_npz)(path, motion)
     whole = read_motion_npz(path)
@@ -102,7 +100,7 @@ def test_blocks_of_a_motion_are_parts_of_the_whole(motion: MotionSequence, tmp_p
                 reader.block(start, stop)
 
 
-def test_covariances_are_near_and_unknown_where_they_were(motion: MotionSequence, tmp_path: Path) -> None:
+def test_covariances_are_near_and_unknown_where_they_were(motion: Motion, tmp_path: Path) -> None:
     write_motion_npz(tmp_path / "m.npz", motion)
     exact, found = motion.confidence, read_motion_npz(tmp_path / "m.npz").confidence
     assert exact is not None
@@ -148,7 +146,7 @@ def test_nodes_do_not_depend_on_blocks(frames: int, size: int) -> None:
 
 
 @pytest.mark.parametrize("size", BLOCKS)
-def test_poses_that_do_not_follow_from_the_angles_are_kept(motion: MotionSequence, tmp_path: Path, size: int) -> None:
+def test_poses_that_do_not_follow_from_the_angles_are_kept(motion: Motion, tmp_path: Path, size: int) -> None:
     p, R = motion.poses.p_world_joint.copy(), motion.poses.R_world_bone.copy()
     p[120:130, 6] += 0.02
     R[200, 3] = so3.exp([0.1, 0.0, 0.0]) @ R[200, 3]
@@ -176,7 +174,7 @@ def test_joints_far_from_the_origin_are_as_precise(tmp_path: Path) -> None:
     p, R = skeleton.forward_kinematics(q)
     poses = planted.moving(skeleton, 200).poses
     poses = replace(poses, times=times, p_world_joint=p, R_world_bone=R)
-    motion = MotionSequence(skeleton, q, poses, skeleton.check(q))
+    motion = Motion(skeleton, q, poses, skeleton.check(q))
     write_motion_npz(tmp_path / "m.npz", motion)
     found = read_motion_npz(tmp_path / "m.npz")
     np.testing.assert_allclose(found.poses.p_world_joint, p, rtol=0, atol=1e-6)
@@ -186,7 +184,7 @@ def test_joints_far_from_the_origin_are_as_precise(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("what", ["body", "times", "confidence", "nothing"])
-def test_frames_that_do_not_continue_are_refused(motion: MotionSequence, tmp_path: Path, what: str) -> None:
+def test_frames_that_do_not_continue_are_refused(motion: Motion, tmp_path: Path, what: str) -> None:
     other = {
         "body": lambda: walking(4, start=99.0),
         "times": lambda: motion[100:110],
@@ -220,7 +218,7 @@ def part_of(m: Measurements, frames: slice) -> Measurements:
 
 
 @pytest.mark.parametrize("size", BLOCKS)
-def test_measurements_are_written_and_read_by_blocks(motion: MotionSequence, tmp_path: Path, size: int) -> None:
+def test_measurements_are_written_and_read_by_blocks(motion: Motion, tmp_path: Path, size: int) -> None:
     given = measured(motion, cameras=2)
     write_measurements_npz(tmp_path / "whole.npz", given)
     with MeasurementsWriter(tmp_path / "m.npz") as writer:
@@ -239,7 +237,7 @@ def test_measurements_are_written_and_read_by_blocks(motion: MotionSequence, tmp
             reader.block(299, 301)
 
 
-def test_other_cameras_are_refused(motion: MotionSequence, tmp_path: Path) -> None:
+def test_other_cameras_are_refused(motion: Motion, tmp_path: Path) -> None:
     given = measured(motion)
     other = replace(given.views[0], camera=replace(given.views[0].camera, width_px=640))
     first, second = (slice(0, 100), slice(100, 200))

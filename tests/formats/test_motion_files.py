@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from opensim_support import read_by_opensim
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
@@ -45,7 +45,7 @@ R_BVH_WORLD = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     """A second of walking: bridged once, unknown once, a hand and a leg unobserved for a while, and the
     orientation of the other hand unobserved throughout."""
     clip = read_mocap(WALK)
@@ -66,7 +66,7 @@ def motion() -> MotionSequence:
 
 
 @pytest.fixture(scope="module")
-def folder(motion: MotionSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_motion_files(tmp_path_factory.mktemp("files"), motion, tuple(FORMATS))
 
 
@@ -75,7 +75,7 @@ def opensim(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return read_by_opensim(folder, tmp_path_factory.mktemp("opensim") / "found.npz")
 
 
-def landmarks(motion: MotionSequence, only_seen: bool = True) -> Array:
+def landmarks(motion: Motion, only_seen: bool = True) -> Array:
     """(T, L, 3) in world; NaN where unobserved."""
     skeleton, poses = motion.skeleton, motion.poses
     p = np.array(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
@@ -92,7 +92,7 @@ def assert_near(found: Any, expected: Array, tolerance: float = METRES) -> None:
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
 def test_opensim_poses_markers_and_bodies_by_the_mot(
-    motion: MotionSequence, opensim: dict[str, Array], number: int, piece: tuple[int, int]
+    motion: Motion, opensim: dict[str, Array], number: int, piece: tuple[int, int]
 ) -> None:
     frames, name = slice(*piece), f"motion_{number}.mot"
     assert list(opensim["marker_names"]) == list(motion.skeleton.landmarks)
@@ -111,7 +111,7 @@ def test_opensim_poses_markers_and_bodies_by_the_mot(
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
 def test_opensim_reads_states_with_velocities(
-    motion: MotionSequence, opensim: dict[str, Array], number: int, piece: tuple[int, int]
+    motion: Motion, opensim: dict[str, Array], number: int, piece: tuple[int, int]
 ) -> None:
     frames, name = slice(*piece), f"motion_{number}.sto"
     p_ground = landmarks(motion, only_seen=False)[frames] @ R_GROUND_WORLD.T
@@ -122,7 +122,7 @@ def test_opensim_reads_states_with_velocities(
     assert np.abs(off).max() < 0.03 * np.abs(velocities).max()  # both are central differences
 
 
-def test_opensim_reads_markers_and_gaps(motion: MotionSequence, opensim: dict[str, Array]) -> None:
+def test_opensim_reads_markers_and_gaps(motion: Motion, opensim: dict[str, Array]) -> None:
     assert list(opensim["motion.trc/names"]) == list(motion.skeleton.landmarks)
     assert_near(opensim["motion.trc/times"], motion.times, 1e-9)
     found = opensim["motion.trc/markers"]
@@ -146,7 +146,7 @@ def test_header_names_unobserved_joints_and_coordinates(folder: Path, ending: st
     assert "LeftHand_y 100 %, wrist_flex_l 100 %, wrist_dev_l 100 %." in last
 
 
-def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion: MotionSequence) -> None:
+def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion: Motion) -> None:
     file = ezc3d.c3d(str(folder / "motion.c3d"))
     point = file["parameters"]["POINT"]
     assert point["UNITS"]["value"] == ["mm"]
@@ -158,7 +158,7 @@ def test_ezc3d_reads_points_with_residual_minus_one_in_gaps(folder: Path, motion
 
 
 @pytest.mark.parametrize(("number", "piece"), PIECES)
-def test_other_bvh_reader(folder: Path, motion: MotionSequence, number: int, piece: tuple[int, int]) -> None:
+def test_other_bvh_reader(folder: Path, motion: Motion, number: int, piece: tuple[int, int]) -> None:
     bvh = pytest.importorskip("bvh", reason="of the extra dev")
     file = bvh.Bvh((folder / f"motion_{number}.bvh").read_text())
     poses = motion.poses[slice(*piece)]
@@ -181,7 +181,7 @@ def test_other_bvh_reader(folder: Path, motion: MotionSequence, number: int, pie
         assert angle_between(R_world_bone, poses.R_world_bone[:, j]).max() < RADIANS
 
 
-def test_csv_has_numbers_under_names_with_units(folder: Path, motion: MotionSequence) -> None:
+def test_csv_has_numbers_under_names_with_units(folder: Path, motion: Motion) -> None:
     with (folder / "motion.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     units = [name.partition(" ")[2] for name in rows[0]]
@@ -199,7 +199,7 @@ def test_csv_has_numbers_under_names_with_units(folder: Path, motion: MotionSequ
     assert [row["LeftLeg_y_valid"] for row in rows[27:39]] == ["1", *"0" * 10, "1"]
 
 
-def test_data_frame_has_units_names_and_nulls(folder: Path, motion: MotionSequence) -> None:
+def test_data_frame_has_units_names_and_nulls(folder: Path, motion: Motion) -> None:
     table = pq.read_table(folder / "motion.parquet")
     assert b"z up" in table.schema.metadata[b"convention"]
     offsets = json.loads(table.schema.metadata[b"joint_offsets_m"])
@@ -222,7 +222,7 @@ def test_data_frame_has_units_names_and_nulls(folder: Path, motion: MotionSequen
     np.testing.assert_array_equal(values(f"{n}_valid" for n in motion.skeleton.names), motion.poses.valid)
 
 
-def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: MotionSequence) -> None:
+def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: Motion) -> None:
     model = pin.buildModelFromUrdf(str(folder / "skeleton.urdf"), pin.JointModelFreeFlyer())
     data, played = model.createData(), []
     for number in (1, 2):  # bridged frames are played, unknown ones end the first message
@@ -246,7 +246,7 @@ def test_ros_messages_on_the_urdf_reproduce_the_motion(folder: Path, motion: Mot
     assert played == [t for t in range(T) if not UNKNOWN.start <= t < UNKNOWN.stop]
 
 
-def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> None:
+def test_index_describes_every_file(folder: Path, motion: Motion) -> None:
     index = json.loads((folder / "files.json").read_text())
     written = {path.name for path in folder.iterdir()} - {"files.json", "joint_trajectory.json"}
     assert set(index["files"]) == written
@@ -273,7 +273,7 @@ def test_index_describes_every_file(folder: Path, motion: MotionSequence) -> Non
     assert index["landmarks"]["RightHeel"] == "RightFoot"
 
 
-def test_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, tmp_path: Path) -> None:
+def test_motion_without_gaps_is_one_file_of_each_format(motion: Motion, tmp_path: Path) -> None:
     write_motion_files(tmp_path, motion[:20], ("mot", "sto", "bvh", "ros"))
     assert {path.name for path in tmp_path.iterdir()} == {
         "files.json",
@@ -286,7 +286,7 @@ def test_motion_without_gaps_is_one_file_of_each_format(motion: MotionSequence, 
     }
 
 
-def test_c3d_with_any_first_time_states_its_offset(motion: MotionSequence, tmp_path: Path) -> None:
+def test_c3d_with_any_first_time_states_its_offset(motion: Motion, tmp_path: Path) -> None:
     for start in (0.0252, -3.0, 1.7e9):
         poses = replace(motion.poses, times=start + np.arange(T) / 60)
         folder = tmp_path / str(start)
@@ -296,13 +296,13 @@ def test_c3d_with_any_first_time_states_its_offset(motion: MotionSequence, tmp_p
         assert_near(read_c3d(folder / "motion.c3d").times + zero, poses.times, 1e-5)
 
 
-def test_unknown_format_is_named_with_the_known_ones(motion: MotionSequence, tmp_path: Path) -> None:
+def test_unknown_format_is_named_with_the_known_ones(motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="'mott'. Did you mean 'mot'.*parquet"):
         write_motion_files(tmp_path, motion, ["csv", "mott"])
     assert not list(tmp_path.iterdir())
 
 
-def test_uneven_times_are_refused_by_formats_without_times(motion: MotionSequence, tmp_path: Path) -> None:
+def test_uneven_times_are_refused_by_formats_without_times(motion: Motion, tmp_path: Path) -> None:
     times = np.array(motion.times)
     times[7] += 0.004
     uneven = replace(motion, poses=replace(motion.poses, times=times))
@@ -311,12 +311,12 @@ def test_uneven_times_are_refused_by_formats_without_times(motion: MotionSequenc
         write_motion_files(tmp_path, uneven, ["trc"])
 
 
-def test_bridged_motion_has_nothing_for_opensim(motion: MotionSequence, tmp_path: Path) -> None:
+def test_bridged_motion_has_nothing_for_opensim(motion: Motion, tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match=r"nothing for \.mot"):
         write_motion_files(tmp_path, motion[BRIDGED], ["mot"])
 
 
-def test_parquet_extra(motion: MotionSequence, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parquet_extra(motion: Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RtofError, match=r"\[parquet\]"):
         write_motion_files(tmp_path, motion, ["parquet"])

@@ -11,7 +11,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
 from rtof_kin.formats.covariance_nodes import TOLERANCE
@@ -22,7 +22,7 @@ BODY = SkeletonModel.default().with_height(1.82).with_mass(82.0, "female")
 
 
 @pytest.fixture(scope="module")
-def motion() -> MotionSequence:
+def motion() -> Motion:
     motion = planted.moving(BODY, 12)
     poses = replace(
         motion.poses,
@@ -35,13 +35,13 @@ def motion() -> MotionSequence:
 
 
 @pytest.fixture
-def path(tmp_path: Path, motion: MotionSequence) -> Path:
+def path(tmp_path: Path, motion: Motion) -> Path:
     write_motion_npz(tmp_path / "motion.npz", motion, first_frame=42, mode="rtof")
     return tmp_path / "motion.npz"
 
 
 @pytest.fixture
-def confident(motion: MotionSequence) -> MotionSequence:
+def confident(motion: Motion) -> Motion:
     """The motion with a confidence, unknown in one frame."""
     T, J = motion.poses.p_world_joint.shape[:2]
     root = np.random.default_rng(0).normal(size=(3, T, J, 3, 3))
@@ -60,7 +60,7 @@ def changed(path: Path, **changes: Any) -> Path:
     return path
 
 
-def test_written_motion_is_read_back(path: Path, motion: MotionSequence) -> None:
+def test_written_motion_is_read_back(path: Path, motion: Motion) -> None:
     read = read_motion_npz(path)
     np.testing.assert_allclose(read.q, motion.q, rtol=0, atol=3e-8)
     np.testing.assert_array_equal(read.joint_offsets, BODY.joint_offsets)
@@ -75,7 +75,7 @@ def test_written_motion_is_read_back(path: Path, motion: MotionSequence) -> None
         read.q[0] = 0
 
 
-def test_confidence_is_read_back(tmp_path: Path, confident: MotionSequence) -> None:
+def test_confidence_is_read_back(tmp_path: Path, confident: Motion) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
     given, read = confident.confidence, read_motion_npz(tmp_path / "motion.npz").motion().confidence
     assert (read.pairs, read.names) == (given.pairs, given.names)
@@ -98,13 +98,13 @@ def test_confidence_is_read_back(tmp_path: Path, confident: MotionSequence) -> N
         ({"covariance_frames": None}, "'covariance_frames' is missing"),
     ],
 )
-def test_invalid_confidence(tmp_path: Path, confident: MotionSequence, changes: dict[str, Any], message: str) -> None:
+def test_invalid_confidence(tmp_path: Path, confident: Motion, changes: dict[str, Any], message: str) -> None:
     write_motion_npz(tmp_path / "motion.npz", confident)
     with pytest.raises(FileFormatError, match=message):
         read_motion_npz(changed(tmp_path / "motion.npz", **changes))
 
 
-def test_numpy_alone_can_read_it(path: Path, motion: MotionSequence) -> None:
+def test_numpy_alone_can_read_it(path: Path, motion: Motion) -> None:
     with np.load(path, allow_pickle=False) as archive:
         assert int(archive["schema_version"]) == SCHEMA_VERSION
         assert archive["names"].tolist() == list(BODY.names)
@@ -145,7 +145,7 @@ def test_mass_and_sex_are_kept_and_may_be_absent(path: Path) -> None:
     assert (table.mass_kg, table.sex) == (SkeletonModel.default().table.mass_kg, None)
 
 
-def test_gaps_are_kept(tmp_path: Path, motion: MotionSequence) -> None:
+def test_gaps_are_kept(tmp_path: Path, motion: Motion) -> None:
     p, R, q = (np.array(a) for a in (motion.poses.p_world_joint, motion.poses.R_world_bone, motion.q))
     p[3], R[3], q[3] = np.nan, np.nan, np.nan
     poses = replace(motion.poses, p_world_joint=p, R_world_bone=R)

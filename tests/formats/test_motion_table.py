@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import OutputExistsError
 from rtof_kin.formats.motion_table import motion_columns, write_motion_csv, write_motion_parquet
 
 
-def test_columns_have_different_names_and_a_row_per_frame(motion: MotionSequence) -> None:
+def test_columns_have_different_names_and_a_row_per_frame(motion: Motion) -> None:
     columns = motion_columns(motion)
     names = [column.name for column in columns]
     # A revolute LeftLeg_y and the y of the landmark LeftLeg are two things.
@@ -23,7 +23,7 @@ def test_columns_have_different_names_and_a_row_per_frame(motion: MotionSequence
 
 
 @pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])
-def test_existing_table_is_not_overwritten(write: object, motion: MotionSequence, tmp_path: Path) -> None:
+def test_existing_table_is_not_overwritten(write: object, motion: Motion, tmp_path: Path) -> None:
     assert callable(write)
     path = tmp_path / "motion.table"
     write(path, motion)

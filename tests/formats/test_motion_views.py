@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.motion_views import check_known, even_times, joint_tree, landmark_markers, pieces
 from rtof_kin.formats.world_axes import UP
 
 
-def with_gap(motion: MotionSequence) -> MotionSequence:
+def with_gap(motion: Motion) -> Motion:
     """The same without a configuration in frames 20 to 22, and bridged in 40 to 44."""
     q, valid = np.array(motion.q), np.array(motion.poses.valid)
     q[20:23] = np.nan
@@ -24,7 +24,7 @@ def with_gap(motion: MotionSequence) -> MotionSequence:
     return replace(motion, q=q, poses=replace(motion.poses, valid=valid))
 
 
-def test_pieces_end_at_unknown_and_bridged_frames(motion: MotionSequence) -> None:
+def test_pieces_end_at_unknown_and_bridged_frames(motion: Motion) -> None:
     assert pieces(motion) == [(0, 60)]
     assert pieces(with_gap(motion)) == [(0, 20), (23, 40), (45, 60)]
     valid = np.array(motion.poses.valid)
@@ -33,7 +33,7 @@ def test_pieces_end_at_unknown_and_bridged_frames(motion: MotionSequence) -> Non
 
 
 @pytest.mark.parametrize("view", [check_known, joint_tree])
-def test_unknown_frame_is_named(view: Callable[[MotionSequence], object], motion: MotionSequence) -> None:
+def test_unknown_frame_is_named(view: Callable[[Motion], object], motion: Motion) -> None:
     view(motion)
     with pytest.raises(InvalidInputError, match="frame 20 .*`pieces`"):
         view(with_gap(motion))
@@ -54,7 +54,7 @@ def test_jitter_of_stamps_is_evened_and_more_is_refused() -> None:
         even_times(times)
 
 
-def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequence) -> None:
+def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: Motion) -> None:
     valid = np.array(motion.poses.valid)
     foot = motion.poses.names.index("RightFoot")
     valid[3:5, foot] = False
@@ -71,7 +71,7 @@ def test_markers_are_the_landmarks_where_their_joint_is_valid(motion: MotionSequ
 
 @pytest.mark.parametrize("up", UP)
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001)])
-def test_tree_reproduces_the_motion(motion: MotionSequence, up: str, unit: str, metres: float) -> None:
+def test_tree_reproduces_the_motion(motion: Motion, up: str, unit: str, metres: float) -> None:
     tree = joint_tree(motion, up=up, unit=unit)
     p, R = tree.forward_kinematics()
     np.testing.assert_allclose(p * metres @ UP[up].T, motion.poses.p_world_joint, atol=1e-12)
@@ -82,7 +82,7 @@ def test_tree_reproduces_the_motion(motion: MotionSequence, up: str, unit: str, 
     np.testing.assert_allclose(UP[up] @ tree.end_offsets[0] * metres, [0, 0, 0.15], atol=1e-12)
 
 
-def test_single_frame_has_a_rate_and_unknown_unit_is_refused(motion: MotionSequence) -> None:
+def test_single_frame_has_a_rate_and_unknown_unit_is_refused(motion: Motion) -> None:
     assert joint_tree(motion[:1]).rate_hz == 60
     with pytest.raises(InvalidInputError, match="unit: 'inch'"):
         joint_tree(motion, unit="inch")

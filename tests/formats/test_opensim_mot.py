@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
@@ -24,10 +24,10 @@ def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: fl
     return {c.name: v for c, v in zip(found, values[0].tolist(), strict=True)}
 
 
-def moving(skeleton: SkeletonModel, q: np.ndarray) -> MotionSequence:
+def moving(skeleton: SkeletonModel, q: np.ndarray) -> Motion:
     p, R = skeleton.forward_kinematics(q)
     poses = PoseSequence(np.arange(len(q)) / 60, p, R, skeleton.names)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    return Motion(skeleton, q, poses, skeleton.check(q))
 
 
 def test_every_degree_of_freedom_has_a_name(any_skeleton: SkeletonModel) -> None:
@@ -95,7 +95,7 @@ def read(path: Path) -> tuple[list[str], list[str], np.ndarray]:
     return lines[:end], lines[end + 1].split("\t"), np.array(rows)
 
 
-def test_mot_has_degrees_metres_and_the_announced_counts(motion: MotionSequence, tmp_path: Path) -> None:
+def test_mot_has_degrees_metres_and_the_announced_counts(motion: Motion, tmp_path: Path) -> None:
     write_mot(tmp_path / "walk.mot", motion)
     header, names, table = read(tmp_path / "walk.mot")
     assert header[:5] == ["walk", "version=1", "nRows=60", "nColumns=67", "inDegrees=yes"]
@@ -107,7 +107,7 @@ def test_mot_has_degrees_metres_and_the_announced_counts(motion: MotionSequence,
     np.testing.assert_array_equal(table[:, names.index("pelvis_ty")], motion.q[:, 2])
 
 
-def test_sto_has_radians_speeds_and_state_paths(motion: MotionSequence, tmp_path: Path) -> None:
+def test_sto_has_radians_speeds_and_state_paths(motion: Motion, tmp_path: Path) -> None:
     write_sto(tmp_path / "walk.sto", motion)
     header, names, table = read(tmp_path / "walk.sto")
     assert header[2:5] == ["nRows=60", "nColumns=133", "inDegrees=no"]
@@ -119,13 +119,13 @@ def test_sto_has_radians_speeds_and_state_paths(motion: MotionSequence, tmp_path
     np.testing.assert_allclose(table[1:-1, 67:], central, atol=1e-9)
 
 
-def test_single_frame_has_no_speed(motion: MotionSequence, tmp_path: Path) -> None:
+def test_single_frame_has_no_speed(motion: Motion, tmp_path: Path) -> None:
     write_sto(tmp_path / "one.sto", motion[:1])
     assert not read(tmp_path / "one.sto")[2][:, 67:].any()
 
 
 @pytest.mark.parametrize("write", [write_mot, write_sto])
-def test_gaps_and_uneven_times_are_refused(write: object, motion: MotionSequence, tmp_path: Path) -> None:
+def test_gaps_and_uneven_times_are_refused(write: object, motion: Motion, tmp_path: Path) -> None:
     assert callable(write)
     q = np.array(motion.q)
     q[7] = np.nan

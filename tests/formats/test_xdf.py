@@ -15,7 +15,7 @@ from xdf_file import Stream, chunk, content
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, MissingPackageError
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.xdf import read_xdf, read_xdf_points
-from rtof_kin.report.inspection import inspect
+from rtof_kin.reporting.inspection import inspect
 from rtof_kin.setup.sources import SourceKind, recognise_source
 from rtof_kin.vision.keypoint_files import read_detector_file
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_position import refit_root
@@ -20,7 +20,7 @@ SKELETON = SkeletonModel.default()
 
 
 @pytest.fixture(scope="module")
-def truth() -> MotionSequence:
+def truth() -> Motion:
     return planted.moving(SKELETON, 12)
 
 
@@ -33,13 +33,13 @@ def offsets(seed: int = 0) -> Array:
     return np.random.default_rng(seed).normal(size=(12, 1, 3)) * 0.2
 
 
-def test_the_true_root_is_found_from_exact_keypoints(truth: MotionSequence) -> None:
+def test_the_true_root_is_found_from_exact_keypoints(truth: Motion) -> None:
     out = refit_root(moved(truth.poses, offsets()), planted.keypoints(truth.poses), sigma_depth=100.0, iterations=8)
     np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-4)
     np.testing.assert_array_equal(out.R_world_bone, truth.poses.R_world_bone)
 
 
-def test_the_minimum_equals_scipys_with_cauchy_loss(truth: MotionSequence) -> None:
+def test_the_minimum_equals_scipys_with_cauchy_loss(truth: Motion) -> None:
     # The re-weighted normal equations solve sum 4 log(1 + r^2 / 4) + |shift|^2 / sigma_depth^2.
     seen = planted.keypoints(truth.poses, sigma_px=5.0)
     start, camera = moved(truth.poses, offsets(1)), planted.camera()
@@ -65,7 +65,7 @@ def test_noise_does_not_bias_the_depth() -> None:
     assert abs((shift @ planted.camera().R_camera_world[2]).mean()) < 0.015
 
 
-def test_frames_without_keypoints_are_unchanged(truth: MotionSequence) -> None:
+def test_frames_without_keypoints_are_unchanged(truth: Motion) -> None:
     start = moved(truth.poses, 0.5 * offsets())
     every = planted.keypoints(truth.poses)
     out, whole = refit_root(start, planted.unseen(every, slice(3, 6))), refit_root(start, every)
@@ -77,7 +77,7 @@ def test_frames_without_keypoints_are_unchanged(truth: MotionSequence) -> None:
     np.testing.assert_allclose(fixed.p_world_joint, start.p_world_joint, atol=1e-6)
 
 
-def test_outliers_have_little_weight(truth: MotionSequence) -> None:
+def test_outliers_have_little_weight(truth: Motion) -> None:
     seen = planted.keypoints(truth.poses)
     uv = np.array(seen.uv_px)
     uv[:, [2, 10, 17]] += [150.0, -90.0]
@@ -86,7 +86,7 @@ def test_outliers_have_little_weight(truth: MotionSequence) -> None:
     assert planted.mpjpe_mm(out.p_world_joint, truth.poses.p_world_joint) < 20
 
 
-def test_missing_poses_do_not_affect_others(truth: MotionSequence) -> None:
+def test_missing_poses_do_not_affect_others(truth: Motion) -> None:
     p = np.array(moved(truth.poses, offsets()).p_world_joint)
     p[4] = np.nan
     p[5, 10:] = np.nan
@@ -99,7 +99,7 @@ def test_missing_poses_do_not_affect_others(truth: MotionSequence) -> None:
     assert np.linalg.norm(error, axis=-1).max() < 0.1
 
 
-def test_distortion_is_modelled_and_other_landmarks_are_ignored(truth: MotionSequence) -> None:
+def test_distortion_is_modelled_and_other_landmarks_are_ignored(truth: Motion) -> None:
     straight, start = planted.keypoints(truth.poses), moved(truth.poses, offsets())
     lens: Camera = replace(straight.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
     bent = replace(straight, camera=lens, uv_px=lens.project(truth.poses.p_world_joint))
@@ -112,7 +112,7 @@ def test_distortion_is_modelled_and_other_landmarks_are_ignored(truth: MotionSeq
     np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-12)
 
 
-def test_a_second_camera_gives_the_depth(truth: MotionSequence) -> None:
+def test_a_second_camera_gives_the_depth(truth: Motion) -> None:
     side = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], focal_px=900.0)
     first = planted.keypoints(truth.poses, sigma_px=5.0)
     uv = side.project(truth.poses.p_world_joint)

@@ -9,7 +9,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.camera_estimate import FOCAL, PITCH, Evidence, corrected
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
@@ -25,7 +25,7 @@ FRONT = Camera.looking_at([6.0, 0.0, HEIGHT], [1.5, 0.0, 1.0], 1250.0)
 """The person walks towards it."""
 
 
-def seen(camera: Camera = FRONT, motion: MotionSequence = WALK) -> KeypointSequence:
+def seen(camera: Camera = FRONT, motion: Motion = WALK) -> KeypointSequence:
     poses = motion.poses
     uv = camera.project(poses.p_world_joint)
     return KeypointSequence(camera, poses.times, uv, np.ones(uv.shape[:2]), poses.names)

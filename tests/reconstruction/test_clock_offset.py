@@ -17,8 +17,8 @@ from rtof_kin.reconstruction.clock_offset import CLOCK_DOUBT, DAYS_APART, ClockO
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.headline import headline
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.headline import headline
 
 DEMO = Path(__file__).parents[2] / "models" / "demo"
 

@@ -21,9 +21,9 @@ from rtof_kin.reconstruction.parts import is_long, parts_of, reconstruct_in_part
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Choices, Reconstruction
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.export import export_parts
-from rtof_kin.report.statistics import ReconstructionStatistics
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.export import export_parts
+from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 SECONDS = 2.0
 

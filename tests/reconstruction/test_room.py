@@ -18,9 +18,9 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.room import displacements
 from rtof_kin.reconstruction.uncalibrated import with_camera
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.audit_results import Grade
-from rtof_kin.report.headline import headline
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.headline import headline
 
 CAMERA = Camera.looking_at([5.0, 1.0, 2.0], [0.0, 0.0, 0.9], 1200.0)
 POINTS = np.random.default_rng(0).uniform([-1, -1, 0], [1, 1, 2], (6, 3))

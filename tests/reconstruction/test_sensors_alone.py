@@ -14,7 +14,7 @@ from reconstruction_support import BODY
 from scipy.signal import find_peaks
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER, flexion
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
@@ -27,7 +27,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.figures import TRUTH, skeletons
+from rtof_kin.reporting.figures import TRUTH, skeletons
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver, SolverStatus
 
@@ -36,7 +36,7 @@ WHOLE = ("Hips", "Spine3", *planted.LIMBS)
 SETTINGS = ReconstructionSettings(frames=20)
 
 
-def recorded(motion: MotionSequence, joints: tuple[str, ...] = WHOLE, degrees: float = 0.0) -> Recording:
+def recorded(motion: Motion, joints: tuple[str, ...] = WHOLE, degrees: float = 0.0) -> Recording:
     """A recording of sensors without a camera."""
     return replace(planted.recording(motion, joints=joints, degrees=degrees), keypoints=None)
 
@@ -45,23 +45,23 @@ def solved(recording: Recording, settings: ReconstructionSettings = SETTINGS) ->
     return reconstruct(recording, mode="imu", settings=settings)
 
 
-def shift(result: Reconstruction, motion: MotionSequence) -> Array:
+def shift(result: Reconstruction, motion: Motion) -> Array:
     """(T, 3) m, the root's path less the true one, both from the first frame on."""
     own, true = result.motion.poses.p_world_joint[:, 0], motion.poses.p_world_joint[:, 0]
     return np.asarray((own - own[0]) - (true - true[0]))
 
 
 @pytest.fixture(scope="module")
-def walk() -> MotionSequence:
+def walk() -> Motion:
     return planted.walking(BODY, 2.5)[0]
 
 
 @pytest.fixture(scope="module")
-def walked(walk: MotionSequence) -> Reconstruction:
+def walked(walk: Motion) -> Reconstruction:
     return solved(recorded(walk))
 
 
-def test_exact_sensors_recover_a_walk(walk: MotionSequence, walked: Reconstruction) -> None:
+def test_exact_sensors_recover_a_walk(walk: Motion, walked: Reconstruction) -> None:
     assert walked.solution is not None
     assert walked.solution.status is SolverStatus.CONVERGED
     assert walked.warnings == ()
@@ -75,7 +75,7 @@ def test_exact_sensors_recover_a_walk(walk: MotionSequence, walked: Reconstructi
 
 
 def test_walk_drifts_by_less_than_three_percent_and_standing_feet_do_not_slip(
-    walk: MotionSequence, walked: Reconstruction
+    walk: Motion, walked: Reconstruction
 ) -> None:
     length = float(np.ptp(walk.poses.p_world_joint[:, 0, 0]))
     assert length == pytest.approx(2.0, rel=0.02)
@@ -94,13 +94,13 @@ def test_walking_in_place_stays_in_place() -> None:
     assert np.abs(shift(solved(recorded(motion)), motion)).max() < 0.05
 
 
-def test_sensor_errors_cause_errors_of_their_size(walk: MotionSequence) -> None:
+def test_sensor_errors_cause_errors_of_their_size(walk: Motion) -> None:
     metrics = solved(recorded(walk, degrees=4.0)).stage_metrics["imu"]
     assert metrics["flexion_deg"] < 6.0
     assert metrics["mpjpe_rr_mm"] < 80.0
 
 
-def test_equal_calls_give_equal_motions_and_keypoints_are_ignored(walk: MotionSequence, walked: Reconstruction) -> None:
+def test_equal_calls_give_equal_motions_and_keypoints_are_ignored(walk: Motion, walked: Reconstruction) -> None:
     again = solved(planted.recording(walk, joints=WHOLE))
     np.testing.assert_array_equal(again.motion.q, walked.motion.q)
     assert again.keypoints is None
@@ -117,9 +117,7 @@ def test_provenance_separates_sensors_from_prior(walked: Reconstruction) -> None
     assert list(walked.stages) == ["start", "imu"]
 
 
-def test_root_without_sensors_on_the_legs_stays_with_a_warning(
-    walk: MotionSequence, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_root_without_sensors_on_the_legs_stays_with_a_warning(walk: Motion, caplog: pytest.LogCaptureFixture) -> None:
     arms = ("Spine3", "LeftArm", "RightArm", "LeftForeArm", "RightForeArm")
     with caplog.at_level(logging.WARNING):
         result = solved(recorded(walk, arms))
@@ -140,11 +138,11 @@ def test_low_pelvis_is_warned_of() -> None:
         q[:, 7 + BODY.dof_names.index(f"{dof}_y")] = np.radians(angle)
     p, R = BODY.forward_kinematics(q)
     poses = replace(motion.poses, p_world_joint=p, R_world_bone=R)
-    (warning,) = solved(recorded(MotionSequence(BODY, q, poses, motion.report))).warnings
+    (warning,) = solved(recorded(Motion(BODY, q, poses, motion.report))).warnings
     assert "pelvis is low" in warning
 
 
-def test_flight_is_warned_of(walk: MotionSequence) -> None:
+def test_flight_is_warned_of(walk: Motion) -> None:
     strict = replace(SensorsAloneSettings().contacts, shortest=5.0)
     result = solved(recorded(walk), replace(SETTINGS, sensors_alone=SensorsAloneSettings(contacts=strict)))
     (warning,) = result.warnings
@@ -152,7 +150,7 @@ def test_flight_is_warned_of(walk: MotionSequence) -> None:
     assert np.linalg.norm(shift(result, walk)[-1]) < 0.3
 
 
-def test_paused_sensor_leaves_its_orientation_unobserved(walk: MotionSequence) -> None:
+def test_paused_sensor_leaves_its_orientation_unobserved(walk: Motion) -> None:
     recording = recorded(walk)
     imus, (j,) = recording.imus, BODY.index("LeftLeg")
     assert imus is not None
@@ -164,7 +162,7 @@ def test_paused_sensor_leaves_its_orientation_unobserved(walk: MotionSequence) -
     assert np.isfinite(poses.p_world_joint).all()
 
 
-def test_scores_and_figures_begin_at_the_truth(walk: MotionSequence) -> None:
+def test_scores_and_figures_begin_at_the_truth(walk: Motion) -> None:
     recording = recorded(walk)
     assert recording.truth is not None
     far = replace(recording.truth, p_world_joint=recording.truth.p_world_joint + np.array([5.0, 3, 1]))
@@ -177,7 +175,7 @@ def test_scores_and_figures_begin_at_the_truth(walk: MotionSequence) -> None:
 
 
 @pytest.mark.parametrize("asked, expected", [(30, 30), (60, 60), (100, 60)])
-def test_frame_times_are_even_at_the_lower_rate(walk: MotionSequence, asked: float, expected: float) -> None:
+def test_frame_times_are_even_at_the_lower_rate(walk: Motion, asked: float, expected: float) -> None:
     imus = recorded(walk).imus
     assert imus is not None
     times = frame_times(imus, asked)
@@ -186,7 +184,7 @@ def test_frame_times_are_even_at_the_lower_rate(walk: MotionSequence, asked: flo
     assert imus.times[-1] - 1 / expected < times[-1] <= imus.times[-1] + 1e-9
 
 
-def test_mode_names_the_input_that_it_lacks(walk: MotionSequence) -> None:
+def test_mode_names_the_input_that_it_lacks(walk: Motion) -> None:
     recording = recorded(walk)
     for mode in CAMERA_MODES:
         with pytest.raises(InvalidInputError, match=f"mode {mode} needs keypoints.*'imu'"):

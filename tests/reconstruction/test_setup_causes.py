@@ -16,8 +16,8 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.scale_checks import check_bones
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.headline import headline
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.headline import headline
 
 SECONDS = 8.0
 

@@ -17,10 +17,10 @@ from rtof_kin.reconstruction.pipeline import calibrate_camera, reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera, with_camera_uncertainty
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.audit import audit
-from rtof_kin.report.page.quality import camera_table
-from rtof_kin.report.provenance import input_provenance
-from rtof_kin.report.statistics import ReconstructionStatistics
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.page.quality import camera_table
+from rtof_kin.reporting.provenance import input_provenance
+from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 PLANTED = np.array([0.0, np.radians(-5.0), np.radians(5.0), 0.0, 0.0])
 UNSURE = CameraUncertainty(focal=0.1, tilt=np.radians(5.0), height=0.02)

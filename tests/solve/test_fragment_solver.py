@@ -11,7 +11,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import InvalidInputError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.imu import BoneImuSequence
@@ -35,7 +35,7 @@ class Scene:
     """A motion, what was observed of it, and poses to start from."""
 
     def __init__(self) -> None:
-        self.truth: MotionSequence = planted.human(BODY, T)
+        self.truth: Motion = planted.human(BODY, T)
         self.seen = planted.keypoints(self.truth.poses, 3.0)
         self.imus = planted.bone_imus(BODY, self.truth.poses)
         self.start = self.truth.poses

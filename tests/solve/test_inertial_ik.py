@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
@@ -26,12 +26,12 @@ CHILD = {joint: kinematics.children_of(SKELETON.parents, SKELETON.index(joint)[0
 
 
 @pytest.fixture(scope="module")
-def truth() -> MotionSequence:
+def truth() -> Motion:
     return planted.moving(SKELETON, 40)
 
 
 @pytest.fixture(scope="module")
-def lifted(truth: MotionSequence) -> PoseSequence:
+def lifted(truth: Motion) -> PoseSequence:
     return planted.lifted_poses(truth)
 
 
@@ -46,7 +46,7 @@ def refine(
     return ik.refine(poses, imus, poses.R_world_bone if oriented else None)
 
 
-def sensors(truth: MotionSequence, joints: tuple[str, ...], degrees: float = 0.0) -> BoneImuSequence:
+def sensors(truth: Motion, joints: tuple[str, ...], degrees: float = 0.0) -> BoneImuSequence:
     return planted.bone_imus(SKELETON, truth.poses, joints, degrees)
 
 
@@ -65,7 +65,7 @@ def angle(a: Array, b: Array) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
 
 
-def test_perfect_sensors_recover_the_limbs(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_perfect_sensors_recover_the_limbs(truth: Motion, lifted: PoseSequence) -> None:
     out = refine(lifted, sensors(truth, planted.LIMBS))
     limbs = SKELETON.index(*planted.LIMBS)
     angles = so3.angle_between(out.R_world_bone[:, limbs], truth.poses.R_world_bone[:, limbs])
@@ -74,7 +74,7 @@ def test_perfect_sensors_recover_the_limbs(truth: MotionSequence, lifted: PoseSe
     assert before.mean() > 0.1
 
 
-def test_threshold_pi_takes_only_the_sensors_twist(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_threshold_pi_takes_only_the_sensors_twist(truth: Motion, lifted: PoseSequence) -> None:
     imus = turned(sensors(truth, planted.LIMBS), 0.4)
     out = refine(lifted, imus, threshold=np.pi)
     for s, joint in enumerate(planted.LIMBS):
@@ -88,9 +88,7 @@ def test_threshold_pi_takes_only_the_sensors_twist(truth: MotionSequence, lifted
 
 
 @pytest.mark.parametrize("sigma, share", [(np.radians(2.5), 0.5), (np.radians(5.0), 0.2), (np.nan, 0.0)])
-def test_sensor_and_observed_bone_are_weighed_by_their_variances(
-    truth: MotionSequence, sigma: float, share: float
-) -> None:
+def test_sensor_and_observed_bone_are_weighed_by_their_variances(truth: Motion, sigma: float, share: float) -> None:
     seen = replace(truth.poses, sigma_rad=np.full((40, 21), sigma))
     imus = turned(sensors(truth, ("LeftLeg",)), 0.3)  # across the shank
     out = InertialGuidedIK(SKELETON).refine(seen, imus)
@@ -99,7 +97,7 @@ def test_sensor_and_observed_bone_are_weighed_by_their_variances(
 
 
 @pytest.mark.parametrize("threshold, sensor_wins", [(0.29, True), (0.31, False)])
-def test_threshold_compares_directions(truth: MotionSequence, threshold: float, sensor_wins: bool) -> None:
+def test_threshold_compares_directions(truth: Motion, threshold: float, sensor_wins: bool) -> None:
     poses = refine(truth.poses)
     imus = turned(sensors(truth, ("LeftLeg",)), 0.3)  # across the shank
     out = refine(poses, imus, threshold)
@@ -111,14 +109,14 @@ def test_threshold_compares_directions(truth: MotionSequence, threshold: float, 
     assert np.all(equal == sensor_wins)
 
 
-def test_children_of_a_replaced_bone_keep_direction(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_children_of_a_replaced_bone_keep_direction(truth: Motion, lifted: PoseSequence) -> None:
     out = refine(lifted, turned(sensors(truth, ("LeftArm",)), 1.0))
     assert angle(bone_directions(out, "LeftArm"), bone_directions(lifted, "LeftArm")).min() > 0.2
     np.testing.assert_allclose(bone_directions(out, "LeftForeArm"), bone_directions(lifted, "LeftForeArm"), atol=1e-9)
     np.testing.assert_allclose(bone_directions(out, "RightArm"), bone_directions(lifted, "RightArm"), atol=1e-9)
 
 
-def test_bone_lengths_and_root_are_kept(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_bone_lengths_and_root_are_kept(truth: Motion, lifted: PoseSequence) -> None:
     out = refine(lifted, sensors(truth, EVERYWHERE, degrees=5))
     parents = np.array(SKELETON.parents[1:])
     bones = out.p_world_joint[:, 1:] - out.p_world_joint[:, parents]
@@ -141,7 +139,7 @@ def test_any_subset_of_sensors_is_used_and_flagged(joints: set[str]) -> None:
     assert named == observed
 
 
-def test_missing_samples_leave_the_observed_bone(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_missing_samples_leave_the_observed_bone(truth: Motion, lifted: PoseSequence) -> None:
     imus = sensors(truth, planted.LIMBS)
     R = np.array(imus.R_world_bone)
     R[10:20, 2] = np.nan  # LeftForeArm
@@ -158,7 +156,7 @@ def test_missing_samples_leave_the_observed_bone(truth: MotionSequence, lifted: 
     assert np.all(out.provenance[20:, hand] == Provenance.CAMERA_AND_IMU)
 
 
-def test_frames_with_nan_do_not_affect_others(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_frames_with_nan_do_not_affect_others(truth: Motion, lifted: PoseSequence) -> None:
     p = np.array(lifted.p_world_joint)
     p[5, 3] = np.nan
     out = refine(replace(lifted, p_world_joint=p), sensors(truth, planted.LIMBS))
@@ -178,7 +176,7 @@ def test_sensors_are_resampled_to_the_frames() -> None:
     np.testing.assert_allclose(resampled.p_world_joint, direct.p_world_joint, atol=1e-9)
 
 
-def test_blending_is_continuous(truth: MotionSequence) -> None:
+def test_blending_is_continuous(truth: Motion) -> None:
     wrong = np.linspace(0.2, 0.4, 41)
     poses = truth.poses[:1]
     imus = sensors(truth, ("LeftLeg",))[:1]
@@ -197,7 +195,7 @@ def test_blending_is_continuous(truth: MotionSequence) -> None:
 
 @pytest.mark.parametrize("threshold, blend_angle", [(None, None), (0.2, None), (None, 0.2)])
 def test_result_is_equivariant_to_the_world_frame(
-    truth: MotionSequence, lifted: PoseSequence, threshold: float | None, blend_angle: float | None
+    truth: Motion, lifted: PoseSequence, threshold: float | None, blend_angle: float | None
 ) -> None:
     # Sensors also at the trunk, whose twist would otherwise follow the fixed axes of the world.
     imus = sensors(truth, ("Hips", *planted.LIMBS), degrees=6)
@@ -219,7 +217,7 @@ def test_invalid_settings_are_refused(wrong: dict[str, float]) -> None:
         InertialGuidedIKSettings(**wrong)
 
 
-def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(truth: MotionSequence, lifted: PoseSequence) -> None:
+def test_a_sensor_on_no_joint_of_the_skeleton_is_refused(truth: Motion, lifted: PoseSequence) -> None:
     imus = replace(sensors(truth, ("LeftLeg",)), joints=("LeftShank",))
     with pytest.raises(UnknownNameError, match="'LeftShank'"):
         refine(lifted, imus)
@@ -265,7 +263,7 @@ def test_root_and_leaves_take_observed_orientations_and_other_forks_the_mean(ori
         np.testing.assert_allclose(so3.angle_between(out, other)[:, several], apart / 2, atol=1e-7)
 
 
-def test_true_poses_are_unchanged(truth: MotionSequence) -> None:
+def test_true_poses_are_unchanged(truth: Motion) -> None:
     out = refine(truth.poses, oriented=True)
     np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-9)
     assert so3.angle_between(out.R_world_bone, truth.poses.R_world_bone).max() < 1e-6

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import flexion, hinges
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
@@ -57,7 +57,7 @@ class Scene:
     """A motion as people move, what was observed of it, and poses to start from."""
 
     def __init__(self, frames: int = T, seed: int = 0) -> None:
-        self.truth: MotionSequence = planted.human(BODY, frames, seed)
+        self.truth: Motion = planted.human(BODY, frames, seed)
         poses = self.truth.poses
         self.exact, self.seen = planted.keypoints(poses), planted.keypoints(poses, 3.0)
         self.exact_imus = planted.bone_imus(BODY, poses)

@@ -9,7 +9,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -22,7 +22,7 @@ MOTION = planted.moving(BODY, 240, 1)
 CAMERA = Camera.looking_at((4.0, 1.0, 1.5), MOTION.poses.p_world_joint.mean(axis=(0, 1)), 1250.0)
 
 
-def keypoints(error_px: Array, motion: MotionSequence = MOTION) -> KeypointSequence:
+def keypoints(error_px: Array, motion: Motion = MOTION) -> KeypointSequence:
     """Of the motion's joints, off by errors (T, J, 2)."""
     uv = CAMERA.project(motion.poses.p_world_joint) + error_px
     return KeypointSequence(CAMERA, motion.times, uv, np.ones(uv.shape[:2]), BODY.names)

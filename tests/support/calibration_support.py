@@ -9,7 +9,7 @@ import numpy as np
 import planted
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.estimate import calibrate, shared_fragments
 from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
@@ -48,7 +48,7 @@ def only(*kinds: str, **more: float) -> CalibrationPriors:
     return CalibrationPriors(**(NOTHING | chosen | more))
 
 
-def motion(frames: int, seed: int = 0) -> MotionSequence:
+def motion(frames: int, seed: int = 0) -> Motion:
     """Somebody who moves as people do, and walks about a little."""
     return planted.human(BODY, frames, seed)
 

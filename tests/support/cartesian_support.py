@@ -9,7 +9,7 @@ import numpy as np
 import planted
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem
 from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolver
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
@@ -46,7 +46,7 @@ class Scene:
 
     def __init__(self, skeleton: SkeletonModel, frames: int, seed: int = 0, gappy: bool = False) -> None:
         joints = planted.LIMBS if skeleton is BODY else SMALL_SENSORS
-        self.truth: MotionSequence = planted.moving(skeleton, frames, 3 * seed)
+        self.truth: Motion = planted.moving(skeleton, frames, 3 * seed)
         self.p = self.truth.poses.p_world_joint
         self.seen = planted.keypoints(self.truth.poses, 4.0, 7 + seed)
         self.imus = planted.bone_imus(skeleton, self.truth.poses, joints, 4.0, 0.4, 11 + seed)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.joint_coordinate_systems import anatomical_posture
@@ -57,7 +57,7 @@ def limb(side: str, segments: tuple[str, ...], R_turn: Array) -> dict[str, Array
 
 
 @lru_cache
-def walk() -> MotionSequence:
+def walk() -> Motion:
     """Real walking, 4.2 s at 40 Hz, three strides; every orientation known."""
     clip = read_mocap(WALK, rate_hz=40.0, output_rate_hz=None)
     skeleton = SkeletonModel.default().with_offsets(clip.joint_offsets)
@@ -74,7 +74,7 @@ def walking(
     treadmill: bool = False,
     late: float = 0.5,
     jitter: float = 0.0,
-) -> MotionSequence:
+) -> Motion:
     """Planted walking at 60 Hz: feet that stand still in stance, straight ahead, knees by two bones.
 
     Args:
@@ -101,9 +101,7 @@ def _foot(phase: Array, stance: float, length: float) -> Array:
     return np.stack([ahead, 0.05 * np.sin(np.pi * swing) ** 2], axis=-1)
 
 
-def stepping(
-    times: Array, ankles: dict[str, Array], way: Array | float = 0.0, heading: Array | float = 0.0
-) -> MotionSequence:
+def stepping(times: Array, ankles: dict[str, Array], way: Array | float = 0.0, heading: Array | float = 0.0) -> Motion:
     """Legs whose ankles follow paths relative to the hips, under an upright trunk.
 
     Args:
@@ -126,7 +124,7 @@ def stepping(
     return skeleton.motion(poses.with_poses(slice(None), poses.p_world_joint + moved[:, None]))
 
 
-def squatting(count: int = 4, depth: float = 0.35) -> MotionSequence:
+def squatting(count: int = 4, depth: float = 0.35) -> Motion:
     """Squats of two seconds each, at 60 Hz, by so many metres."""
     times = np.arange(120 * count) / 60
     height = -0.78 + depth / 2 * (1 - np.cos(np.pi * times))

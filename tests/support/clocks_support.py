@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import planted
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu_calibration import ImuCalibration
 from rtof_kin.data.imu_declaration import Declaration
@@ -22,7 +22,7 @@ SENSORS = ("L_LowArm", "R_LowArm", "L_UpLeg", "R_LowLeg")
 
 
 def worn(
-    motion: MotionSequence, rate_hz: float = 100.0, sensors: tuple[str, ...] = SENSORS, seed: int = 0
+    motion: Motion, rate_hz: float = 100.0, sensors: tuple[str, ...] = SENSORS, seed: int = 0
 ) -> tuple[SensorLog, ImuCalibration]:
     """What exact sensors measure on the motion's clock, with any heading and mounting."""
     poses = motion.poses
@@ -36,9 +36,7 @@ def worn(
     return SensorLog(Path("planted"), "planted", streams, Declaration()), calibration
 
 
-def filmed(
-    motion: MotionSequence, start: float, seconds: float, radians: float = 0.1
-) -> tuple[PoseSequence, KeypointSequence]:
+def filmed(motion: Motion, start: float, seconds: float, radians: float = 0.1) -> tuple[PoseSequence, KeypointSequence]:
     """A part of a motion on a video's own clock: lifted with errors of orientation, and its keypoints."""
     truth = motion.poses
     first = round(start * planted.RATE_HZ)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.simulation.mocap import read_mocap
 from rtof_kin.vision.layouts import detector_table, own
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 LAYOUTS = ("body25", "body25b", "coco17", "halpe26", "mediapipe33", "human36m17")
 
 
-def points_px(layout: str, motion: MotionSequence, camera: Camera) -> Array:
+def points_px(layout: str, motion: Motion, camera: Camera) -> Array:
     """Exact image points (T, K, 2) of a layout."""
     skeleton, poses = motion.skeleton, motion.poses
     p, R = poses.p_world_joint, poses.R_world_bone
@@ -33,7 +33,7 @@ def points_px(layout: str, motion: MotionSequence, camera: Camera) -> Array:
     return camera.project(p[:, joints] + np.einsum("tkij,kj->tki", R[:, joints], offsets))
 
 
-def landmarks_px(names: tuple[str, ...], motion: MotionSequence, camera: Camera) -> Array:
+def landmarks_px(names: tuple[str, ...], motion: Motion, camera: Camera) -> Array:
     """(T, L, 2) landmarks of the skeleton in the image."""
     poses, skeleton = motion.poses, motion.skeleton
     every = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
@@ -42,13 +42,13 @@ def landmarks_px(names: tuple[str, ...], motion: MotionSequence, camera: Camera)
 
 
 @cache
-def walking() -> MotionSequence:
+def walking() -> Motion:
     """A test subject's walk (50 frames at 30 Hz), on the shipped skeleton."""
     clip = read_mocap(Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh", output_rate_hz=None)
     return SkeletonModel.default().motion(clip.poses[:50])
 
 
-def watching(motion: MotionSequence) -> Camera:
+def watching(motion: Motion) -> Camera:
     """A camera 4 m from the middle of a motion, aslant in front of it."""
     middle = motion.poses.p_world_joint[:, 0].mean(axis=0)
     return Camera.looking_at(middle + np.array([3.2, 2.4, 0.4]), middle, 1250.0)

@@ -11,14 +11,14 @@ import numpy as np
 from clinical_support import walking
 from report_support import certain_to, folder_of
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.visits import Setup, Trial, Visit, trial
 
 JITTER = (0.0, 0.011, -0.009, 0.006, -0.013, 0.004)
 """Planted differences between the trials of a visit, share of the speed."""
 
 
-def walk_at(speed: float, number: int, certain: bool = True, **how: Any) -> MotionSequence:
+def walk_at(speed: float, number: int, certain: bool = True, **how: Any) -> Motion:
     """Planted walking of 4.5 s; the number changes it a little, as trials differ."""
     motion = walking(
         4.5, speed=speed * (1 + JITTER[number % 6]), stride_time=1.2 * (1 - JITTER[(number + 2) % 6] / 2), **how

@@ -54,7 +54,7 @@ from rtof_kin.formats.sensors.mvnx import read_mvnx_file
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.formats.trc import read_trc, write_trc
 from rtof_kin.recording.recording import Recording
-from rtof_kin.report.inspection import inspect
+from rtof_kin.reporting.inspection import inspect
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.mocap import read_corpus as read_mocap_corpus
 from rtof_kin.simulation.mocap import read_mocap

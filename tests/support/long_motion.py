@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.data.confidence import WORLD, Confidence
 
 
-def with_confidence(motion: MotionSequence, degrees: float = 2.0) -> MotionSequence:
+def with_confidence(motion: Motion, degrees: float = 2.0) -> Motion:
     """The motion with the same standard deviation of every segment, in world and relative to its parent."""
     names, parents = motion.skeleton.names, motion.skeleton.parents
     pairs = [(WORLD, name) for name in names] + [

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.body.observability import observed_dofs
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.measurements import Measurements
@@ -20,7 +20,7 @@ COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")
 CAMERA = ("K", "R_camera_world", "t_camera_world", "distortion")
 
 
-def write_motion(path: Path, motion: MotionSequence) -> None:
+def write_motion(path: Path, motion: Motion) -> None:
     confidence = motion.confidence
     arrays: dict[str, Any] = {name: getattr(motion.poses, name) for name in POSES} | {
         "schema_version": np.array(1),

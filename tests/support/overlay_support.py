@@ -14,7 +14,7 @@ import numpy as np
 import planted
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -36,7 +36,7 @@ def motion_with(
     how: dict[str, Provenance] | None = None,
     sigma: float | None = None,
     way: float = 0.0,
-) -> MotionSequence:
+) -> Motion:
     """`planted.seen` where some joints have another provenance, positions a given error, m, and the person
     moves to the left by a way, m."""
     motion = planted.seen(skeleton, frames)
@@ -50,7 +50,7 @@ def motion_with(
     return motion if sigma is None else replace(motion, confidence=confidence(motion, sigma))
 
 
-def confidence(motion: MotionSequence, sigma: float) -> Confidence:
+def confidence(motion: Motion, sigma: float) -> Confidence:
     """The same covariance for all joints, m, and 2 degrees for all relative orientations."""
     T, names, parents = len(motion.times), motion.poses.names, motion.skeleton.parents
     pairs = tuple((names[p], names[j]) for j, p in enumerate(parents) if p >= 0)
@@ -67,7 +67,7 @@ def upright_camera(width_px: int, height_px: int) -> Camera:
 
 def write_output(
     folder: Path,
-    motion: MotionSequence,
+    motion: Motion,
     cameras: Sequence[Camera] = (),
     *,
     video_offset: float = 0.0,

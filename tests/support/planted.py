@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from rtof_kin.body.kinematics import children_of, world_rotations
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.pose_prior import shipped_prior
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
@@ -39,15 +39,15 @@ def smooth_noise(seed: int, shape: tuple[int, ...], frames_wide: float, amplitud
     return np.asarray(out * amplitude * np.sqrt(2 * np.sqrt(np.pi) * frames_wide))
 
 
-def _motion(skeleton: SkeletonModel, q: Array, seen: bool = False) -> MotionSequence:
+def _motion(skeleton: SkeletonModel, q: Array, seen: bool = False) -> Motion:
     """Motion of configurations (T, nq) at `RATE_HZ`, without provenance or seen by the camera."""
     p, R = skeleton.forward_kinematics(q)
     provenance = np.full(p.shape[:2], Provenance.CAMERA if seen else Provenance.NOBODY)
     poses = PoseSequence(np.arange(len(q)) / RATE_HZ, p, R, skeleton.names, provenance)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q))
+    return Motion(skeleton, q, poses, skeleton.check(q))
 
 
-def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float = 0.25) -> MotionSequence:
+def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float = 0.25) -> Motion:
     """A person standing near the origin; all joints move smoothly at about 1 Hz."""
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 7:] += smooth_noise(seed, (frames, skeleton.nq - 7), 15, radians)
@@ -57,13 +57,13 @@ def moving(skeleton: SkeletonModel, frames: int, seed: int = 0, radians: float =
     return _motion(skeleton, q, seen=True)
 
 
-def seen(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+def seen(skeleton: SkeletonModel, frames: int) -> Motion:
     """`moving`, with all orientations observed."""
     motion = moving(skeleton, frames)
     return replace(motion, poses=all_observed(motion.poses))
 
 
-def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> MotionSequence:
+def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0) -> Motion:
     """A motion drawn from the pose prior, within hinges and limits; `size` in standard deviations."""
     prior = shipped_prior(skeleton.names)
     root = np.linalg.cholesky(prior.covariance + 1e-12 * np.eye(len(prior.covariance)))
@@ -82,12 +82,12 @@ def human(skeleton: SkeletonModel, frames: int, seed: int = 0, size: float = 1.0
     return _motion(skeleton, q, seen=True)
 
 
-def standing(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+def standing(skeleton: SkeletonModel, frames: int) -> Motion:
     """A person frozen at the first frame of `moving`."""
     return _motion(skeleton, np.tile(moving(skeleton, 1).q, (frames, 1)))
 
 
-def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
+def upright(skeleton: SkeletonModel, frames: int) -> Motion:
     """A person standing straight with hanging arms, ankles 0.08 m high."""
     q = np.tile(skeleton.n_pose(), (frames, 1))
     q[:, 2] = 0.08 - skeleton.forward_kinematics(q[:1])[0][0, :, 2].min() + q[0, 2]
@@ -96,7 +96,7 @@ def upright(skeleton: SkeletonModel, frames: int) -> MotionSequence:
 
 def walking(
     skeleton: SkeletonModel, seconds: float, speed: float = 0.8, stride_s: float = 1.2
-) -> tuple[MotionSequence, NDArray[np.bool_]]:
+) -> tuple[Motion, NDArray[np.bool_]]:
     """Walking along x on the floor at z = 0, and a mask (T, 2) of stationary ankles, left first.
 
     A foot stands flat for 0.6 of a stride, its ankle 0.08 m high, and swings smoothly to the next place.
@@ -170,7 +170,7 @@ def bone_imus(
     return BoneImuSequence(poses.times, R @ so3.exp(error), a, levers, tuple(joints))
 
 
-def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, seed: int = 5) -> Array:
+def lifted(truth: Motion, radians: float = 0.2, metres: float = 0.15, seed: int = 5) -> Array:
     """Joint positions (T, J, 3), m, with errors of a lifter: of angles, bone lengths and root."""
     skeleton, T = truth.skeleton, len(truth.q)
     q = np.array(truth.q)
@@ -181,7 +181,7 @@ def lifted(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15, se
     return np.asarray(p + smooth_noise(seed + 2, (T, 1, 3), 30, metres))
 
 
-def lifted_poses(truth: MotionSequence, radians: float = 0.2, metres: float = 0.15) -> PoseSequence:
+def lifted_poses(truth: Motion, radians: float = 0.2, metres: float = 0.15) -> PoseSequence:
     """`lifted` as poses with the true orientations."""
     return replace(truth.poses, p_world_joint=lifted(truth, radians, metres))
 
@@ -193,7 +193,7 @@ class PlantedLifter:
     """
 
     def __init__(
-        self, truth: MotionSequence, blind: slice = slice(0), turned: Array | None = None, sigma_rad: float = 0.1
+        self, truth: Motion, blind: slice = slice(0), turned: Array | None = None, sigma_rad: float = 0.1
     ) -> None:
         self.times, self.p = truth.times, lifted(truth)
         self.blind = blind
@@ -228,9 +228,7 @@ class PlantedLifter:
         )
 
 
-def recording(
-    truth: MotionSequence, sigma_px: float = 0.0, joints: Sequence[str] = LIMBS, degrees: float = 0.0
-) -> Recording:
+def recording(truth: Motion, sigma_px: float = 0.0, joints: Sequence[str] = LIMBS, degrees: float = 0.0) -> Recording:
     """A recording of a motion with calibrated IMUs of random mountings and headings."""
     bones = bone_imus(truth.skeleton, truth.poses, joints, degrees)
     S = len(bones.joints)

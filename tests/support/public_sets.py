@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
@@ -66,7 +66,7 @@ def known() -> Known:
     return Known(demo, video, imus, poses, clinical_angles(all_observed(poses), demo.skeleton))
 
 
-def true_motion() -> MotionSequence:
+def true_motion() -> Motion:
     """The known motion as it is reconstructed without any error."""
     found = known()
     return found.recording.skeleton.motion(all_observed(found.poses))

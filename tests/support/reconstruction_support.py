@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import planted
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import Mode
@@ -32,7 +32,7 @@ TURN = so3.exp([0.1, -0.05, 0.15])
 class Case:
     """A planted motion and its recording."""
 
-    truth: MotionSequence
+    truth: Motion
     recording: Recording
 
     def changed(self, **fields: Any) -> Self:

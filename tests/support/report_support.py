@@ -1,4 +1,4 @@
-"""Folders of reconstructions, pages and a browser, for the tests of `rtof_kin.report`."""
+"""Folders of reconstructions, pages and a browser, for the tests of `rtof_kin.reporting`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.formats.motion_writer import write_motion_npz
-from rtof_kin.report.plot_data import MISSING
+from rtof_kin.reporting.plot_data import MISSING
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 _VOID = {"meta", "input", "br", "img"}
 
 
-def folder_of(motion: MotionSequence, folder: Path, **fields: Any) -> Path:
+def folder_of(motion: Motion, folder: Path, **fields: Any) -> Path:
     """Folder of a reconstruction with fields of its summary."""
     folder.mkdir(parents=True)
     write_motion_npz(folder / "motion.npz", motion, mode="rtof")
@@ -33,7 +33,7 @@ def folder_of(motion: MotionSequence, folder: Path, **fields: Any) -> Path:
     return folder
 
 
-def certain_to(degrees: float, motion: MotionSequence) -> Confidence:
+def certain_to(degrees: float, motion: Motion) -> Confidence:
     """A confidence with the same standard deviation of all relative rotations."""
     T, names = len(motion.times), motion.skeleton.names
     pairs = tuple((j.parent, j.child) for j in angle_table(motion.skeleton.table).joints)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
@@ -26,7 +26,7 @@ SENSORS = {"thigh": "LeftUpLeg", "arm": "RightForeArm"}
 BENT = np.radians(40.0)  # of the right knee at all times
 
 
-def walking(frames: int = 120, start: float = 2.0, shaking: float = 0.0) -> MotionSequence:
+def walking(frames: int = 120, start: float = 2.0, shaking: float = 0.0) -> Motion:
     """A stiff person who glides along x with a bent knee, each joint observed by camera and IMU.
 
     All angles are shaken by a standard deviation, rad.
@@ -49,10 +49,10 @@ def walking(frames: int = 120, start: float = 2.0, shaking: float = 0.0) -> Moti
     pairs = ((WORLD, "Hips"), ("RightUpLeg", "RightLeg"))
     turns = np.tile(np.eye(3) * np.radians(2.0) ** 2, (frames, len(pairs), 1, 1))
     confidence = Confidence(times, skeleton.names, covariance, relative, pairs, turns)
-    return MotionSequence(skeleton, q, poses, skeleton.check(q), confidence)
+    return Motion(skeleton, q, poses, skeleton.check(q), confidence)
 
 
-def with_provenance(motion: MotionSequence, joint: str, kinds: list[Provenance]) -> MotionSequence:
+def with_provenance(motion: Motion, joint: str, kinds: list[Provenance]) -> Motion:
     """The motion with these provenances of a joint in its first frames, its orientation unobserved."""
     poses, j = motion.poses, motion.skeleton.index(joint)[0]
     provenance, observed = np.array(poses.provenance), np.array(poses.orientation_observed)
@@ -70,7 +70,7 @@ def camera() -> Camera:
     return replace(found, K=K)
 
 
-def measured(motion: MotionSequence, cameras: int = 1, truth: bool = True) -> Measurements:
+def measured(motion: Motion, cameras: int = 1, truth: bool = True) -> Measurements:
     """What the motion was computed from: exact points, sensors of a known mounting, a truth 0.1 m off."""
     poses, skeleton = motion.poses, motion.skeleton
     uv = camera().project(poses.p_world_joint)
@@ -93,7 +93,7 @@ def measured(motion: MotionSequence, cameras: int = 1, truth: bool = True) -> Me
     )
 
 
-def written(folder: Path, motion: MotionSequence, measurements: Measurements | None = None) -> Path:
+def written(folder: Path, motion: Motion, measurements: Measurements | None = None) -> Path:
     """The output folder of a motion."""
     folder.mkdir(parents=True, exist_ok=True)
     write_motion_npz(folder / MOTION, motion, mode="rtof")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from overlay_support import motion_with, upright_camera
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.overlay.canvas import Box
@@ -20,7 +20,7 @@ HEAD = ("Head", "HeadTop", "Nose", "LeftEar", "RightEar")
 NOW = Moment(3, 3, 0.0)
 
 
-def finder_of(motion: MotionSequence, uv: np.ndarray | None = None) -> FaceFinder:
+def finder_of(motion: Motion, uv: np.ndarray | None = None) -> FaceFinder:
     found = CAMERA.project(motion.poses.p_world_joint) if uv is None else uv
     seen = KeypointSequence(CAMERA, motion.times, found, np.ones(found.shape[:2]), motion.poses.names)
     return FaceFinder(ProjectedMotion(motion, seen))

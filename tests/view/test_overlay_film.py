@@ -17,7 +17,7 @@ import pytest
 av: Any = pytest.importorskip("av")
 from overlay_support import motion_with, number_of, numbered, read_film, upright_camera, write_film, write_output  # noqa: E402
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel  # noqa: E402
+from rtof_kin.body.skeleton import Motion, SkeletonModel  # noqa: E402
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError  # noqa: E402
 from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
@@ -41,7 +41,7 @@ NO_LABELS = OverlaySettings(angles=())
 
 
 @cache
-def moving(skeleton: SkeletonModel) -> MotionSequence:
+def moving(skeleton: SkeletonModel) -> Motion:
     """A person that moves by 0.3 m: no place is passed twice."""
     return motion_with(skeleton, FRAMES, HOW, sigma=0.02, way=0.3)
 

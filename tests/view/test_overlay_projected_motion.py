@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from overlay_support import motion_with, upright_camera
 
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.camera_turning import CameraTurning
@@ -18,7 +18,7 @@ from rtof_kin.view.overlay.picture_view import ScaledView, virtual_view
 from rtof_kin.view.overlay.projected_motion import Moment, ProjectedMotion, limb_ends, shown_provenance
 
 
-def view_of(motion: MotionSequence, camera: Camera, offset: float = 0.0) -> KeypointSequence:
+def view_of(motion: Motion, camera: Camera, offset: float = 0.0) -> KeypointSequence:
     uv = camera.project(motion.poses.p_world_joint)
     return KeypointSequence(
         camera, motion.times, uv, np.ones(uv.shape[:2]), motion.poses.names, own_times=motion.times + offset
@@ -30,7 +30,7 @@ def camera() -> Camera:
     return replace(upright_camera(640, 480), distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
 
 
-def test_pose_is_the_projection_of_the_frame_or_between_two(motion: MotionSequence, camera: Camera) -> None:
+def test_pose_is_the_projection_of_the_frame_or_between_two(motion: Motion, camera: Camera) -> None:
     projected = ProjectedMotion(motion, view_of(motion, camera, offset=5.0))
     truth = camera.project(motion.poses.p_world_joint)
     moment = projected.moment(5.0 + float(motion.times[7]))
@@ -135,7 +135,7 @@ def test_covariance_in_the_picture_is_that_of_projected_samples(skeleton: Skelet
     np.testing.assert_allclose(found[j], np.cov(camera.project(samples).T), rtol=0.05, atol=1.0)
 
 
-def test_a_view_of_another_size_keeps_pixel_centres(motion: MotionSequence, camera: Camera) -> None:
+def test_a_view_of_another_size_keeps_pixel_centres(motion: Motion, camera: Camera) -> None:
     view = view_of(motion, camera)
     half = ScaledView(view, 0.5, 320, 240, view.video_times)
     frames = np.array([0, 3])
@@ -145,7 +145,7 @@ def test_a_view_of_another_size_keeps_pixel_centres(motion: MotionSequence, came
     assert (half.camera.width_px, half.camera.height_px) == (320, 240)
 
 
-def test_the_pose_follows_a_camera_that_turned(motion: MotionSequence, camera: Camera) -> None:
+def test_the_pose_follows_a_camera_that_turned(motion: Motion, camera: Camera) -> None:
     """Seen by the turned camera itself, with its lens, instead of through the still one's pixels."""
     still = replace(camera.undistorted(), stabilised=True)
     angles = np.linspace(-0.2, 0.3, len(motion.times))
@@ -162,7 +162,7 @@ def test_the_pose_follows_a_camera_that_turned(motion: MotionSequence, camera: C
 
 @pytest.mark.parametrize("way", [0.0, 8.0])
 def test_a_virtual_camera_sees_all_of_the_motion_from_the_front(
-    motion: MotionSequence, skeleton: SkeletonModel, way: float
+    motion: Motion, skeleton: SkeletonModel, way: float
 ) -> None:
     poses = motion.poses
     walked = np.linspace(0, way, len(poses))[:, None, None] * np.array([0.6, 0.8, 0.0])

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.report.html import asset, fill, source_hash
+from rtof_kin.reporting.html import asset, fill, source_hash
 
 _ASSETS: Final = Path(__file__).parent / "assets"
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js")

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -40,7 +40,7 @@ of all other joints; and of turns relative to the knee's. Of six of those record
 
 
 def residual_statistics(
-    keypoints: KeypointSequence, motion: MotionSequence, lifted: PoseSequence, sensors: Sequence[str] = ()
+    keypoints: KeypointSequence, motion: Motion, lifted: PoseSequence, sensors: Sequence[str] = ()
 ) -> ResidualStatistics:
     """Return the statistics of a reconstructed recording.
 
@@ -100,7 +100,7 @@ class LegMisfit:
         return np.asarray(np.sqrt(np.maximum(near**2 - usual**2, 0.0)))
 
 
-def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit:
+def leg_misfit(keypoints: KeypointSequence, motion: Motion) -> LegMisfit:
     """Return the misfit of the legs; arguments as for `residual_statistics`."""
     keypoints, poses = measurements(keypoints, motion.skeleton), motion.poses
     points, camera = image_points(motion.skeleton, keypoints.names), keypoints.camera
@@ -131,7 +131,7 @@ def leg_misfit(keypoints: KeypointSequence, motion: MotionSequence) -> LegMisfit
 
 
 def leg_spread(
-    confidence: Confidence, misfit: LegMisfit, motion: MotionSequence, sensors: Collection[str] = ()
+    confidence: Confidence, misfit: LegMisfit, motion: Motion, sensors: Collection[str] = ()
 ) -> Confidence | None:
     """Return the covariances that a misfit of the legs adds, isotropic; None where it is usual."""
     excess = misfit.excess(motion.poses.rate_hz, bool({"LeftUpLeg", "RightUpLeg"} & {*sensors}))

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.core.array_types import Array, Mask
@@ -66,7 +66,7 @@ def value_text(value_deg: float, half_deg: float) -> str:
     return f"{round(value_deg)}°{band}".replace("-", "−")
 
 
-def angle_labels(motion: MotionSequence, chosen: Sequence[str] | None = None) -> AngleLabels:
+def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLabels:
     """Return the labels of chosen angles.
 
     Args:

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
 from rtof_kin.data.measurements import Measurements
@@ -42,7 +42,7 @@ _STAGE: Final = "draw"
 class ResultFiles:
     """Contents of the output folder of a reconstruction that an overlay needs."""
 
-    motion: MotionSequence
+    motion: Motion
     """The motion."""
     mode: str
     """Mode of the reconstruction."""
@@ -169,9 +169,7 @@ def choose_view(result: ResultFiles, number: int, with_video: bool) -> PictureVi
     return view
 
 
-def _source(
-    video: str | Path | None, view: PictureView, motion: MotionSequence, settings: OverlaySettings
-) -> FilmSource:
+def _source(video: str | Path | None, view: PictureView, motion: Motion, settings: OverlaySettings) -> FilmSource:
     if video is not None:
         return open_source(video, view)
     size = view.camera.width_px, view.camera.height_px

@@ -8,7 +8,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
@@ -80,7 +80,7 @@ class VirtualView:
         return np.zeros((len(np.asarray(frames)), 0, 2))
 
 
-def virtual_view(motion: MotionSequence) -> VirtualView:
+def virtual_view(motion: Motion) -> VirtualView:
     """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.body.observability import observed_landmarks
-from rtof_kin.body.skeleton import MotionSequence, SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.overlay.picture_view import PictureView
@@ -66,7 +66,7 @@ class ProjectedPose:
 class ProjectedMotion:
     """A motion with the ends of its limbs (head, hands, toes) in the pixels of a view."""
 
-    def __init__(self, motion: MotionSequence, view: PictureView):
+    def __init__(self, motion: Motion, view: PictureView):
         """Take a motion and the view with its frames."""
         self.motion, self.view = motion, view
         skeleton, poses = motion.skeleton, motion.poses
@@ -146,7 +146,7 @@ class ProjectedMotion:
 _WEAKEST: Final = int(Provenance.PRIOR)
 
 
-def shown_provenance(motion: MotionSequence) -> NDArray[np.uint8]:
+def shown_provenance(motion: Motion) -> NDArray[np.uint8]:
     """Return `Provenance` (T, J) as it is drawn: unreliable positions count as unobserved.
 
     A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.skeleton import MotionSequence
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.scanned_file import ScannedFile
 from rtof_kin.formats.motion_npz import MotionReader
@@ -48,7 +48,7 @@ class MotionBlocks(ScannedFile):
             return min(after, len(self) - 1)
         return after - int(time - self.times[after - 1] < self.times[after] - time)
 
-    def frames(self, start: int, stop: int) -> MotionSequence:
+    def frames(self, start: int, stop: int) -> Motion:
         """Return frames as a motion.
 
         Args:

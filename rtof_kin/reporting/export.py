@@ -1,0 +1,189 @@
+"""Export of a reconstruction to a folder.
+
+============================  ==================================================================
+motion.npz                    the motion with validity and provenance (`formats.motion_npz`)
+measurements.npz              what it was computed from, and the reference (`formats.measurements_npz`)
+skeleton.urdf                 the subject's skeleton
+files.json                    convention and names of all files (`formats.motion_files`)
+joint_trajectory.csv, .json   configurations with named columns, and their units
+motion.csv                    the same with landmarks, validity and provenance
+ros_joint_trajectory.json     trajectory_msgs/JointTrajectory
+ros_base_trajectory.json      trajectory_msgs/MultiDOFJointTrajectory of the free base
+summary.json                  mode, verdict, settings, solver, limit violations, errors against the
+                              reference, inputs and audit
+figures/*.png                 see `rtof_kin.reporting.figures`
+============================  ==================================================================
+
+OpenSim, C3D, BVH and Parquet files are written on request, see `rtof_kin.formats.motion_files`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.packages import can_draw
+from rtof_kin.formats.measurements_npz import MEASUREMENTS
+from rtof_kin.formats.measurements_writer import MeasurementsWriter
+from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
+from rtof_kin.formats.motion_npz import MOTION, MotionReader
+from rtof_kin.formats.motion_writer import MotionWriter
+from rtof_kin.reconstruction.measured import measurements_of
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.provenance import input_provenance
+from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.reporting.summary_file import SIGMAS
+
+MARKER: Final = MOTION
+MOST_SECONDS: Final = 600.0
+"""[s] Longest motion that is also written as text, which takes five times the space of motion.npz."""
+
+
+def export(
+    result: Reconstruction,
+    folder: str | Path,
+    overwrite: bool = False,
+    figures: bool = True,
+    formats: Sequence[str] | None = None,
+    inputs: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a reconstruction; after an error there is no folder.
+
+    Args:
+        result: of `reconstruct`. overwrite: replace an earlier export there.
+        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
+            motions up to `MOST_SECONDS`, none of longer ones.
+        inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OutputExistsError: the folder exists and may not be replaced.
+        UnknownNameError: an unknown format. InvalidInputError: a format cannot represent the motion.
+    """
+    export_parts([result], folder, overwrite, figures, formats, inputs)
+    return Path(folder)
+
+
+def export_parts(
+    parts: Iterable[Reconstruction],
+    folder: str | Path,
+    overwrite: bool = False,
+    figures: bool = True,
+    formats: Sequence[str] | None = None,
+    inputs: Mapping[str, str] | None = None,
+    run: Callable[[], Mapping[str, Any]] | None = None,
+) -> ReconstructionStatistics:
+    """Write a reconstruction part by part as `export` does; none of the parts is kept.
+
+    Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
+
+    Args:
+        parts: in the order of time, e.g. of `reconstruct_in_parts`. run: returns what the run can be repeated
+            by, for the summary, when all parts are made. The others: as for `export`.
+
+    Returns:
+        Statistics of the whole.
+
+    Raises:
+        Errors of `export`, and those raised while the parts are made.
+    """
+    check_formats(formats or ())
+    statistics: ReconstructionStatistics | None = None
+    with new_folder(Path(folder), MARKER, overwrite, inputs) as temporary:
+        with ExitStack() as files:
+            for part in parts:
+                if statistics is None:
+                    statistics, whole = ReconstructionStatistics(part), part
+                    first_frame, body = part.recording.first_frame, part.motion.skeleton
+                    path = temporary / MARKER
+                    motion = MotionWriter(path, body, mode=part.mode, first_frame=first_frame)
+                    measurements = MeasurementsWriter(temporary / MEASUREMENTS)
+                    files.enter_context(motion)
+                    files.enter_context(measurements)
+                else:
+                    statistics.add(part)
+                    whole = None
+                motion.append(part.motion)
+                measurements.append(measurements_of(part))
+                del part  # before the next one is made
+        assert statistics is not None  # there is at least one part
+        if formats is None:
+            formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
+        with MotionReader(temporary / MARKER) as reader:
+            write_motion_files(temporary, reader.source(), formats)
+        contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
+        text = json.dumps(contents, indent=2)
+        (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")
+        if figures and whole is not None and can_draw():
+            from rtof_kin.reporting.figures import write_figures
+
+            write_figures(whole, temporary / "figures")
+    return statistics
+
+
+def summary(found: Reconstruction | ReconstructionStatistics) -> dict[str, Any]:
+    """Return the contents of ``summary.json``.
+
+    Args:
+        found: result of `reconstruct`, or the statistics of its parts.
+    """
+    statistics = ReconstructionStatistics.of(found)
+    first = statistics.first
+    results, sigmas = audit(statistics), statistics.mean_sigmas
+    out: dict[str, Any] = {
+        "recording": first.recording.name,
+        "mode": first.mode,
+        "verdict": headline(results).plain(),
+        "acknowledgement": first.recording.acknowledgement,
+        "frames": statistics.frames,
+        "rate_hz": first.motion.poses.rate_hz,
+        "parts": statistics.parts,
+        "skeleton": first.motion.skeleton.name,
+        "height_m": first.motion.skeleton.height,
+        "sensors": list(first.bone_imus.joints) if first.bone_imus else [],
+        "provenance": statistics.provenance_shares,
+        "valid_share": 1 - statistics["invalid"].mean_of_all,
+        "dofs_from_prior": statistics.from_prior,
+        "limit_violations_deg": {k: float(np.degrees(v)) for k, v in statistics.limit_violations.items()},
+        "singular_share": statistics["singular"].mean_of_all,
+        "mean_sigma_m": None if sigmas is None else _plain(dict(zip(SIGMAS, sigmas, strict=True))),
+        "settings": first.choices.plain(),
+        "inputs": input_provenance(statistics),
+        "audit": [result.plain() for result in results],
+    }
+    if statistics.faults:
+        out["stream_faults"] = [str(fault) for fault in statistics.faults]
+    if statistics.warnings:
+        out["warnings"] = list(statistics.warnings)
+    if first.root_sigma is not None:
+        out["root_drift_sigma_m"] = _plain({"last_frame": statistics.root_sigma})
+    if (solution := statistics.solution) is not None:
+        out["solver"] = {
+            "status": solution.status.name,
+            "meaning": solution.status.value,
+            "outcome": solution.outcome,
+            "fragments": len(solution.fragments),
+            "iterations": solution.iterations,
+            "seconds": solution.seconds,
+            "optimality_per_m": solution.optimality,
+            "energy": solution.energy,
+        }
+    if scores := statistics.stage_metrics:
+        out["metrics"] = {stage: _plain(metrics) for stage, metrics in scores.items()}
+        out["metrics_per_joint"] = scores[first.mode].per_joint
+    return out
+
+
+def _plain(metrics: Mapping[str, float]) -> dict[str, float | None]:
+    """None, which is null in JSON, for NaN."""
+    return {name: value if np.isfinite(value) else None for name, value in metrics.items()}

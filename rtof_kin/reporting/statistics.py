@@ -1,0 +1,218 @@
+"""What audit, summary and terminal tell of a reconstruction: statistics collected part by part.
+
+A long recording is reconstructed in parts (`rtof_kin.reconstruction.parts`), none of which is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.metrics import Metrics
+from rtof_kin.body.motion_source import MotionSource
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.column_statistics import ColumnStatistics
+from rtof_kin.core.plausibility import Check
+from rtof_kin.data.poses import Provenance
+from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
+from rtof_kin.inertial.outlier_rejection import merge_faults
+from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
+from rtof_kin.reconstruction.part_results import sample
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reporting.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
+from rtof_kin.solve.solution import FragmentReport, FragmentSolution
+
+_WITH_MEDIANS: Final = ("reprojection", "depth", "body height px")
+"""Quantities of which medians are used."""
+
+
+class ReconstructionStatistics:
+    """Statistics of a reconstruction.
+
+    Attributes:
+        first: one second of the first part, for what is the same in all.
+        frames: number of frames. fragments: reports of the fragment solver, in order.
+        root_sigma: standard deviation of the root's horizontal coordinates at the end, m; NaN unless in
+            mode imu.
+    """
+
+    def __init__(self, first: Reconstruction) -> None:
+        """Begin with the first part, or the whole.
+
+        Args:
+            first: of `reconstruct`.
+        """
+        self.first, self.frames = sample(first), 0
+        self.root_sigma = float("nan")
+        self.fragments: list[FragmentReport] = []
+        self._faults: list[StreamFault] = []
+        self._findings: list[PartFindings] = []
+        self._scores: list[tuple[int, Mapping[str, Metrics]]] = []
+        self._statistics: dict[str, ColumnStatistics] = {}
+        self.add(first)
+
+    @classmethod
+    def of(cls, found: Reconstruction | ReconstructionStatistics) -> ReconstructionStatistics:
+        """Return the statistics of a reconstruction in one part, or those that are given."""
+        return cls(found) if isinstance(found, Reconstruction) else found
+
+    def add(self, part: Reconstruction) -> None:
+        """Add the next part."""
+        for name, times, values in _blocks(part):
+            values = values.reshape(len(times), math.prod(values.shape[1:]))
+            if name not in self._statistics:
+                self._statistics[name] = ColumnStatistics(values.shape[1], name in _WITH_MEDIANS)
+            self._statistics[name].add(times, values)
+        if part.solution is not None:
+            self.fragments += part.solution.fragments
+        self._faults += part.faults
+        self._findings.append(PartFindings(float(part.motion.times[0]), part.checks, part.warnings))
+        if part.metrics is not None:
+            scored = int(np.isfinite(part.metrics.over_time["mpjpe_mm"]).sum())
+            means = {stage: replace(found, over_time={}) for stage, found in part.stage_metrics.items()}
+            self._scores.append((scored, means))
+        if part.root_sigma is not None:
+            self.root_sigma = float(part.root_sigma[-1])
+        self.frames += len(part.motion.times)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._statistics
+
+    def __getitem__(self, name: str) -> ColumnStatistics:
+        """Statistics of a quantity of `_blocks`."""
+        return self._statistics[name]
+
+    @property
+    def provenance_shares(self) -> dict[str, float]:
+        """Share of all joints and frames by `Provenance`, in lower case -> 0 to 1."""
+        return {p.name.lower(): self[f"provenance {p.name.lower()}"].mean_of_all for p in Provenance}
+
+    @property
+    def from_prior(self) -> dict[str, float]:
+        """Unobserved degrees of freedom by URDF name, and the root's orientation -> share of the frames."""
+        names = root_and_dof_names(self.first.motion.skeleton)
+        return {n: float(v) for n, v in zip(names, self["from prior"].mean, strict=True) if v > 0}
+
+    @property
+    def limit_violations(self) -> dict[str, float]:
+        """Largest excess, rad, of each revolute that violates its limits."""
+        names, largest = self.first.motion.report.dof_names, self["limit excess"].largest
+        return {name: float(v) for name, v in zip(names, largest, strict=True) if v > 0}
+
+    @property
+    def mean_sigmas(self) -> tuple[float, float] | None:
+        """Mean standard deviations per axis of the joints, relative to the root and in world, m."""
+        if "position sigma" not in self:
+            return None
+        return self["relative sigma"].mean_of_all, self["position sigma"].mean_of_all
+
+    @property
+    def parts(self) -> int:
+        """Number of parts."""
+        return len(self._findings)
+
+    @property
+    def seconds(self) -> float:
+        """Duration, s."""
+        return self.frames / self.first.motion.poses.rate_hz
+
+    @property
+    def faults(self) -> tuple[StreamFault, ...]:
+        """Faults of all parts; those that go on from one part to the next are one."""
+        return tuple(self._faults) if self.parts == 1 else merge_faults(self._faults)
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Checks of the whole, see `joined_checks`."""
+        return joined_checks(self._findings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of the whole, see `joined_warnings`."""
+        return joined_warnings(self._findings)
+
+    @property
+    def solution(self) -> FragmentSolution | None:
+        """Report of the solver with the fragments of all parts, and the poses of the first one."""
+        found = self.first.solution
+        return None if found is None else replace(found, fragments=tuple(self.fragments), confidence=None)
+
+    @property
+    def stage_metrics(self) -> dict[str, Metrics]:
+        """Errors against the truth by stage: means over all scored frames; empty without a truth."""
+        if len(self._scores) <= 1:
+            return dict(self._scores[0][1]) if self._scores else {}
+        counts = [count for count, _ in self._scores]
+        stages = self._scores[0][1]
+        return {stage: _mean_of([found[stage] for _, found in self._scores], counts) for stage in stages}
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """Those of the motion; None without a truth."""
+        return self.stage_metrics.get(self.first.mode)
+
+
+def _blocks(part: Reconstruction) -> Iterator[tuple[str, Array, NDArray[Any]]]:
+    """Yield name, times (T,) and values (T, ...) of every quantity."""
+    motion, poses, imus = part.motion, part.motion.poses, part.bone_imus
+    yield "invalid", motion.times, ~poses.valid
+    yield "unobserved", motion.times, np.asarray(poses.provenance <= Provenance.BRIDGED)
+    for one in Provenance:
+        yield f"provenance {one.name.lower()}", motion.times, np.asarray(poses.provenance == one)
+    yield "singular", motion.times, motion.report.singular
+    yield "limit excess", motion.times, np.nan_to_num(motion.report.limit_excess)
+    masks = MotionSource.of(motion).masks
+    inside = outside_gaps(masks)
+    yield "from prior", motion.times[inside], np.logical_not(root_and_dofs_observed(masks)[inside])
+    if part.keypoints is not None:
+        landmarks = part.keypoints.landmarks
+        depth = part.keypoints.camera.to_camera(poses.p_world_joint[:, 0])[:, 2]
+        yield "unseen", motion.times, ~landmarks.seen
+        yield "points unseen", motion.times, ~part.keypoints.seen
+        yield "reprojection", motion.times, reprojection_errors(part)
+        yield "depth", motion.times, depth
+        yield "body height px", motion.times, part.keypoints.camera.K[1, 1] * motion.skeleton.height / depth
+    if imus is not None:
+        swing, twist = orientation_residuals(part)
+        yield "missing", imus.times, np.asarray(np.isnan(imus.R_world_bone[..., 0, 0]))
+        yield "swing", imus.times, swing
+        yield "twist", imus.times, twist
+        yield "acceleration", imus.times, acceleration_residuals(part)
+    if motion.confidence is not None:
+        yield "relative sigma", motion.times, motion.confidence.relative_sigma[:, 1:]
+        yield "position sigma", motion.times, motion.confidence.position_sigma
+        yield "orientation sigma", motion.times, motion.confidence.orientation_sigma
+    if (raw := part.recording.imus) is not None:
+        yield "sensor unknown", raw.times, np.asarray(np.isnan(raw.R_inertial_sensor).any(axis=(2, 3)))
+        yield "specific force", raw.times, _largest(np.abs(raw.f_sensor))
+
+
+def _largest(values: Array) -> Array:
+    """Largest finite value along the last axis; NaN without any."""
+    return np.where(np.isfinite(values).any(axis=-1), np.nan_to_num(values, nan=-np.inf).max(axis=-1), np.nan)
+
+
+def _mean_of(found: list[Metrics], counts: list[int]) -> Metrics:
+    """Means of parts, weighted by their numbers of frames; nothing over time."""
+
+    def mean(tables: list[Mapping[str, float]]) -> dict[str, float]:
+        out = {}
+        for name in dict.fromkeys(name for table in tables for name in table):
+            known = [
+                (count, table[name])
+                for count, table in zip(counts, tables, strict=True)
+                if np.isfinite(table.get(name, np.nan))
+            ]
+            total = sum(count for count, _ in known)
+            out[name] = sum(count * value for count, value in known) / total if total else float("nan")
+        return out
+
+    joints = dict.fromkeys(joint for metrics in found for joint in metrics.per_joint)
+    per_joint = {joint: mean([metrics.per_joint.get(joint, {}) for metrics in found]) for joint in joints}
+    return Metrics(mean([metrics.pooled for metrics in found]), per_joint, {})

@@ -1,0 +1,245 @@
+"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about, findings.
+
+The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
+and interpret nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.clinical.angle_table import AngleTable
+from rtof_kin.clinical.comparison_change import Verdict
+from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
+from rtof_kin.clinical.gait_recognition import LEAST_SHARE
+from rtof_kin.clinical.repetitions import find_repetitions
+from rtof_kin.clinical.travel import DRIFT
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.poses import Provenance
+from rtof_kin.recording.session import Session
+from rtof_kin.reporting.angle_names import label, plain_words
+from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.clinical_findings import NO_BANDS, WIDEST
+from rtof_kin.reporting.headline import Headline
+from rtof_kin.reporting.summary_file import Summary
+from rtof_kin.reporting.summary_findings import compared_sides, findings, is_second_sequence
+
+MOST_FINDINGS: Final = 3
+DEEP_KNEE: Final = np.radians(60.0)  # [rad] least flexion of a knee that bends deeply
+FEWEST_BENDS: Final = 2
+MOSTLY: Final = 0.5  # share of the time from which on a motion is walking without a qualification
+IMAGE_FREE: Final = "imu"
+IMAGE_ALONE: Final = ("lift", "rto")
+"""Modes of reconstruction that use no image, or no sensors."""
+FLEXION_ERROR: Final = "mean error of knee and elbow flexion"
+"""Name of a figure of the audit, deg."""
+_SIDE: Final = re.compile("^(left|right) ")
+_PLURALS: Final = {"foot": "feet"}
+
+
+@dataclass(frozen=True)
+class SummaryLine:
+    """One line of the summary."""
+
+    label: str
+    """'Who', 'What', 'How good', 'Position in the room', 'Careful' or 'Findings'."""
+    text: str
+    """One to three sentences."""
+    grade: Grade | None
+    """Grade that the line states; None for a line without one."""
+
+
+def summary_lines(
+    analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
+) -> tuple[SummaryLine, ...]:
+    """Return the lines of a report's summary; one on the position in the room where its audit has one."""
+    return (
+        SummaryLine("Who", _who(analysis, summary, session), None),
+        SummaryLine("What", _what(analysis, summary), None),
+        SummaryLine("How good", _how_good(analysis, summary), overall.grade),
+        *(
+            [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
+            if overall.room
+            else []
+        ),
+        _careful(analysis, overall),
+        SummaryLine("Findings", _findings(analysis), None),
+    )
+
+
+def _angle_words(overall: Headline, table: AngleTable) -> str:
+    """Return the headline without the position in the room, in plain words."""
+    text = overall.text.replace(overall.room_text, "") if overall.room_text else overall.text
+    return plain_words("; ".join(part for part in text.split("; ") if part), table)
+
+
+def _room_words(overall: Headline, table: AngleTable) -> str:
+    """Return what is said about the position in the room, as a sentence in plain words."""
+    verdict, _, why = plain_words(overall.room_text, table).partition(": ")
+    text = why or verdict
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
+    subject = summary.subject
+    given = {
+        "height": f"{subject['height_m']:.2f} m" if subject.get("height_m") else "",
+        "weight": f"{subject['mass_kg']:.3g} kg" if subject.get("mass_kg") else "",
+        "sex": subject.get("sex") or "",
+    }
+    known = [text for text in given.values() if text]
+    missing = [name for name, text in given.items() if not text]
+    who = ", ".join([session.subject or "Subject not named", *known])
+    model = f" (the model is {analysis.paths.skeleton.height:.2f} m tall)" if "height" in missing else ""
+    return f"{who}. Not given: {_listed(missing)}{model}." if missing else f"{who}."
+
+
+def _what(analysis: MotionAnalysis, summary: Summary) -> str:
+    seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
+    return f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."
+
+
+def _movement(analysis: MotionAnalysis) -> str:
+    """Movement in words, as far as it was recognised."""
+    gait, travel = analysis.gait, analysis.travel
+    strides = len(gait.verdict.walking)
+    part = f" in {100 * travel.walking_share:.0f} % of the time"
+    if gait.is_gait:
+        partly = part if travel.walking_share < MOSTLY else ""
+        counted = f"{strides} stride" + ("s" if strides > 1 else "")
+        if gait.verdict.on_the_spot:
+            return f"Walking on the spot or on a treadmill{partly}: {counted}"
+        return f"Walking{partly}: {counted}, {travel.text}"
+    bends = _knee_bends(analysis)
+    walking = "no walking"
+    if strides >= FEWEST_STRIDES:
+        walking = f"strides of walking{part}, but no steady walking"
+    elif strides > LEAST_SHARE * len(gait.strides):
+        walking = f"only {strides} complete stride{'s' if strides > 1 else ''} of walking"
+    elif not bends:
+        walking = "neither walking nor squats were recognised"
+    text = "; ".join([*([_listed(bends)] if bends else []), walking, travel.text])
+    return text[:1].upper() + text[1:]
+
+
+def _knee_bends(analysis: MotionAnalysis) -> list[str]:
+    """Repeated descents of the pelvis with deep flexion of both knees or of one, in words."""
+    found = find_repetitions(analysis.paths, analysis.angles, "squat").repetitions
+    deep = [sum(knee >= DEEP_KNEE for knee in one.knee_flexion.values()) for one in found]
+    kinds = {2: "bends of both knees (squats)", 1: "bends of one knee (lunges)"}
+    return [f"{deep.count(knees)} {name}" for knees, name in kinds.items() if deep.count(knees) >= FEWEST_BENDS]
+
+
+def _sources(analysis: MotionAnalysis, summary: Summary) -> str:
+    """Cameras and sensors in words, and which of them the mode of reconstruction does not use."""
+    carriers = [str(s["segment"]) for s in summary.inputs.get("sensors") or [] if s.get("segment")]
+    names = ", ".join(_both_sides([plain_words(name, analysis.table) for name in carriers]))
+    count = f"{len(carriers)} sensor{'s' if len(carriers) > 1 else ''}"
+    cameras = summary.inputs.get("cameras", 1)  # files of earlier versions do not say
+    image = "one camera" if cameras <= 1 else f"{cameras} cameras"
+    if not summary.inputs.get("camera"):
+        return f"{count} ({names}), without a camera" if carriers else "no camera and no sensors"
+    if summary.mode == IMAGE_FREE:
+        return f"{count} ({names}); the camera{' was' if cameras <= 1 else 's were'} not used"
+    if summary.mode in IMAGE_ALONE:
+        return f"{image} alone" + (f"; {count} recorded, but not used" if carriers else "")
+    return f"{image} and {count} ({names})" if carriers else f"{image} alone"
+
+
+def _both_sides(names: list[str]) -> list[str]:
+    """Names without duplicates; those of both sides once, in the plural."""
+    names = list(dict.fromkeys(names))
+    singles = [_SIDE.sub("", name) for name in names]
+    return [
+        f"both {_PLURALS.get(single, f'{single}s')}" if singles.count(single) == 2 else names[singles.index(single)]
+        for single in dict.fromkeys(singles)
+    ]
+
+
+def _listed(words: list[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _half_widths(analysis: MotionAnalysis) -> dict[str, float]:
+    """Median half width of the 95 % band of each observed clinical angle, degrees."""
+    angles = analysis.angles
+    if angles.sigma is None:
+        return {}
+    widths = {}
+    for a, row in enumerate(angles.rows):
+        sigma = angles.sigma[np.isfinite(angles.values[:, a]), a]
+        if np.isfinite(sigma).any() and not is_second_sequence(row.name):
+            widths[row.name] = float(np.degrees(BAND_95 * np.nanmedian(sigma)))
+    return widths
+
+
+def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
+    share = 100 * float(analysis.paths.masks.position_observed.mean())
+    seen = f"{share:.0f} % of the positions of joints were observed."
+    reference = "".join(
+        f" Against the reference, knees and elbows are {result.value:.1f}° off on average."
+        for result in summary.results or ()
+        if result.name == FLEXION_ERROR and math.isfinite(result.value)
+    )
+    widths = {name: half for name, half in _half_widths(analysis).items() if name.endswith("flexion")}
+    if not widths:
+        return f"The accuracy of the angles is not known: {NO_BANDS}. {seen}{reference}"
+    best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
+    median = float(np.median(list(widths.values())))
+    ends = [f"± {widths[name]:.0f}° ({_joint(name)})" for name in (best, worst)]
+    expected = f"Flexion angles are expected to be within ± {median:.0f}° (median 95 % band)"
+    return f"{expected}, from {ends[0]} to {ends[1]}. {seen}{reference}"
+
+
+def _joint(angle: str) -> str:
+    """Joint of a flexion angle in words."""
+    return re.sub("_[a-z]*flexion$", "", angle).replace("_", " ")
+
+
+def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:
+    """Headline of the audit if it warns, fails or is missing, and what is unobserved, bridged or drifting."""
+    warned = overall.grade in (Grade.WARN, Grade.FAIL, Grade.NOT_CHECKED)
+    parts = [_angle_words(overall, analysis.table)] if warned else []
+    known = {row.name: row.known_share > 0 for row in analysis.ranges}
+    unseen = [
+        joint.name.replace("_", " ")
+        for joint in analysis.table.joints
+        if not any(known[angle.name] or is_second_sequence(angle.name) for angle in joint.angles)
+    ]
+    if unseen:
+        parts.append(f"angles of {_listed(_both_sides(unseen))} were not observed and are not shown")
+    bridged = float((analysis.paths.masks.provenance == Provenance.BRIDGED).any(axis=1).mean())
+    if bridged > 0:
+        parts.append(f"gaps were bridged in {100 * bridged:.0f} % of the frames")
+    parts += [note for note in analysis.travel.notes if note == DRIFT]
+    wide = (_SIDE.sub("", label(name)) for name, half in _half_widths(analysis).items() if half > WIDEST[1])
+    if doubtful := list(dict.fromkeys(wide)):
+        parts.append(f"bands of {_listed(doubtful)} are wider than ± {WIDEST[1]:.0f}°")
+    text = ". ".join(part[:1].upper() + part[1:] for part in parts) or "No warning"
+    return SummaryLine("Careful", f"{text}.", None)
+
+
+def _findings(analysis: MotionAnalysis) -> str:
+    if analysis.angles.sigma is None:
+        return f"None can be stated: {NO_BANDS}, so that a difference cannot be told from an error."
+    sides = compared_sides(analysis)
+    found = findings(analysis, analysis.paths.skeleton.table, sides)
+    tested = [] if sides is None else [one for one in sides.angles if one.verdict is not Verdict.NOT_TESTED]
+    pairs = len(tested)
+    over = "over the gait cycle" if sides is not None and sides.by == "cycle" else "by their range"
+    compared = f"{pairs} angle{'s' if pairs > 1 else ''} of the left and right were compared {over}"
+    lines = [f"{one.text[:1].upper()}{one.text[1:]}." for one in found[:MOST_FINDINGS]]
+    if not pairs:
+        none = "no angle is observed and reliable almost throughout on both sides"
+        lines.append(f"Left and right were not compared: {none}.")
+    elif len(found) < MOST_FINDINGS:
+        other = "other " if found else ""
+        lines.append(f"No {other}difference is shown: {compared}, and ranges with anatomical limits.")
+    return " ".join(lines)

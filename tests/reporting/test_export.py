@@ -1,0 +1,175 @@
+"""Export of a reconstruction to a folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
+from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.formats.measurements_npz import read_measurements_npz
+from rtof_kin.formats.motion_npz import motion_folder, motion_path, read_motion_npz
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reporting import figures
+from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.export import export, summary
+from rtof_kin.reporting.headline import headline
+
+BODY = SkeletonModel.default().with_height(1.66)
+T = 16
+FILES = {
+    "motion.npz",
+    "skeleton.urdf",
+    "joint_trajectory.csv",
+    "joint_trajectory.json",
+    "ros_joint_trajectory.json",
+    "ros_base_trajectory.json",
+    "summary.json",
+    "files.json",
+    "motion.csv",
+    "measurements.npz",
+    MANIFEST,
+}
+
+
+@pytest.fixture(scope="module")
+def result() -> Reconstruction:
+    truth = planted.moving(BODY, T)
+    recording = replace(
+        planted.recording(truth), joint_offsets=BODY.joint_offsets, first_frame=300, acknowledgement="Thanks."
+    )
+    lifter = planted.PlantedLifter(truth, blind=slice(4, 8))
+    settings = ReconstructionSettings(frames=16)
+    return reconstruct(recording, lifter=lifter, settings=settings, calibrate=False)
+
+
+@pytest.fixture(scope="module")
+def folder(result: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export(result, tmp_path_factory.mktemp("export") / "out", figures=False)
+
+
+def strict_json(path: Path) -> Any:
+    """JSON without NaN."""
+
+    def reject(constant: str) -> float:
+        raise ValueError(f"{constant} is no JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=reject)
+
+
+def test_all_files_are_written_and_figures_on_request(
+    result: Reconstruction, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert all(strict_json(path) for path in folder.glob("*.json"))
+    written: list[str] = []
+    monkeypatch.setattr(figures, "write_figures", lambda result, folder: written.append(folder.name))
+    assert export(result, tmp_path / "out", formats=("osim", "mot", "trc")) == tmp_path / "out"
+    assert written == ["figures"]
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    pieces = {"motion_1.mot", "motion_2.mot"}  # one for each side of the gap
+    assert names >= pieces | {"skeleton.osim", "motion.trc", "motion.npz"}
+    assert not any(name.endswith(".csv") for name in names)
+    with pytest.raises(UnknownNameError, match="'dae'"):
+        export(result, tmp_path / "other", formats=("dae",))
+    assert not (tmp_path / "other").exists()
+
+
+def test_motion_file_contains_the_motion(result: Reconstruction, folder: Path) -> None:
+    read = read_motion_npz(folder / "motion.npz")
+    np.testing.assert_allclose(read.q, result.motion.q, rtol=0, atol=3e-8)
+    assert (read.mode, read.first_frame) == ("rtof", 300)
+    assert not read.poses.valid[4:8].any()
+    np.testing.assert_array_equal(read.poses.provenance, result.motion.poses.provenance)
+    assert SkeletonModel.from_urdf(folder / "skeleton.urdf").height == pytest.approx(1.66, abs=1e-6)
+
+
+def test_measurements_are_those_that_were_used(result: Reconstruction, folder: Path) -> None:
+    found, poses = read_measurements_npz(folder / "measurements.npz"), result.motion.poses
+    np.testing.assert_array_equal(found.times, poses.times)
+    (view,) = found.views
+    assert result.keypoints is not None
+    assert result.bone_imus is not None
+    np.testing.assert_allclose(view.uv_px, result.keypoints.landmarks.uv_px, rtol=0, atol=1 / 128)
+    np.testing.assert_array_equal(view.video_times, result.recording.video.video_times)
+    assert found.segments == result.bone_imus.joints
+    R_world_bone = found.R_world_sensor @ np.swapaxes(found.R_bone_sensor, -1, -2)
+    np.testing.assert_allclose(R_world_bone, result.bone_imus.R_world_bone, atol=5e-5)
+    assert found.truth is not None
+    assert result.recording.truth is not None
+    np.testing.assert_allclose(found.truth.p_world_joint, result.recording.truth.p_world_joint, atol=1e-5)
+
+
+def test_the_motion_is_found_in_the_output_of_reconstruct_and_run(folder: Path, tmp_path: Path) -> None:
+    of_run = tmp_path / "run"
+    (of_run / "motion").mkdir(parents=True)
+    (of_run / "motion" / "motion.npz").touch()
+    assert motion_path(folder) == motion_path(folder / "motion.npz") == folder / "motion.npz"
+    assert motion_folder(of_run) == of_run / "motion"
+    with pytest.raises(FileFormatError, match="output folder of reconstruct or run"):
+        motion_path(tmp_path)
+    for wrong in ("nowhere", "walk.mp4"):
+        (tmp_path / "walk.mp4").touch()
+        with pytest.raises(FileFormatError, match=f"{wrong}: .*; name the output folder of reconstruct or run"):
+            motion_folder(tmp_path / wrong)
+
+
+def test_summary_of_a_reconstruction(result: Reconstruction, folder: Path) -> None:
+    found = strict_json(folder / "summary.json")
+    assert list(found)[:3] == ["recording", "mode", "verdict"]
+    assert (found["recording"], found["mode"], found["frames"]) == ("planted", "rtof", T)
+    assert found["acknowledgement"] == "Thanks."
+    assert found["rate_hz"] == pytest.approx(60.0)
+    assert found["height_m"] == pytest.approx(1.66, abs=1e-6)
+    assert found["sensors"] == list(planted.LIMBS)
+    assert sum(found["provenance"].values()) == pytest.approx(1.0)
+    assert found["provenance"]["bridged"] > 0
+    assert found["valid_share"] == pytest.approx(1 - 4 / T)
+    assert found["dofs_from_prior"]["RightFoot_y"] == 1.0
+    assert "RightUpLeg_y" not in found["dofs_from_prior"]
+    solver = found["solver"]
+    assert (solver["status"], solver["fragments"]) == ("CONVERGED", 3)
+    assert solver["outcome"] == "3 of 3 fragments converged"
+    assert found["verdict"] == headline(audit(result)).plain()
+    settings = found["settings"]
+    assert (settings["lifter"], settings["calibrate"]) == ("PlantedLifter", "no")
+    assert (settings["frames"], settings["energy"]) == (16, "default")
+    assert result.metrics is not None
+    assert found["metrics"]["rtof"] == pytest.approx(dict(result.metrics))
+    assert set(found["metrics"]) == {"lift", "sf2", "rtof"}
+    head = result.metrics.per_joint["Head"]
+    assert found["metrics_per_joint"]["Head"] == pytest.approx(head)
+
+
+def test_summary_omits_missing_parts_and_writes_null_for_nan(result: Reconstruction) -> None:
+    assert result.metrics is not None
+    unknown = replace(result.metrics, pooled=result.metrics.pooled | {"mpjje": float("nan")})
+    found = summary(replace(result, stage_metrics={"rtof": unknown}))
+    assert found["metrics"]["rtof"]["mpjje"] is None
+    json.dumps(found, allow_nan=False)
+    found = summary(replace(result, solution=None, bone_imus=None, stage_metrics={}, metrics=None))
+    assert not {"solver", "metrics"} & set(found)
+    assert found["sensors"] == []
+
+
+def test_limit_violations_are_in_degrees(result: Reconstruction) -> None:
+    q = np.array(result.motion.q)
+    q[3, 7] = BODY.limits[0, 1] + np.radians(12.0)
+    found = summary(replace(result, motion=replace(result.motion, q=q, report=BODY.check(q))))
+    assert found["limit_violations_deg"][BODY.dof_names[0]] == pytest.approx(12.0)
+
+
+def test_an_earlier_export_is_replaced_only_on_request(result: Reconstruction, tmp_path: Path) -> None:
+    export(result, tmp_path / "out", figures=False)
+    with pytest.raises(OutputExistsError, match="overwrite"):
+        export(result, tmp_path / "out", figures=False)
+    export(result, tmp_path / "out", overwrite=True, figures=False)
