@@ -197,8 +197,7 @@ def test_output_without_its_recording_or_record_is_refused(
 
 
 def test_own_calibration_and_settings_travel_with_the_bundle(cli: Any, named: Path, tmp_path: Path) -> None:
-    from rtof_kin.calibration.file import write_self_calibration_toml
-    from rtof_kin.calibration.result import Quantity, SelfCalibration
+    from rtof_kin.calibration.result import Quantity, SelfCalibration, write_self_calibration_toml
 
     ankle = Quantity("ankle height", "feet", *(np.array([v]) for v in (0.01, 0.01, 0.02)), 0.5)
     write_self_calibration_toml(tmp_path / "known.toml", SelfCalibration((ankle,), (), 0.0, True))
