@@ -42,7 +42,8 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     assert kept["settings"] == summary["settings"]
     assert kept["run"] == summary["run"]
     again = tmp_path / "again"
-    assert cli("reconstruct", tmp_path / "unpacked" / "recording", "-o", again, "--mode", "sf2", "--no-figures").code == 0
+    bare = tmp_path / "unpacked" / "recording"
+    assert cli("reconstruct", bare, "-o", again, "--mode", "sf2", "--no-figures").code == 0
     assert (again / "motion.npz").read_bytes() == members["result/motion.npz"]
 
 
