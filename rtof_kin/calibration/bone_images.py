@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.core import rotations as so3
-from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import Camera
@@ -179,52 +179,11 @@ SURE: Final = 12.0
 """[nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11."""
 AS_GOOD: Final = 4.0
 """[nats] Difference below which another offset is as good."""
-_APART: Final = 0.35
-"""[s] Least distance of another offset."""
 _AGREE: Final = 2.0
 """[nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7."""
 
 
-@dataclass(frozen=True)
-class ClockScan:
-    """Gain of each offset of the clocks."""
-
-    offsets: Array
-    """(K,) [s] of the video's stamps relative to the sensors'."""
-    gains: Array
-    """(K,) [nats] relative to the best offset within `LIMIT`."""
-
-    @property
-    def best(self) -> float:
-        """[s] Best offset, by a parabola through it and its neighbours."""
-        k = int(np.argmax(self.gains))
-        if not 0 < k < len(self.gains) - 1:
-            return float(self.offsets[k])
-        return float(self.offsets[k] + STEP * signals.vertex(*self.gains[k - 1 : k + 2]))
-
-    @property
-    def gain(self) -> float:
-        """[nats] Gain of the best offset."""
-        return float(self.gains.max())
-
-    @property
-    def second(self) -> tuple[float, float]:
-        """Best offset at least `_APART` from the best one, [s], and its gain [nats]."""
-        other = np.where(np.abs(self.offsets - self.best) > _APART, self.gains, -np.inf)
-        return float(self.offsets[np.argmax(other)]), float(other.max())
-
-    @property
-    def width(self) -> float:
-        """[s] Width of the range around the best offset within half a nat."""
-        low = high = int(np.argmax(self.gains))
-        while low > 0 and self.gains[low - 1] > self.gain - 0.5:
-            low -= 1
-        while high + 1 < len(self.gains) and self.gains[high + 1] > self.gain - 0.5:
-            high += 1
-        return STEP * (high - low + 1)
-
-
-def scan_clocks(images: BoneImages) -> ClockScan | None:
+def scan_clocks(images: BoneImages) -> OffsetScan | None:
     """Return the gains of all offsets with enough overlap; None where none within `LIMIT` has it."""
     costs = dict(_costs(images))
     near = [k for k in costs if abs(k) <= round(LIMIT / STEP)]
@@ -233,7 +192,7 @@ def scan_clocks(images: BoneImages) -> ClockScan | None:
     usual = costs[min(near, key=lambda k: float(np.nanmean(costs[k])))]
     a_frame = float(np.median(np.diff(images.frames))) * STEP / _MEMORY
     gains = [a_frame * float(np.nansum(usual - cost)) for cost in costs.values()]
-    return ClockScan(STEP * np.array(list(costs)), np.array(gains))
+    return OffsetScan(STEP * np.array(list(costs)), np.array(gains))
 
 
 def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
@@ -278,7 +237,7 @@ def check_clocks(
         if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)
-    second, gain = scan.second
+    second, gain = scan.rival
     rival = f" {-second:+.2f} s would do nearly as well."
     rival = rival if gain > scan.gain - AS_GOOD else ""
     if abs(scan.best) <= LIMIT and rival and abs(second) > LIMIT:
@@ -298,7 +257,7 @@ def check_clocks(
         "s",
         f"The limbs turn alike when {-scan.best:+.2f} s are added to the video's times (start_s of "
         f"[keypoints]); no offset within {LIMIT:g} s explains the video nearly as well "
-        f"({scan.gain:.0f} nats, to within {scan.width:.2g} s).{rival}",
+        f"({scan.gain:.0f} nats, ± {scan.sigma:.2g} s).{rival}",
         cause=(
             f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about {abs(scan.best):.1f} s"
         ),

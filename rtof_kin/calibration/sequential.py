@@ -30,6 +30,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from rtof_kin.calibration.estimate import quantities_of
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, Slices
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
@@ -139,11 +140,8 @@ class DelayPosterior:
     def estimate(self, weight: float) -> None:
         """Set delay, deviation and doubt; a saved delay that the search leads away from is forgotten."""
         mean, sigma = self._prior
-        nats = weight * self._energies + _FINE**2 / 2
-        p = np.exp(nats.min() - nats)
-        p /= p.sum()
-        at = float(p @ _FINE)
-        self.sigma = max(float(np.sqrt(p @ (_FINE - at) ** 2)), _SHARPEST) * sigma
+        at, spread = OffsetScan(_FINE, -(weight * self._energies + _FINE**2 / 2)).moments()
+        self.sigma = max(spread, _SHARPEST) * sigma
         self.delay, self.doubt = mean + sigma * at, ""
         if abs(at) > _REACH - _COARSEST:
             if sigma < self._usual:

@@ -12,7 +12,13 @@ import numpy as np
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate, Evidence, estimate_camera
-from rtof_kin.calibration.clock_scan import Scan, Turning, image_turning, joined, turning_of
+from rtof_kin.calibration.clock_scan import (
+    AngularVelocities,
+    ClockScan,
+    angular_velocities,
+    joined,
+    velocities_in_image,
+)
 from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.excerpt import Slice
@@ -345,7 +351,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     if not jobs:
         return ClockOffset()
     try:
-        seen, sensed, columns = _turnings(jobs)
+        seen, sensed, columns = _angular_velocities(jobs)
         found = small_offset(seen.of(columns), sensed)
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
@@ -371,7 +377,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     doubt = next((note for note in noted if note.startswith(CLOCK_DOUBT)), "")
     if not doubt:
         return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
-    others = Scan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
+    others = ClockScan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
     stride = min(others, key=abs, default=0.0)
     return ClockOffset(replace(delay, doubt=doubt), applied, (check,), warnings, middle, unsure, stride)
 
@@ -384,7 +390,7 @@ def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Q
     return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
 
 
-def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
+def _angular_velocities(jobs: Sequence[Job]) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
     """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
     seen, sensed, columns = [], [], list[int]()
     for job in jobs:
@@ -394,8 +400,8 @@ def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
         lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
         native = recording.calibration.apply(recording.imus)
         columns = list(lifted.skeleton.index(*native.joints))
-        seen.append(image_turning(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
-        sensed.append(turning_of(native.times, native.R_world_bone))
+        seen.append(velocities_in_image(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
+        sensed.append(angular_velocities(native.times, native.R_world_bone))
     return joined(seen), joined(sensed), columns
 
 
@@ -418,7 +424,9 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])
 
 
-def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate) -> Check:
+def _check_belonging(
+    job: Job, seen: AngularVelocities, sensed: AngularVelocities, columns: list[int], found: ClockEstimate
+) -> Check:
     """Check that the sensors move as the image shows where and when they are declared."""
     S = len(columns)
     least, explained = _EXPLAINED[S >= _FEW], found.explained
@@ -432,9 +440,10 @@ def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int
         carriers |= {job.subject.names[j] for j in columns}
         anywhere = list(job.subject.index(*sorted(carriers)))
         for segments, known in ((columns, True), (anywhere, False)):
-            scan = Scan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            scan = ClockScan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            best = scan.peaks[0][0]
             if scan.explained >= _ANYWHERE[S >= _FEW]:
-                when = f"{abs(scan.best):.1f} s {'later' if scan.best > 0 else 'earlier'} than declared"
+                when = f"{abs(best):.1f} s {'later' if best > 0 else 'earlier'} than declared"
                 other = f"began {when}" if known else "are on other segments"
                 cause += f", or they {other}"
                 advice = f"They would turn as the limbs in the video if they {other}"

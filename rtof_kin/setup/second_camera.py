@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.video_offset import VideoOffset, find_video_offset
+from rtof_kin.calibration.clocks import ClockEstimate, find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -370,7 +370,7 @@ def find_second_camera(
     return _result(found, view, clock)
 
 
-def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> SecondCamera:
+def _result(found: Adjusted, view: KeypointSequence, clock: ClockEstimate) -> SecondCamera:
     sigma, delay = np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
     words = (*view.camera.assumed, "pose of the second camera, from the moving person")
     camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)), uncertainty=None)

@@ -15,8 +15,8 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.alignment import Alignment, align_sensors
 from rtof_kin.calibration.assignment import assign_sensors, check_assignment
-from rtof_kin.calibration.clock_scan import APART
 from rtof_kin.calibration.clocks import ClockEstimate, find_clock
+from rtof_kin.calibration.offset_scan import APART
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
