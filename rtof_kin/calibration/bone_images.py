@@ -32,6 +32,15 @@ _SIGMA_M: Final = 0.04
 """Standard deviation of the difference: per length of the bone, and [m]."""
 
 
+def projected(bones: Array, rays: Array) -> Array:
+    """Return the images (..., 2) of bones, at unit depth of their middles.
+
+    Args:
+        bones: (..., 3) camera axes. rays: (..., 2) normalised image coordinates of their middles.
+    """
+    return np.asarray(bones[..., :2] - rays * bones[..., 2:])
+
+
 @dataclass(frozen=True)
 class BoneImages:
     """B bones with sensors, in the image and by the sensors."""
@@ -63,7 +72,7 @@ class BoneImages:
         index = self.frames - steps
         inside = (index >= 0) & (index < len(self.directions))
         d = self.directions[np.where(inside, index, 0)]
-        off = self.vectors - d[..., :2] + self.rays * d[..., 2:]
+        off = self.vectors - projected(d, self.rays)
         known = inside[:, None] & np.isfinite(off[..., 0])
         off = np.where(known[..., None], off, 0.0)
         if constant:
@@ -102,12 +111,8 @@ def bone_images(
     seen, camera = keypoints.select(skeleton.names), keypoints.camera
     xy = camera.normalise(seen.uv_px[chosen])
     depth = camera.to_camera(poses.p_world_joint[chosen, 0])[:, 2]
-    ends = [
-        (s, j, child)
-        for s, j in enumerate(skeleton.index(*bone_imus.joints))
-        for child in kinematics.children_of(skeleton.parents, j)
-        if {skeleton.names[j], skeleton.names[child]} <= set(keypoints.names)
-    ]
+    seen_ends = {j for j, name in enumerate(skeleton.names) if name in keypoints.names}
+    ends = [end for end in sensed_bones(bone_imus, skeleton) if set(end[1:]) <= seen_ends]
     if not ends:
         return None
     s, j, c = (np.array(column) for column in zip(*ends, strict=True))
@@ -308,8 +313,7 @@ class Limbs:
             bones: (..., T, n, 3) m, camera axes.
             perspective: (...) 1 for the focal length given, 0.5 for one twice as long.
         """
-        share = np.asarray(perspective)[..., None, None, None]
-        return np.asarray(bones[..., :2] - share * self.middle * bones[..., 2:])
+        return projected(bones, np.asarray(perspective)[..., None, None, None] * self.middle)
 
     def misfit(self, headings: Array, camera: Camera) -> float:
         """Return the misfit of image and sensors: 0 for agreement, 1 for none.

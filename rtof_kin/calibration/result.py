@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_unknowns import refocused, turned
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -286,13 +287,9 @@ class SelfCalibration:
 
     def _camera(self, camera: Camera) -> Camera:
         for longer in self.of_kind("focal length").values():
-            K = camera.K.copy()
-            K[:2, :2] *= 1 + longer[0]
-            camera = replace(camera, K=K)
+            camera = refocused(camera, longer[0])
         for tilt in self.of_kind("camera tilt").values():
-            turn = so3.exp(tilt)
-            R, t = turn @ camera.R_camera_world, turn @ camera.t_camera_world
-            camera = replace(camera, R_camera_world=R, t_camera_world=t)
+            camera = turned(camera, tilt)
         return camera
 
     def _calibration(self, given: ImuCalibration) -> ImuCalibration:

@@ -342,6 +342,20 @@ def _noted(recording: Recording) -> tuple[str, ...]:
     return tuple(line[line.index(note) :] for note in about for line in lines if note in line)
 
 
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of a recording before it is solved, and whether it is calibrated; as for `reconstruct`."""
+
+    calibrate: bool = False
+    priors: CalibrationPriors | None = None
+    calibration: SelfCalibration | None = None
+    known: SelfCalibration | None = None
+    camera: CameraEstimate | None = None
+    """Of an uncalibrated camera; None: to be estimated."""
+    clocks: ClockOffset | None = None
+    """With which `calibration` was estimated; None: to be estimated."""
+
+
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
 

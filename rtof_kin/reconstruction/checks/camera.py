@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +14,6 @@ from rtof_kin.calibration.bone_images import Limbs
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
-from rtof_kin.core.errors import ViewError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -24,7 +22,7 @@ from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.inertial.root_path import FEET
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT, WALK_IN_DEPTH, Scene, check_walk, standing_feet
 from rtof_kin.reconstruction.checks.image import Picture, look_at_picture, sensed
-from rtof_kin.reconstruction.checks.position import Room, look_at_room, unseen_room
+from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.body_checks import check_camera
@@ -200,31 +198,26 @@ ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre"
 
 
 def check_camera_evidence(
-    recording: Recording,
-    prepared: Prepared,
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    lifter: LifterLike | None = None,
-) -> tuple[tuple[Check, ...], Room]:
+    recording: Recording, prepared: Prepared, poses: PoseSequence, lifter: LifterLike | None = None
+) -> tuple[tuple[Check, ...], PositionErrors]:
     """Check the declared camera, image and body.
 
     Args:
-        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
-        lifter: the shipped one where not given.
+        prepared: the prepared streams and the poses of each stage before the solver. lifter: default: the shipped one.
 
     Returns:
         Every check that the recording allows; failed ones name a likely cause, the likeliest first. And what
-        they leave open of positions in the room.
+        they leave open of positions in world.
     """
+    skeleton, video = prepared.skeleton, prepared.recording.video
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
     picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
-    video = prepared.recording.video
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
     scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
-    room = look_at_room(unseen_room(recording), scene, video, poses, picture)
-    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), room
+    position = PositionErrors.declared(recording).seen(scene, video, poses, picture)
+    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), position
 
 
 def check_camera_alone(
@@ -242,23 +235,6 @@ def check_camera_alone(
         R = np.broadcast_to(np.eye(3), (*p.shape, 3))
         stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
     return _ordered(recording, picture, skeleton, stands)
-
-
-@contextmanager
-def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Iterator[None]:
-    """Prepend the cause found by the checks to a `ViewError` raised inside.
-
-    Args:
-        skeleton: the subject's. lifter: default: the shipped one.
-    """
-    try:
-        yield
-    except ViewError as error:
-        checks = check_camera_alone(recording, skeleton, lifter)
-        cause = next((check.cause for check in checks if check.failed and check.cause), None)
-        if cause is None:
-            raise
-        raise ViewError(f"{cause}: {error}") from error
 
 
 def _ordered(

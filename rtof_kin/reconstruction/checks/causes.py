@@ -14,7 +14,7 @@ import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.bone_images import STEP, BoneImages
+from rtof_kin.calibration.bone_images import STEP, BoneImages, projected
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -168,7 +168,7 @@ def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] 
 
     def off(W: Array, scale: float) -> Array:
         d = np.exp(scale) * directions @ (R @ W).T
-        difference = images.vectors - d[..., :2] + images.rays * d[..., 2:]
+        difference = images.vectors - projected(d, images.rays)
         return np.where(known[..., None], difference, 0.0) / images.sigma[:, None]
 
     def cost(W: Array, scale: float = 0.0) -> float:
