@@ -24,12 +24,10 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 
-STEP: Final = 0.1
-"""[s] between samples of the sensors' directions."""
+STEP: Final = 0.1  # [s] between samples of the sensors' directions
 _MOST_FRAMES: Final = 240
 _SIGMA: Final = 0.12
-_SIGMA_M: Final = 0.04
-"""Standard deviation of the difference: per length of the bone, and [m]."""
+_SIGMA_M = 0.04  # Standard deviation of the difference: per length of the bone, and [m]
 
 
 def projected(bones: Array, rays: Array) -> Array:
@@ -45,22 +43,14 @@ def projected(bones: Array, rays: Array) -> Array:
 class BoneImages:
     """B bones with sensors, in the image and by the sensors."""
 
-    frames: Index
-    """(F,) index of each frame in the grid of `directions`."""
-    vectors: Array
-    """(F, B, 2) the bone in the image, in lengths of the bone."""
-    rays: Array
-    """(F, B, 2) normalised image coordinates of the bone's middle."""
-    directions: Array
-    """(G, B, 3) unit vectors in camera axes by the sensors, every `STEP`; NaN where missing."""
-    sigma: Array
-    """(B,) standard deviations of the differences."""
-    weight: Array
-    """(B,) 1 / number of bones of the same sensor."""
-    sensors: Index
-    """(B,) index of the sensor on each bone."""
-    sensor_count: int
-    """S."""
+    frames: Index  # (F,) index of each frame in the grid of `directions`
+    vectors: Array  # (F, B, 2) the bone in the image, in lengths of the bone
+    rays: Array  # (F, B, 2) normalised image coordinates of the bone's middle
+    directions: Array  # (G, B, 3) unit vectors in camera axes by the sensors, every `STEP`; NaN where missing
+    sigma: Array  # (B,) standard deviations of the differences
+    weight: Array  # (B,) 1 / number of bones of the same sensor
+    sensors: Index  # (B,) index of the sensor on each bone
+    sensor_count: int  # S
 
     def cost(self, steps: int, constant: bool = True) -> Array:
         """Return the robust differences (F, B), nats.
@@ -171,21 +161,14 @@ def best_exchange(
 
 
 NAME: Final = "offset between the clocks of video and sensors"
-LIMIT: Final = 0.2
-"""[s] Largest offset that the self-calibration estimates."""
-REACH: Final = 6.0
-"""[s] Largest offset of the scan."""
-LEAST_COMMON: Final = 2.0
-"""[s] Least overlap at every offset, with `_COMMON_SHARE` of the largest overlap."""
+LIMIT: Final = 0.2  # [s] Largest offset that the self-calibration estimates
+REACH: Final = 6.0  # [s] Largest offset of the scan
+LEAST_COMMON: Final = 2.0  # [s] Least overlap at every offset, with `_COMMON_SHARE` of the largest overlap
 _COMMON_SHARE: Final = 0.4
-_MEMORY: Final = 1.0
-"""[s] Correlation time of the differences."""
-SURE: Final = 12.0
-"""[nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11."""
-AS_GOOD: Final = 4.0
-"""[nats] Difference below which another offset is as good."""
-_AGREE: Final = 2.0
-"""[nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7."""
+_MEMORY = 1.0  # [s] Correlation time of the differences
+SURE: Final = 12.0  # [nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11
+AS_GOOD: Final = 4.0  # [nats] Difference below which another offset is as good
+_AGREE = 2.0  # [nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7
 
 
 def scan_clocks(images: BoneImages) -> OffsetScan | None:
@@ -283,20 +266,13 @@ def sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tu
 class Limbs:
     """Bones from each sensor's joint to its children, in the image plane."""
 
-    seen: Array
-    """(T, n, 2) of the keypoints at unit depth; zero where missing."""
-    middle: Array
-    """(T, n, 2) their centres."""
-    bones: Array
-    """(T, n, 3) of the sensors in camera axes, m; zero where missing."""
+    seen: Array  # (T, n, 2) of the keypoints at unit depth; zero where missing
+    middle: Array  # (T, n, 2) their centres
+    bones: Array  # (T, n, 3) of the sensors in camera axes, m; zero where missing
 
     @classmethod
     def of(cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> Limbs:
-        """Collect the bones.
-
-        Args:
-            skeleton: the subject's.
-        """
+        """Collect the bones."""
         sensor, joint, child = np.array(sensed_bones(bone_imus, skeleton)).T
         xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
         R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]

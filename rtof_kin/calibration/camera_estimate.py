@@ -23,36 +23,26 @@ from rtof_kin.core.checks import freeze
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 
-COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")
-"""Headings of `CameraEstimate.table`."""
+COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")  # Headings of `CameraEstimate.table`
 FOUND, NOT_FOUND = "found", "hardly found"
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
-_SHARE_FOUND: Final = 0.7
-"""Remaining share of a standard deviation from which an unknown counts as not found."""
-_STEP: Final = 0.5
-"""[prior sigma] of finite differences."""
-_LARGEST: Final = 1.5
-"""[prior sigma] Largest step of one round."""
+_SHARE_FOUND = 0.7  # Remaining share of a standard deviation from which an unknown counts as not found
+_STEP = 0.5  # [prior sigma] of finite differences
+_LARGEST = 1.5  # [prior sigma] Largest step of one round
 _ROUNDS: Final = 4
-_SLOPES: Final = 2
-"""Rounds that compute the derivatives again."""
-_ENOUGH: Final = 0.15
-"""[sigma] Step below which the estimate has converged."""
+_SLOPES = 2  # Rounds that compute the derivatives again
+_ENOUGH = 0.15  # [sigma] Step below which the estimate has converged
 _HALVINGS: Final = 3
-_PITCHES: Final = (-1.0, 0.0, 1.0, 2.0)
-"""[prior sigma] Pitches that are tried as a start."""
-_FURTHEST: Final = 3.0
-"""[prior sigma] Largest height that is tried with them."""
+_PITCHES = (-1.0, 0.0, 1.0, 2.0)  # [prior sigma] Pitches that are tried as a start
+_FURTHEST = 3.0  # [prior sigma] Largest height that is tried with them
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Quantities that have a known value with the true camera; NaN where the recording has none."""
 
-    value: Array
-    """(n,) less the value with the true camera."""
-    sigma: Array
-    """(n,) standard deviation with the true camera."""
+    value: Array  # (n,) less the value with the true camera
+    sigma: Array  # (n,) standard deviation with the true camera
 
     @property
     def known(self) -> Mask:
@@ -70,12 +60,9 @@ class Evidence:
 class CameraEstimate:
     """An uncalibrated camera's unknowns, found from the recording."""
 
-    assumed: Camera
-    """As declared, with its uncertainty."""
-    value: Array
-    """(5,) corrections of `UNKNOWNS`, SI units."""
-    covariance: Array
-    """(5, 5) what remains."""
+    assumed: Camera  # As declared, with its uncertainty
+    value: Array  # (5,) corrections of `UNKNOWNS`, SI units
+    covariance: Array  # (5, 5) what remains
 
     def __post_init__(self) -> None:
         freeze(self, "camera estimate", value=(5,), covariance=(5, 5))

@@ -33,14 +33,10 @@ _MEASURED: Final = "measure the camera's height and give the floor's"
 class CameraUnknown:
     """One quantity that may be wrong."""
 
-    name: str
-    """In sentences."""
-    declared: float
-    """Standard deviation of what is declared without its accuracy."""
-    remedy: str = STATED
-    """What makes it known; `STATED` is another one where the camera is not calibrated."""
-    estimated: str = ""
-    """Name where it is estimated; empty for what is not."""
+    name: str  # In sentences
+    declared: float  # Standard deviation of what is declared without its accuracy
+    remedy: str = STATED  # What makes it known; `STATED` is another one where the camera is not calibrated
+    estimated: str = ""  # Name where it is estimated; empty for what is not
 
 
 CAMERA_UNKNOWNS: Final = (

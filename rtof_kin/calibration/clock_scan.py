@@ -31,13 +31,10 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import angular_velocity
 
-STEP: Final = 0.02
-"""[s] between samples."""
-LEAST_SECONDS: Final = 2.0
-"""[s] Least time that a person is seen."""
+STEP: Final = 0.02  # [s] between samples
+LEAST_SECONDS: Final = 2.0  # [s] Least time that a person is seen
 _CUTOFF_HZ: Final = 5.0
-_FASTEST: Final = 6.0
-"""[rad/s] Faster turns are shortened to it: in the image they are mostly exchanged limbs."""
+_FASTEST = 6.0  # [rad/s] Faster turns are shortened to it: in the image they are mostly exchanged limbs
 _LONGEST_GAP: Final = 0.2
 
 
@@ -45,10 +42,8 @@ _LONGEST_GAP: Final = 0.2
 class AngularVelocities:
     """Angular velocities at even times, `STEP` apart."""
 
-    start: float
-    """[s] Time of the first sample."""
-    w_world: Array
-    """(T, N, 3) rad/s in world, or in each sensor's own reference; NaN where missing."""
+    start: float  # [s] Time of the first sample
+    w_world: Array  # (T, N, 3) rad/s in world, or in each sensor's own reference; NaN where missing
 
     @property
     def known(self) -> Array:
@@ -126,24 +121,16 @@ def angular_velocities(times: Array, R: Array, grid: Array | None = None) -> Ang
     return AngularVelocities(float(grid[0]), np.stack(smooth, axis=1))
 
 
-_COARSE: Final = 2
-"""Samples per step where segments are unknown."""
-_LEAST_COMMON: Final = 2.0
-"""[s] Least overlap, or half of the shorter recording."""
+_COARSE = 2  # Samples per step where segments are unknown
+_LEAST_COMMON = 2.0  # [s] Least overlap, or half of the shorter recording
 _LARGEST_FACTOR: Final = 1.3
-_MEMORY: Final = 0.25
-"""[s] Correlation time of the image's errors."""
-_UNSEEN: Final = 0.15
-"""[rad/s] per axis: motion that the image cannot tell from none."""
+_MEMORY = 0.25  # [s] Correlation time of the image's errors
+_UNSEEN = 0.15  # [rad/s] per axis: motion that the image cannot tell from none
 _CANDIDATES: Final = 5
-_ASSIGNED: Final = 40
-"""Offsets for which sensors of unknown places are assigned one to one."""
-_BELIEF: Final = 0.1
-"""[1] Weight of a log-likelihood, as errors are autocorrelated and model errors common to all offsets."""
-_SIGMA_FACTOR: Final = 1.5
-"""[1] Actual errors of offsets relative to the width of the likelihood's peak."""
-SIGMA_LEAST: Final = 0.002
-"""[s] Least standard deviation of an offset."""
+_ASSIGNED = 40  # Offsets for which sensors of unknown places are assigned one to one
+_BELIEF = 0.1  # [1] Weight of a log-likelihood, as errors are autocorrelated and model errors common to all offsets
+_SIGMA_FACTOR = 1.5  # [1] Actual errors of offsets relative to the width of the likelihood's peak
+SIGMA_LEAST: Final = 0.002  # [s] Least standard deviation of an offset
 
 
 @dataclass(frozen=True)
@@ -151,12 +138,9 @@ class ClockScan:
     """Gains of all offsets, nats of all sensors, and what follows at the best one."""
 
     scan: OffsetScan
-    segments: Index
-    """(S,) segment of each sensor at the best offset; -1 for none, where there are more sensors."""
-    peaks: tuple[tuple[float, float], ...]
-    """Best offsets, s, `APART` from each other, and their gains, the best first."""
-    explained: float
-    """[1] Mean part of the image's motion explained at the best offset, of the common time."""
+    segments: Index  # (S,) segment of each sensor at the best offset; -1 for none, where there are more sensors
+    peaks: tuple[tuple[float, float], ...]  # Best offsets, s, `APART` from each other, and their gains, the best first
+    explained: float  # [1] Mean part of the image's motion explained at the best offset, of the common time
 
     @classmethod
     def of(

@@ -42,76 +42,51 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.orientation import log_with_orientation
 
-SURE: Final = 4.0
-"""[nats] Least margin of an offset that is not in doubt; see `ClockEstimate.margin`."""
-REPEATED: Final = 0.5
-"""[1] Gain of another offset, relative to the best one, from which the motion repeats itself."""
-_AGREEING: Final = 0.2
-"""[1] Least part of the image's motion that the sensors explain; of another motion up to 0.2 in 20 s."""
-_STILL: Final = 0.15
-"""[rad/s] 95th percentile of the angular speed of a sensor at rest."""
-_WINDOW: Final = 20.0
-"""[s] of the recording for one offset of the drift, of which `_WINDOWS` at least are needed."""
+SURE: Final = 4.0  # [nats] Least margin of an offset that is not in doubt; see `ClockEstimate.margin`
+REPEATED: Final = 0.5  # [1] Gain of another offset, relative to the best one, from which the motion repeats itself
+_AGREEING = 0.2  # [1] Least part of the image's motion that the sensors explain; of another motion up to 0.2 in 20 s
+_STILL = 0.15  # [rad/s] 95th percentile of the angular speed of a sensor at rest
+_WINDOW = 20.0  # [s] of the recording for one offset of the drift, of which `_WINDOWS` at least are needed
 _WINDOWS: Final = 3
 _WINDOW_REACH: Final = 0.2
-_SIGMA_DRIFT: Final = 60e-6
-"""[s/s] Standard deviation of clocks' drifts."""
-REACH: Final = 0.5
-"""[s] Largest offset of `small_offset`."""
-_SURE_NEAR: Final = 2.0
-"""[nats] The same as `SURE` of an offset within `REACH`, of which fewer are tried."""
-_PART, _MOST_PARTS = 2.6, 12
-"""[s] Length of its windows, and their number."""
-_WRONG_DRIFT: Final = 0.01
-"""[s/s] Standard deviation of the drift where rates may be declared wrongly."""
+_SIGMA_DRIFT = 60e-6  # [s/s] Standard deviation of clocks' drifts
+REACH: Final = 0.5  # [s] Largest offset of `small_offset`
+_SURE_NEAR = 2.0  # [nats] The same as `SURE` of an offset within `REACH`, of which fewer are tried
+_PART, _MOST_PARTS = 2.6, 12  # [s] Length of its windows, and their number
+_WRONG_DRIFT = 0.01  # [s/s] Standard deviation of the drift where rates may be declared wrongly
 _SURE_DRIFT: Final = 2.5
 """Standard deviations from which a drift is sure; of 42 recordings with right clocks, 2.1 at most
 (benchmarks/results/clock_offsets.md)."""
-VIDEO_HZ: Final = 30.0
-"""[Hz] at which two videos are compared, and low-pass of their velocities against jitter."""
+VIDEO_HZ: Final = 30.0  # [Hz] at which two videos are compared, and low-pass of their velocities against jitter
 _CUTOFF_HZ: Final = 5.0
-LEAST_COMMON: Final = 1.0
-"""[s] Least time that two videos have in common, with `_COMMON_SHARE` of the shorter one."""
+LEAST_COMMON: Final = 1.0  # [s] Least time that two videos have in common, with `_COMMON_SHARE` of the shorter one
 _COMMON_SHARE: Final = 0.3
-_SAMPLES_HZ: Final = 10.0
-"""[Hz] Independent samples of the correlation; they make its gain comparable over different overlaps."""
-_APART_VIDEOS: Final = 0.3
-"""[s] Least distance of another offset of two videos."""
-_RIVAL: Final = 0.75
-"""Gain of another offset of two videos relative to the best, from which the offset is in doubt."""
-_LEAST_CORRELATION: Final = 0.5
-"""Correlation below which two videos may not show the same motion."""
-_UNSHARP: Final = 0.03
-"""[s] Standard deviation of an offset of two videos found alone, from planted ones."""
+_SAMPLES_HZ = 10.0  # [Hz] Independent samples of the correlation; they make its gain comparable over different overlaps
+_APART_VIDEOS = 0.3  # [s] Least distance of another offset of two videos
+_RIVAL = 0.75  # Gain of another offset of two videos relative to the best, from which the offset is in doubt
+_LEAST_CORRELATION = 0.5  # Correlation below which two videos may not show the same motion
+_UNSHARP = 0.03  # [s] Standard deviation of an offset of two videos found alone, from planted ones
 
 
 @dataclass(frozen=True)
 class ClockEstimate:
     """Clock of a video relative to sensors: ``t_video = t_sensor + offset + drift (t_sensor - middle)``."""
 
-    offset: float
-    """[s] At `middle`."""
-    drift: float
-    """[s/s] 0 where the recording is too short to tell."""
+    offset: float  # [s] At `middle`
+    drift: float  # [s/s] 0 where the recording is too short to tell
     sigma: float
     """[s] Standard deviation of the offset; of one in doubt by `find_clock`, the way to the furthest of the
     next best."""
     margin: float
     """[nats] of the best offset to the next one, per independent sensor and with allowance for correlated errors."""
-    doubt: str = ""
-    """What may be wrong and what to do, in a sentence; empty if the offset is sure."""
-    sigma_drift: float = _SIGMA_DRIFT
-    """[s/s] Standard deviation of the drift."""
-    middle: float = 0.0
-    """[s] Middle of the common time, on the sensors' clock."""
-    candidates: tuple[float, ...] = ()
-    """[s] Other offsets that explain the motion nearly as well, the best first."""
+    doubt: str = ""  # What may be wrong and what to do, in a sentence; empty if the offset is sure
+    sigma_drift: float = _SIGMA_DRIFT  # [s/s] Standard deviation of the drift
+    middle: float = 0.0  # [s] Middle of the common time, on the sensors' clock
+    candidates: tuple[float, ...] = ()  # [s] Other offsets that explain the motion nearly as well, the best first
     joints: dict[str, str] = field(default_factory=dict)
     """Segment of each sensor that moves most like it at this offset, or the one given."""
-    explained: float = np.nan
-    """[1] Part of the image's motion that the sensors explain."""
-    likely_drift: float = 0.0
-    """[s/s] Drift that windows show, sure or not."""
+    explained: float = np.nan  # [1] Part of the image's motion that the sensors explain
+    likely_drift: float = 0.0  # [s/s] Drift that windows show, sure or not
 
     def at(self, times: Array) -> Array:
         """Return the offset (T,), s, at times (T,) of the video."""

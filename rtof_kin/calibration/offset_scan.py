@@ -15,22 +15,17 @@ import numpy as np
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 
-APART = 0.35
-"""[s] Usual least distance of a rival: no repetition of a movement is faster."""
+APART = 0.35  # [s] Usual least distance of a rival: no repetition of a movement is faster
 
 
 @dataclass(frozen=True)
 class OffsetScan:
     """Gains of all offsets."""
 
-    offsets: Array
-    """(K,) s, evenly spaced."""
-    gains: Array
-    """(K,) larger is better: nats, or a correlation; minus infinity for offsets that are not possible."""
-    apart: float = APART
-    """[s] Least distance of a rival from the best offset; 0 for another maximum at any distance."""
-    peak: int = -1
-    """Index of the best offset; -1 for the one with the largest gain."""
+    offsets: Array  # (K,) s, evenly spaced
+    gains: Array  # (K,) larger is better: nats, or a correlation; minus infinity for offsets that are not possible
+    apart: float = APART  # [s] Least distance of a rival from the best offset; 0 for another maximum at any distance
+    peak: int = -1  # Index of the best offset; -1 for the one with the largest gain
 
     def __post_init__(self) -> None:
         if self.peak < 0:

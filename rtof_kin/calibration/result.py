@@ -31,8 +31,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.image_points import image_points
 
 _OBSERVED: Final = 0.9
-_WEAKLY: Final = 0.5
-"""Least relative reductions of the prior's variance of observed and weakly observed quantities."""
+_WEAKLY = 0.5  # Least relative reductions of the prior's variance of observed and weakly observed quantities
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
 _UNITS: Final = {
     "delay": (1e3, "ms"),
@@ -127,10 +126,8 @@ class Detector:
     """Remaining reprojection errors of a landmark."""
 
     landmark: str
-    sigma_px: float
-    """Standard deviation per axis."""
-    memory: float
-    """[s] Correlation time."""
+    sigma_px: float  # Standard deviation per axis
+    memory: float  # [s] Correlation time
 
 
 @dataclass(frozen=True)
@@ -207,9 +204,6 @@ class SelfCalibration:
     def place_variances(self, skeleton: SkeletonModel) -> dict[str, float]:
         """Return the variance, rad^2, that the detector's place errors add to each estimated mounting, by
         segment: no more than the mounting was uncertain before.
-
-        Args:
-            skeleton: the subject's.
         """
         return {
             q.item: min(place_swing(skeleton, q.item), float(q.sigma_prior.max())) ** 2
@@ -338,9 +332,6 @@ def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
 def place_swing(skeleton: SkeletonModel, joint: str) -> float:
     """Return the standard deviation, rad, by which a segment is turned if both its ends are seen beside the
     joints: sqrt(2) `PLACE_ERROR` over its length.
-
-    Args:
-        skeleton: the subject's.
     """
     j = skeleton.names.index(joint)
     ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]

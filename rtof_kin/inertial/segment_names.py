@@ -95,8 +95,7 @@ _HUMAN36M: Final = {
 }
 """Joint of total_capture -> of human36m; the others of the spine are not the same segments there."""
 _SAME: Final = {"upper": "up", "lower": "low"}
-_IDLE: Final = frozenset({"imu", "sensor", "segment"})
-"""Words that say nothing about the place."""
+_IDLE = frozenset({"imu", "sensor", "segment"})  # Words that say nothing about the place
 _SERIAL: Final = re.compile(r"(?=.*\d)[0-9A-Fa-f]{8}")
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -23,8 +22,7 @@ from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 from rtof_kin.solve.uncertainty.disagreement import disagreement
 from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit, leg_spread, residual_statistics
 
-_SURE_DEG: Final = 4.0
-"""[deg] Largest standard deviation of a hinge's zero without a warning."""
+_SURE_DEG = 4.0  # [deg] Largest standard deviation of a hinge's zero without a warning
 
 
 def quality_warnings(
@@ -49,11 +47,7 @@ def quality_warnings(
 
 
 def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, poses: PoseSequence) -> Array:
-    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown."""
     keypoints, known = keypoints.landmarks, skeleton.landmarks
     at = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     at = at[:, [list(known).index(name) for name in keypoints.names]]

@@ -53,7 +53,7 @@ def calibrate_recording(
     """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
 
     Args:
-        skeleton: the subject's. Default: that of the recording.
+        Default: that of the recording.
         priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
         lifter, settings, progress: as for `reconstruct`.
 
@@ -136,9 +136,6 @@ a short recording reach four in one of three."""
 def check_height(recording: Recording) -> None:
     """Raise where a declared height and declared bone lengths are of different bodies.
 
-    Args:
-        recording: its height may be missing.
-
     Raises:
         CalibrationError: the heights differ by more than 10 %; names both.
     """
@@ -170,15 +167,11 @@ def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> 
     return tuple(found)
 
 
-_MOST_SECONDS: Final = 40.0
-"""[s] of a longer recording that are used: those in which the person comes and goes most."""
-_ENOUGH_HZ: Final = 25.0
-"""Frames per second that are enough; of faster videos, every second, third ... frame is used."""
-_STEP: Final = 5.0
-"""[s] between the beginnings of excerpts that are compared."""
+_MOST_SECONDS = 40.0  # [s] of a longer recording that are used: those in which the person comes and goes most
+_ENOUGH_HZ = 25.0  # Frames per second that are enough; of faster videos, every second, third ... frame is used.
+_STEP = 5.0  # [s] between the beginnings of excerpts that are compared
 
-Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
-"""Prepare a recording and solve its poses."""
+Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]  # Prepare a recording and solve its poses
 
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
@@ -198,7 +191,7 @@ def find_camera(
     """Estimate the unknowns of the first camera from its recording, without further views.
 
     Args:
-        skeleton: the subject's. lifter: default: the shipped one. progress: called with (steps done, steps in all).
+        lifter: default: the shipped one. progress: called with (steps done, steps in all).
 
     Raises:
         Errors of the stages, with the camera as declared.
@@ -250,19 +243,13 @@ def _spread(values: Array) -> float:
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
 DAYS_APART: Final = "video and sensors are of different days"
-CLOCK_DOUBT: Final = "when the sensors began is in doubt"
-"""Beginnings of notes of a recording that was set up so."""
+CLOCK_DOUBT: Final = "when the sensors began is in doubt"  # Beginnings of notes of a recording that was set up so
 _SIGMAS_APART: Final = 3.0
-_LEAST: Final = 0.01
-"""Standard deviations and [s] from which an offset is corrected."""
-_NAMED: Final = 0.03
-"""[s] Offset, also by drift, from which it is named."""
-_UNSHARP: Final = 0.01
-"""[s] Standard deviation above which the energy decides."""
-_EXCERPT: Final = 2.5
-"""[s] of the recording that it takes."""
-_SURE_DRIFT_UNNAMED: Final = 1.5
-"""Standard deviations from which a drift that is not sure counts as uncertain."""
+_LEAST = 0.01  # Standard deviations and [s] from which an offset is corrected
+_NAMED = 0.03  # [s] Offset, also by drift, from which it is named
+_UNSHARP = 0.01  # [s] Standard deviation above which the energy decides
+_EXCERPT = 2.5  # [s] of the recording that it takes
+_SURE_DRIFT_UNNAMED = 1.5  # Standard deviations from which a drift that is not sure counts as uncertain
 _FEW: Final = 4
 _EXPLAINED: Final = (0.05, 0.1)
 """[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
@@ -270,27 +257,20 @@ sensors and of more; right ones explain 0.2 at least, of those of other takes on
 (benchmarks/results/clock_offsets.md)."""
 _ANYWHERE: Final = (0.15, 0.2)
 """[1] The same at offsets up to `_ELSEWHERE` or on other segments, by which a wrong start or map is named."""
-_ELSEWHERE: Final = 6.0
-"""[s] Offsets at which sensors may be that belong to the video."""
-_MOVING: Final = 0.15
-"""[rad/s] per axis: motion of the sensors below which nothing relates them to the image."""
+_ELSEWHERE = 6.0  # [s] Offsets at which sensors may be that belong to the video
+_MOVING = 0.15  # [rad/s] per axis: motion of the sensors below which nothing relates them to the image
 
 
 @dataclass(frozen=True)
 class ClockOffset:
     """What is known of the clocks of a recording."""
 
-    delay: Quantity | None = None
-    """Delay of the video; None where the motion does not show it."""
-    applied: SelfCalibration | None = None
-    """Correction of the recording; None where none is sure."""
-    checks: tuple[Check, ...] = ()
-    """That the sensors belong to the video."""
+    delay: Quantity | None = None  # Delay of the video; None where the motion does not show it
+    applied: SelfCalibration | None = None  # Correction of the recording; None where none is sure
+    checks: tuple[Check, ...] = ()  # That the sensors belong to the video
     warnings: tuple[str, ...] = ()
-    middle: float = 0.0
-    """[s] Time stamp of the constant of the delay."""
-    uncertain_drift: float = 0.0
-    """[s/s] Drift that is likely, but not sure."""
+    middle: float = 0.0  # [s] Time stamp of the constant of the delay
+    uncertain_drift: float = 0.0  # [s/s] Drift that is likely, but not sure
     repeats: float = 0.0
     """[s] Time after which the motion repeats itself, where the sensors may be a repetition off; else 0."""
 
@@ -350,10 +330,8 @@ class Knowledge:
     priors: CalibrationPriors | None = None
     calibration: SelfCalibration | None = None
     known: SelfCalibration | None = None
-    camera: CameraEstimate | None = None
-    """Of an uncalibrated camera; None: to be estimated."""
-    clocks: ClockOffset | None = None
-    """With which `calibration` was estimated; None: to be estimated."""
+    camera: CameraEstimate | None = None  # Of an uncalibrated camera; None: to be estimated
+    clocks: ClockOffset | None = None  # With which `calibration` was estimated; None: to be estimated
 
 
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:

@@ -52,12 +52,10 @@ from rtof_kin.reconstruction.camera_evidence import Scene, floor_plane, lasting,
 from rtof_kin.reconstruction.checks.image import STEP, Picture
 from rtof_kin.recording.recording import Recording
 
-SIZE_BY_HEIGHT: Final = 0.03
-"""[1] Standard deviation of the size of a body whose height is declared."""
+SIZE_BY_HEIGHT: Final = 0.03  # [1] Standard deviation of the size of a body whose height is declared
 TURN: Final = np.radians([2.4, 3.0, 1.8])
 """[rad] Standard deviations (3,) of the rotation between image and sensors with the true camera."""
-_SEEN_PITCH: Final = 0.5
-"""Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet."""
+_SEEN_PITCH = 0.5  # Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet
 _LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
 """Factor on changes of scale: those at the upper end of a band of a logarithm."""
 _MENTIONED, _BESIDE = 0.5, 0.2
@@ -70,12 +68,9 @@ class PositionErrors:
     """What a recording leaves open of its camera and its body, by the order of `CAMERA_UNKNOWNS`."""
 
     camera: Camera
-    moment: Array
-    """(9, 9) M."""
-    elsewhere: Array
-    """(9,) standard deviations that the covariances of an estimated camera contain already."""
-    unverified: str = ""
-    """What makes positions in world uncertain, and what helps; empty where nothing does."""
+    moment: Array  # (9, 9) M
+    elsewhere: Array  # (9,) standard deviations that the covariances of an estimated camera contain already
+    unverified: str = ""  # What makes positions in world uncertain, and what helps; empty where nothing does
 
     @classmethod
     def declared(cls, recording: Recording) -> Self:

@@ -36,10 +36,8 @@ _SURE, _SURE_OF_ONE = 25.0, 40.0
 which unusual movement resembles."""
 _OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
 """Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
-_THINNED = 0.05
-"""[s] between the samples in which exchanged sensors are looked for."""
-_LEAST_SECONDS = 2.0
-"""[s] Shortest movement by which placement and references of sensors can be checked."""
+_THINNED = 0.05  # [s] between the samples in which exchanged sensors are looked for
+_LEAST_SECONDS = 2.0  # [s] Shortest movement by which placement and references of sensors can be checked
 _OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
 """Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
