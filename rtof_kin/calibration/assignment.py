@@ -24,6 +24,7 @@ from rtof_kin.core.checks import Check, indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.segment_names import other_side
 
 Labels = NDArray[np.intp]
 Score = Callable[[Labels], Array]  # Log-probabilities (C,) of assignments (C, S)
@@ -239,7 +240,7 @@ class _Symmetry:
 
     def __init__(self, segments: Sequence[str]) -> None:
         self._count = len(segments)
-        other = [(k, segments.index(o)) for k, o in enumerate(map(_other_side, segments)) if o in segments]
+        other = [(k, segments.index(o)) for k, o in enumerate(map(other_side, segments)) if o in segments]
         self._pairs = np.array([pair for pair in other if pair[0] < pair[1]], dtype=np.intp).reshape(-1, 2)
 
     def __call__(self, labels: Labels) -> Array:
@@ -250,19 +251,13 @@ class _Symmetry:
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:
     """Return exchanges of left and right (K,): of all segments, and of arms and of legs alone."""
-    other = [_other_side(name) for name in segments]
+    other = [other_side(name) for name in segments]
     if not set(other) <= set(segments):
         return []
     both = np.array([segments.index(name) for name in other])
     leg = np.array([name.endswith(("Leg", "Foot")) for name in segments])
     own = np.arange(len(segments))
     return [both, np.where(leg, both, own), np.where(leg, own, both)]
-
-
-def _other_side(name: str) -> str:
-    if name.startswith("Left"):
-        return "Right" + name.removeprefix("Left")
-    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
 
 
 def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str], seen: bool) -> Assignment:
@@ -293,7 +288,7 @@ def _unsure(found: Assignment, seen: bool) -> str:
         return ""
     remedy = "walk a few steps and raise each limb once" if seen else "give a video, or name one of them"
     other = {sensor: dict(found.alternatives[sensor]) for sensor in unsure}
-    if all(found.probabilities[s] + other[s].get(_other_side(found.joints[s]), 0) >= _SURE for s in unsure):
+    if all(found.probabilities[s] + other[s].get(other_side(found.joints[s]), 0) >= _SURE for s in unsure):
         return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
     named = (f"{s} on {found.joints[s]} ({100 * found.probabilities[s]:.0f} %)" for s in unsure)
     return f"not sure: {', '.join(named)}; {remedy}"

@@ -23,6 +23,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.segment_names import other_side
 
 STEP: Final = 0.1  # [s] between samples of the sensors' directions
 _MOST_FRAMES: Final = 240
@@ -130,14 +131,8 @@ def _nearest(times: Array, at: Array) -> Index:
 
 def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
     """Return the sensors with left and right exchanged, where both sides have one."""
-    sides = {"Left": "Right", "Right": "Left"}
-
-    def other(joint: str) -> str:
-        side = next((side for side in sides if joint.startswith(side)), "")
-        mirrored = sides.get(side, "") + joint.removeprefix(side)
-        return mirrored if mirrored in bone_imus.joints else joint
-
-    return replace(bone_imus, joints=tuple(map(other, bone_imus.joints)))
+    own = bone_imus.joints
+    return replace(bone_imus, joints=tuple(other_side(joint) if other_side(joint) in own else joint for joint in own))
 
 
 def best_exchange(
