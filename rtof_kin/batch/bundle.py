@@ -17,13 +17,13 @@ from typing import Any, Final
 from rtof_kin.batch.bundle_file import FILES, LABELS, MANIFEST, RECORDINGS, RESULT_FILES, RESULTS, Bundle, Run
 from rtof_kin.batch.privacy import Finding, Search, of_this_machine
 from rtof_kin.batch.reproduction import REDACTED
+from rtof_kin.body.motion_file import motion_folder
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.archive import write_archive
 from rtof_kin.core.files.folder import check_new_file
 from rtof_kin.core.files.manifest import file_digest
 from rtof_kin.core.files.text import load_json
 from rtof_kin.core.resources import LIFTERS, model_path
-from rtof_kin.formats.motion_npz import motion_folder
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.session import Session

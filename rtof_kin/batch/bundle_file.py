@@ -2,7 +2,7 @@
 
 manifest.json                     runs, what was kept and left out, SHA-256 of all other members
 recordings/S01-1/                 recording.toml and its arrays
-results/1/                        motion.npz, measurements.npz, skeleton.urdf, summary.json
+results/1/                        motion.h5, measurements.h5, skeleton.urdf, summary.json
 files/                            weights and calibrations of the user, by their SHA-256
 
 The archive's comment has the SHA-256 of the manifest. Reading loads no NumPy, so that the number of threads
@@ -28,7 +28,7 @@ FORMAT, VERSION = "rtof_kin bundle", 1
 RECORDINGS, RESULTS, FILES = "recordings", "results", "files"
 LABELS: Final = ("operator", "date", "place", "protocol", "notes", "acknowledgement")
 """Free text of a recording that is kept on request."""
-RESULT_FILES: Final = ("motion.npz", "measurements.npz", "skeleton.urdf", "summary.json")
+RESULT_FILES: Final = ("motion.h5", "measurements.h5", "skeleton.urdf", "summary.json")
 """Members of a result."""
 _LARGEST: Final = 16 * 2**30
 _LARGEST_MANIFEST: Final = 16 * 2**20

@@ -11,11 +11,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MOTION, read_motion_npz
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.files.arrays import read_npz_as_saved
 from rtof_kin.core.files.text import load_json
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.motion_npz import MOTION, read_motion_npz
+from rtof_kin.formats.measurements_file import MEASUREMENTS
 
 REDACTED: Final = "[left out: it named a person or a place in the file system]"
 _OF_A_RUN: Final = frozenset({"recording", "run", "lifter", "threads", "seconds"})

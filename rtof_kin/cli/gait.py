@@ -134,11 +134,11 @@ def _print_reference(reference: GaitReference) -> None:
 
 
 def _scores(options: argparse.Namespace) -> None:
+    from rtof_kin.body.motion_file import motion_folder
     from rtof_kin.core.files.folder import check_replaceable, new_folder
     from rtof_kin.core.packages import can_draw
     from rtof_kin.data.gait_reference import STANDING_ZERO
     from rtof_kin.formats.gait_reference_json import read_gait_reference
-    from rtof_kin.formats.motion_npz import motion_folder
     from rtof_kin.reporting.gait.files import MARKER, write_gait_scores
     from rtof_kin.reporting.gait.inputs import read_cycles
     from rtof_kin.reporting.gait.result import score_gait
@@ -241,7 +241,7 @@ def _add_scores(commands: Any) -> None:
         "MOTION is the output of reconstruct or run. Prints the scores with 95 % bands and what is missing; "
         "OUT gets JSON, tables and a figure. A motion that is no gait has no score, and a sentence says why.",
     )
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.h5")
     parser.add_argument("--reference", required=True, metavar="FILE", help="written by rtof-kin gait-reference")
     add_output(parser, None, "folder to write")
     parser.add_argument(

@@ -257,7 +257,7 @@ def measure(job: ValidationJob) -> JobResult:
         recording = recording.between(recording.times[0], recording.times[0] + protocol.seconds)
         notes.append(f"the first {protocol.seconds:g} of {whole:.0f} s are used")
     result = reconstruct(recording, mode=mode, lifter=network, calibrate=protocol.calibrate)
-    save_motion(result, mode, job.folder / "motion.npz")
+    save_motion(result, mode, job.folder / "motion.h5")
     facts, arrays = compared_with(clinical_angles(result.motion), truth, take, protocol.align)
     about = {
         "subject": take.subject,

@@ -20,7 +20,7 @@ from rtof_kin.body.metrics import BEGUN_TOGETHER
 from rtof_kin.cli.terminal import log_handler
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.body.motion_file import read_motion_npz
 from rtof_kin.recording.recording import Recording
 
 COMMANDS = (

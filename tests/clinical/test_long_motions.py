@@ -100,16 +100,16 @@ MEASURED = """
 import resource, sys
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.formats.motion_files import write_motion_files
-from rtof_kin.formats.motion_npz import MotionReader
+from rtof_kin.body.motion_file import MotionReader
 
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 before = peak()
 with MotionReader(sys.argv[1]) as reader:
-    write_motion_files(sys.argv[2], reader.source(), ["mot"])
+    write_motion_files(sys.argv[2], reader, ["mot"])
     written = peak()
-    analyse_motion(reader.source())
+    analyse_motion(reader)
     print(written - before, peak() - before)
 """
 

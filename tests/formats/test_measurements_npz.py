@@ -14,8 +14,8 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.data.stream_faults import FaultKind, StreamFault
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.measurements_writer import write_measurements_npz
+from rtof_kin.formats.measurements_file import read_measurements
+from rtof_kin.formats.measurements_file import write_measurements
 from rtof_kin.recording.recording import Recording
 
 FRAMES = 12
@@ -54,8 +54,8 @@ def filmed(keypoints):
 
 
 def test_what_is_written_is_read_back(measurements, tmp_path):
-    write_measurements_npz(tmp_path / "m.npz", measurements)
-    found = read_measurements_npz(tmp_path / "m.npz")
+    write_measurements(tmp_path / "m.npz", measurements)
+    found = read_measurements(tmp_path / "m.npz")
     assert (found.sensors, found.segments) == (measurements.sensors, measurements.segments)
     assert (found.faults, found.floor_height) == (measurements.faults, -0.5)
     np.testing.assert_allclose(found.R_world_sensor, measurements.R_world_sensor, atol=4e-5)
@@ -75,7 +75,7 @@ def test_what_is_written_is_read_back(measurements, tmp_path):
 def test_file_of_version_1_is_read(measurements, filmed, tmp_path):
     given = replace(measurements, views=(stabilised(*filmed),))
     npz_v1.write_measurements(tmp_path / "m.npz", given)
-    found = read_measurements_npz(tmp_path / "m.npz")
+    found = read_measurements(tmp_path / "m.npz")
     (view,), (own,) = found.views, given.views
     np.testing.assert_allclose(view.uv_px, own.uv_px, atol=1e-3)
     np.testing.assert_allclose(view.confidence, own.confidence, atol=1e-6)
@@ -86,8 +86,8 @@ def test_file_of_version_1_is_read(measurements, filmed, tmp_path):
 
 
 def test_nothing_measured_is_read_back(tmp_path):
-    write_measurements_npz(tmp_path / "m.npz", Measurements(np.array([0.0, 0.1])))
-    found = read_measurements_npz(tmp_path / "m.npz")
+    write_measurements(tmp_path / "m.npz", Measurements(np.array([0.0, 0.1])))
+    found = read_measurements(tmp_path / "m.npz")
     assert (found.views, found.sensors, found.truth, found.faults) == ((), (), None, ())
 
 
@@ -98,8 +98,8 @@ def test_points_of_a_handheld_camera_return_to_its_video(filmed, measurements, t
     kept = still.seen
     whole = np.arange(FRAMES)
     np.testing.assert_allclose(still.in_video(whole)[kept], seen.uv_px[kept], atol=1e-3)
-    write_measurements_npz(tmp_path / "m.npz", replace(measurements, views=(still,)))
-    (view,) = read_measurements_npz(tmp_path / "m.npz").views
+    write_measurements(tmp_path / "m.npz", replace(measurements, views=(still,)))
+    (view,) = read_measurements(tmp_path / "m.npz").views
     np.testing.assert_allclose(view.in_video(whole)[kept], seen.uv_px[kept], atol=0.012)
 
 
@@ -141,7 +141,7 @@ def test_a_saved_recording_keeps_video_times_and_turning(filmed, tmp_path):
 
 def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
     path = tmp_path / "m.npz"
-    write_measurements_npz(path, measurements)
+    write_measurements(path, measurements)
     arrays = read_npz_as_saved(path, kinds="fiubU")
     for name, array, what in (
         ("times", None, "times"),
@@ -156,7 +156,7 @@ def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
         changed = {k: v for k, v in arrays.items() if k != name} | ({} if array is None else {name: array})
         write_npz(path, changed, overwrite=True)
         with pytest.raises(FileFormatError, match=what):
-            read_measurements_npz(path)
+            read_measurements(path)
 
 
 def test_measurements_check_their_shapes(measurements):

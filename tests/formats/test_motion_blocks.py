@@ -20,11 +20,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
 from rtof_kin.data.measurements import Measurements
-from rtof_kin.formats.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
-from rtof_kin.formats.measurements_npz import MeasurementsReader, read_measurements_npz
-from rtof_kin.formats.measurements_writer import MeasurementsWriter, write_measurements_npz
-from rtof_kin.formats.motion_npz import MotionFile, MotionReader, read_motion_npz
-from rtof_kin.formats.motion_writer import MotionWriter, write_motion_npz
+from rtof_kin.body.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
+from rtof_kin.formats.measurements_file import MeasurementsReader, read_measurements
+from rtof_kin.formats.measurements_file import MeasurementsWriter, write_measurements
+from rtof_kin.body.motion_file import MotionFile, MotionReader, read_motion_npz
+from rtof_kin.body.motion_file import MotionWriter, write_motion
 
 FRAMES = 300
 BLOCKS = (1, 16, 97, 300)
@@ -60,7 +60,7 @@ def assert_same(found: MotionFile, expected: MotionFile) -> None:
 
 @pytest.mark.parametrize("size", BLOCKS)
 def test_file_does_not_depend_on_the_blocks_it_was_written_in(motion: Motion, tmp_path: Path, size: int) -> None:
-    write_motion_npz(tmp_path / "whole.npz", motion, mode="rtof", first_frame=7)
+    write_motion(tmp_path / "whole.npz", motion, mode="rtof", first_frame=7)
     with MotionWriter(tmp_path / "m.npz", motion.skeleton, mode="rtof", first_frame=7) as writer:
         for start in range(0, FRAMES, size):
             writer.append(motion[start : start + size])
@@ -70,7 +70,7 @@ def test_file_does_not_depend_on_the_blocks_it_was_written_in(motion: Motion, tm
 @pytest.mark.parametrize("version", [1, 2])
 def test_blocks_of_a_motion_are_parts_of_the_whole(motion: Motion, tmp_path: Path, version: int) -> None:
     path = tmp_path / "m.npz"
-    (npz_v1.write_motion if version == 1 else write_motion_npz)(path, motion)
+    (npz_v1.write_motion if version == 1 else write_motion)(path, motion)
     whole = read_motion_npz(path)
     with MotionReader(path) as reader:
         assert (len(reader), reader.names) == (FRAMES, whole.poses.names)
@@ -101,7 +101,7 @@ def test_blocks_of_a_motion_are_parts_of_the_whole(motion: Motion, tmp_path: Pat
 
 
 def test_covariances_are_near_and_unknown_where_they_were(motion: Motion, tmp_path: Path) -> None:
-    write_motion_npz(tmp_path / "m.npz", motion)
+    write_motion(tmp_path / "m.npz", motion)
     exact, found = motion.confidence, read_motion_npz(tmp_path / "m.npz").confidence
     assert exact is not None
     assert found is not None
@@ -175,7 +175,7 @@ def test_joints_far_from_the_origin_are_as_precise(tmp_path: Path) -> None:
     poses = planted.moving(skeleton, 200).poses
     poses = replace(poses, times=times, p_world_joint=p, R_world_bone=R)
     motion = Motion(skeleton, q, poses, skeleton.check(q))
-    write_motion_npz(tmp_path / "m.npz", motion)
+    write_motion(tmp_path / "m.npz", motion)
     found = read_motion_npz(tmp_path / "m.npz")
     np.testing.assert_allclose(found.poses.p_world_joint, p, rtol=0, atol=1e-6)
     exact, read = (np.diff(points, 2, axis=0) * 200.0**2 for points in (p, found.poses.p_world_joint))
@@ -220,12 +220,12 @@ def part_of(m: Measurements, frames: slice) -> Measurements:
 @pytest.mark.parametrize("size", BLOCKS)
 def test_measurements_are_written_and_read_by_blocks(motion: Motion, tmp_path: Path, size: int) -> None:
     given = measured(motion, cameras=2)
-    write_measurements_npz(tmp_path / "whole.npz", given)
+    write_measurements(tmp_path / "whole.npz", given)
     with MeasurementsWriter(tmp_path / "m.npz") as writer:
         for start in range(0, FRAMES, size):
             writer.append(part_of(given, slice(start, start + size)))
     assert (tmp_path / "m.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
-    whole = read_measurements_npz(tmp_path / "m.npz")
+    whole = read_measurements(tmp_path / "m.npz")
     with MeasurementsReader(tmp_path / "m.npz") as reader:
         for start, block in zip(range(0, FRAMES, size), reader.blocks(size), strict=True):
             part = part_of(whole, slice(start, start + size))
@@ -262,10 +262,10 @@ LONG = """
     import numpy as np
     from scene_support import measured, walking
 
-    from rtof_kin.formats.measurements_npz import MeasurementsReader
-    from rtof_kin.formats.measurements_writer import MeasurementsWriter
-    from rtof_kin.formats.motion_npz import MotionReader
-    from rtof_kin.formats.motion_writer import MotionWriter
+    from rtof_kin.formats.measurements_file import MeasurementsReader
+    from rtof_kin.formats.measurements_file import MeasurementsWriter
+    from rtof_kin.body.motion_file import MotionReader
+    from rtof_kin.body.motion_file import MotionWriter
 
     BLOCK, folder = 600, Path(sys.argv[1])
 

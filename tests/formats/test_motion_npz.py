@@ -14,9 +14,9 @@ import pytest
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
-from rtof_kin.formats.covariance_nodes import TOLERANCE
-from rtof_kin.formats.motion_npz import SCHEMA_VERSION, read_motion_npz
-from rtof_kin.formats.motion_writer import write_motion_npz
+from rtof_kin.body.covariance_nodes import TOLERANCE
+from rtof_kin.body.motion_file import SCHEMA_VERSION, read_motion_npz
+from rtof_kin.body.motion_file import write_motion
 
 BODY = SkeletonModel.default().with_height(1.82).with_mass(82.0, "female")
 
@@ -36,7 +36,7 @@ def motion() -> Motion:
 
 @pytest.fixture
 def path(tmp_path: Path, motion: Motion) -> Path:
-    write_motion_npz(tmp_path / "motion.npz", motion, first_frame=42, mode="rtof")
+    write_motion(tmp_path / "motion.npz", motion, first_frame=42, mode="rtof")
     return tmp_path / "motion.npz"
 
 
@@ -76,7 +76,7 @@ def test_written_motion_is_read_back(path: Path, motion: Motion) -> None:
 
 
 def test_confidence_is_read_back(tmp_path: Path, confident: Motion) -> None:
-    write_motion_npz(tmp_path / "motion.npz", confident)
+    write_motion(tmp_path / "motion.npz", confident)
     given, read = confident.confidence, read_motion_npz(tmp_path / "motion.npz").motion().confidence
     assert (read.pairs, read.names) == (given.pairs, given.names)
     for field in ("position_covariance", "relative_covariance", "turn_covariance"):
@@ -99,7 +99,7 @@ def test_confidence_is_read_back(tmp_path: Path, confident: Motion) -> None:
     ],
 )
 def test_invalid_confidence(tmp_path: Path, confident: Motion, changes: dict[str, Any], message: str) -> None:
-    write_motion_npz(tmp_path / "motion.npz", confident)
+    write_motion(tmp_path / "motion.npz", confident)
     with pytest.raises(FileFormatError, match=message):
         read_motion_npz(changed(tmp_path / "motion.npz", **changes))
 
@@ -149,7 +149,7 @@ def test_gaps_are_kept(tmp_path: Path, motion: Motion) -> None:
     p, R, q = (np.array(a) for a in (motion.poses.p_world_joint, motion.poses.R_world_bone, motion.q))
     p[3], R[3], q[3] = np.nan, np.nan, np.nan
     poses = replace(motion.poses, p_world_joint=p, R_world_bone=R)
-    write_motion_npz(tmp_path / "m.npz", replace(motion, q=q, poses=poses))
+    write_motion(tmp_path / "m.npz", replace(motion, q=q, poses=poses))
     read = read_motion_npz(tmp_path / "m.npz")
     np.testing.assert_allclose(read.q, q, rtol=0, atol=3e-8)
     assert not read.poses.valid[3].any()
@@ -157,7 +157,7 @@ def test_gaps_are_kept(tmp_path: Path, motion: Motion) -> None:
 
 def test_skeleton_is_found_by_name(tmp_path: Path) -> None:
     motion = planted.moving(SkeletonModel.human36m(), 4)
-    write_motion_npz(tmp_path / "m.npz", motion)
+    write_motion(tmp_path / "m.npz", motion)
     read = read_motion_npz(tmp_path / "m.npz")
     assert read.motion().skeleton.names == motion.skeleton.names
     changed(tmp_path / "m.npz", skeleton=np.array("horse"))

@@ -20,7 +20,7 @@ from rtof_kin.cli import main
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.body.motion_file import read_motion_npz
 from rtof_kin.protocols import pictures, published
 from rtof_kin.protocols.human36m import STILL, Human36MProtocol, all_tables, run
 from rtof_kin.protocols.tables import Table

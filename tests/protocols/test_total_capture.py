@@ -26,7 +26,7 @@ from rtof_kin.cli import main
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.total_capture import TotalCapture
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.body.motion_file import read_motion_npz
 from rtof_kin.protocols import pictures, published, total_capture
 from rtof_kin.protocols.tables import Table
 from rtof_kin.protocols.total_capture import (

@@ -24,7 +24,7 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.movi import CENTRES
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.formats.motion_writer import write_motion_npz
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.protocols import validation
 from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
 from rtof_kin.protocols.published_angles import PUBLISHED
@@ -363,7 +363,7 @@ def test_evaluate_prints_the_table_of_angles_against_a_recording(tmp_path: Path)
     )
     recording.save(take)
     motion = true_motion()
-    write_motion_npz(tmp_path / "motion.npz", motion, mode="rto")
+    write_motion(tmp_path / "motion.npz", motion, mode="rto")
     code, said = silent(
         "evaluate", str(tmp_path / "motion.npz"), "--truth", str(take), "--angles", "-o", str(tmp_path / "out")
     )

@@ -14,8 +14,8 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.motion_npz import motion_folder, motion_path, read_motion_npz
+from rtof_kin.formats.measurements_file import read_measurements
+from rtof_kin.body.motion_file import motion_folder, motion_path, read_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -94,7 +94,7 @@ def test_motion_file_contains_the_motion(result: Reconstruction, folder: Path) -
 
 
 def test_measurements_are_those_that_were_used(result: Reconstruction, folder: Path) -> None:
-    found, poses = read_measurements_npz(folder / "measurements.npz"), result.motion.poses
+    found, poses = read_measurements(folder / "measurements.npz"), result.motion.poses
     np.testing.assert_array_equal(found.times, poses.times)
     (view,) = found.views
     assert result.keypoints is not None

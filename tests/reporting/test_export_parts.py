@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.resources import model_path
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.measurements_file import read_measurements
+from rtof_kin.body.motion_file import read_motion_npz
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
@@ -29,7 +29,7 @@ def test_the_files_have_the_motion_of_all_parts(parts: list[Reconstruction], tmp
     motion = read_motion_npz(tmp_path / "out" / "motion.npz").motion()
     p = np.concatenate([part.motion.poses.p_world_joint for part in parts])
     np.testing.assert_allclose(motion.poses.p_world_joint, p, atol=1e-5)
-    measured = read_measurements_npz(tmp_path / "out" / "measurements.npz")
+    measured = read_measurements(tmp_path / "out" / "measurements.npz")
     np.testing.assert_allclose(measured.times, motion.times)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["frames"] == found.frames == len(motion.times)

@@ -14,10 +14,10 @@ from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.measurements import Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.measurements_writer import write_measurements_npz
-from rtof_kin.formats.motion_npz import MOTION
-from rtof_kin.formats.motion_writer import write_motion_npz
+from rtof_kin.formats.measurements_file import MEASUREMENTS
+from rtof_kin.formats.measurements_file import write_measurements
+from rtof_kin.body.motion_file import MOTION
+from rtof_kin.body.motion_file import write_motion
 
 RATE = 50.0
 SPEED = 1.0  # m/s along x
@@ -96,9 +96,9 @@ def measured(motion: Motion, cameras: int = 1, truth: bool = True) -> Measuremen
 def written(folder: Path, motion: Motion, measurements: Measurements | None = None) -> Path:
     """The output folder of a motion."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_motion_npz(folder / MOTION, motion, mode="rtof")
+    write_motion(folder / MOTION, motion, mode="rtof")
     if measurements is not None:
-        write_measurements_npz(folder / MEASUREMENTS, measurements)
+        write_measurements(folder / MEASUREMENTS, measurements)
     (folder / "summary.json").write_text(
         '{"recording": "glide <b>", "verdict": {"grade": "fail", "headline": "planted & bad"}}'
     )

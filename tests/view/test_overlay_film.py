@@ -22,7 +22,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExist
 from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
 from rtof_kin.data.stream_faults import FaultKind, StreamFault  # noqa: E402
-from rtof_kin.formats.measurements_npz import read_measurements_npz  # noqa: E402
+from rtof_kin.formats.measurements_file import read_measurements  # noqa: E402
 from rtof_kin.view.overlay import film_writer  # noqa: E402
 from rtof_kin.view.overlay.film import write_overlay  # noqa: E402
 from rtof_kin.view.overlay.settings import OverlaySettings  # noqa: E402
@@ -387,7 +387,7 @@ def test_a_video_of_a_stabilised_camera_with_unknown_turning_is_refused(
 ) -> None:
     still = replace(camera, stabilised=True)
     folder = write_output(tmp_path / "out", motion_with(skeleton, 3), [still])
-    assert read_measurements_npz(folder / "measurements.npz").views[0].camera.stabilised
+    assert read_measurements(folder / "measurements.npz").views[0].camera.stabilised
     with pytest.raises(InvalidInputError, match="handheld"):
         write_overlay(folder, tmp_path / "o.mp4", video)
     assert write_overlay(folder, tmp_path / "o.mp4").frames == 3

@@ -16,8 +16,8 @@ from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.npz_blocks import NpzBlocks
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
-from rtof_kin.formats.motion_npz import MOTION, read_motion_npz
+from rtof_kin.formats.measurements_file import MEASUREMENTS, read_measurements
+from rtof_kin.body.motion_file import MOTION, read_motion_npz
 from rtof_kin.view.scene.measurement_blocks import MeasurementBlocks
 from rtof_kin.view.scene.motion_blocks import MotionBlocks
 
@@ -93,7 +93,7 @@ def test_frames_of_a_motion_are_those_of_its_reader(out: Path) -> None:
 
 
 def test_frames_of_measurements_are_those_of_their_reader(out: Path) -> None:
-    whole = read_measurements_npz(out / MEASUREMENTS)
+    whole = read_measurements(out / MEASUREMENTS)
     with MeasurementBlocks(out / MEASUREMENTS) as blocks:
         assert (blocks.length, blocks.first.sensors, blocks.first.floor_height) == (1300, ("thigh", "arm"), 0.02)
         while blocks.available < 900:

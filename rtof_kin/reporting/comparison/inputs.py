@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical.comparison import Compared, compared
 from rtof_kin.clinical.comparison_opensim import opensim_angles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.formats.motion_npz import MOTION, motion_path, read_motion_npz
 from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
@@ -19,7 +19,7 @@ def read_compared(path: str | Path) -> Compared:
     """Read one side of a comparison.
 
     Args:
-        path: output folder of reconstruct or run, a ``motion.npz``, or an OpenSim ``.mot`` or ``.sto``.
+        path: output folder of reconstruct or run, a ``motion.h5``, or an OpenSim ``.mot`` or ``.sto``.
 
     Raises:
         FileFormatError: it is none of these, or damaged.
@@ -32,10 +32,10 @@ def read_compared(path: str | Path) -> Compared:
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
         recording, mode = found.recording, found.mode
-    found_motion = read_motion_npz(file)
-    mode = mode or found_motion.mode
+    with MotionReader(file) as reader:
+        motion, mode = reader.read(), mode or reader.mode
     name = _name(path) + (f" ({mode})" if mode else "")
-    return compared(name, found_motion.motion(), recording)
+    return compared(name, motion, recording)
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
@@ -54,7 +54,7 @@ def _name(path: Path) -> str:
     """Name of the folder that a user gave the result, or of the file."""
     if path.is_dir():
         return path.resolve().name
-    return path.resolve().parent.name if path.name == MOTION else path.name
+    return path.resolve().parent.name if path.name in (MOTION, EARLIER) else path.name
 
 
 def _other_system(path: Path) -> Compared:

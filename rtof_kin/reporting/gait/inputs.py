@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from rtof_kin.body.motion_file import MotionReader, file_in, motion_path
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
-from rtof_kin.formats.motion_npz import MOTION, MotionReader, motion_path
 from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.headline import headline
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
@@ -42,7 +42,7 @@ def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycl
         FileFormatError: it is none of these, or damaged.
     """
     with MotionReader(motion_path(path)) as reader:
-        source = reader.source()
+        source = reader
         return gait_cycles(source, from_standing=from_standing), source.skeleton.name
 
 
@@ -91,7 +91,7 @@ def _places(folder: Path) -> Iterator[Path]:
     """Folders with a motion, and those with an analysis alone; hidden ones are not searched."""
     for place, inner, files in os.walk(folder):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
-        if MOTION in files or (_ANALYSED in files and not (Path(place).parent / MOTION).is_file()):
+        if file_in(Path(place)) or (_ANALYSED in files and not file_in(Path(place).parent)):
             yield Path(place)
 
 
@@ -101,8 +101,8 @@ def _person(place: Path, name: str) -> str:
     Raises:
         InvalidInputError: there is no motion, or its audit failed.
     """
-    if not (place / MOTION).is_file():
-        raise InvalidInputError("an analysis without its motion.npz; name the output of reconstruct or run")
+    if file_in(place) is None:
+        raise InvalidInputError("an analysis without its motion; name the output of reconstruct or run")
     if not (path := place / SUMMARY).is_file():
         return name
     summary = read_summary(path)

@@ -9,9 +9,9 @@ from html import escape
 from pathlib import Path
 from typing import Final
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
-from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.angle_names import plain_words
 from rtof_kin.reporting.audit_results import SECTIONS, Grade, section_verdict
@@ -69,8 +69,8 @@ def report(
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    with MotionReader(folder / MOTION) as reader:
-        motion = reader.source()
+    with MotionReader(folder) as reader:
+        motion = reader
         analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
