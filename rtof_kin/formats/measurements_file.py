@@ -1,7 +1,6 @@
 """``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.measurements`.
 
-The bytes of the array `header` are JSON: names, cameras and faults. The other arrays have the attributes unit, frame and
-shape:
+The bytes of the array `header` are JSON: names, cameras and faults. The others have the attributes unit, frame, shape:
 
 ============================  ================  ==========================================================
 times                         (T,)              s
@@ -43,10 +42,9 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.core.files.compact import multiples, rotation_vectors
 from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, video_arrays, with_video
 
 MEASUREMENTS: Final = "measurements.h5"

@@ -7,7 +7,6 @@ to read that folder. `test_fuzz_readers` damages each file of it in turn.
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib.util
 import io
 import pickle
@@ -25,12 +24,10 @@ import sensor_files
 import total_capture_support
 import xdf_file
 
-from rtof_kin.batch.bundle_file import Bundle, Run, read_bundle
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.motion_file import write_motion
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.files.archive import write_archive
 from rtof_kin.core.files.arrays import read_csv, read_npz
-from rtof_kin.core.files.text import check_file
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.human36m import Human36M
@@ -43,8 +40,6 @@ from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.body.motion_file import read_motion_npz
-from rtof_kin.body.motion_file import write_motion
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.opensim_mot import write_mot
@@ -259,37 +254,6 @@ def _take(path: Path) -> object:
     return planted.recording(planted.moving(SKELETON, 12)).save(path)
 
 
-_MEMBERS: Mapping[str, bytes] = {
-    "recordings/S01-1/recording.toml": b"schema_version = 1\n",
-    "results/1/motion.npz": b"PK",
-}
-
-
-def _manifest() -> bytes:
-    record = {"options": {"mode": "rtof", "frames": 50}, "environment": {"numpy": "2.1.0", "threads": "1"}}
-    run = Run("recordings/S01-1", "results/1", record)
-    sha256 = {name: hashlib.sha256(content).hexdigest() for name, content in _MEMBERS.items()}
-    return Bundle((run,), ("height",), ("title",), sha256).text().encode()
-
-
-def _bundle(path: Path, manifest: bytes) -> None:
-    seal = hashlib.sha256(manifest).hexdigest()
-    write_archive(path, {"manifest.json": manifest} | dict(_MEMBERS), seal, overwrite=True)
-
-
-def _unbundled(path: Path) -> Bundle:
-    with tempfile.TemporaryDirectory() as name:
-        return read_bundle(path, Path(name))
-
-
-def _forged(manifest: Path) -> Bundle:
-    """Read a bundle whose manifest is sealed, whatever it says."""
-    check_file(manifest, "a manifest")
-    path = manifest.parent / "forged" / "a.rtof"
-    _bundle(path, manifest.read_bytes())
-    return _unbundled(path)
-
-
 def _model(name: str) -> Callable[[], bytes]:
     return model_path(name).read_bytes
 
@@ -300,7 +264,7 @@ TC = functools.partial(functools.partial, total_capture_file)
 READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
-    written("motion.npz", "motion.npz", lambda p: write_motion(p, motion()), read_motion_npz),
+    written("motion.h5", "motion.h5", lambda p: write_motion(p, motion()), Motion.load),
     written("joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()), read_joint_trajectory_csv),
     given(
         "object npz",
@@ -387,8 +351,6 @@ READERS = (
     given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
-    written("bundle", "a.rtof", lambda p: _bundle(p, _manifest()), _unbundled),
-    given("manifest of a bundle", "manifest.json", lambda: _manifest(), _forged),
     # --- learning
     *_learning(),
     # --- inertial sensors
@@ -397,7 +359,7 @@ READERS = (
     Reader("recording of sensor files", _with_sensor_files, Recording.load),
     given("sources", "a.json", OPENPOSE, lambda p: Sources.of([p])),
     # --- any of them
-    written("inspect motion.npz", "motion.npz", lambda p: write_motion(p, motion()), inspect),
+    written("inspect motion.h5", "motion.h5", lambda p: write_motion(p, motion()), inspect),
     written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
     written("inspect a.c3d", "a.c3d", lambda p: write_c3d(p, _markers()), inspect),
     given("inspect a.bvh", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), inspect),

@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MOTION, write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_file import MEASUREMENTS
-from rtof_kin.formats.measurements_file import write_measurements
-from rtof_kin.body.motion_file import MOTION
-from rtof_kin.body.motion_file import write_motion
+from rtof_kin.formats.measurements_file import MEASUREMENTS, write_measurements
 
 RATE = 50.0
 SPEED = 1.0  # m/s along x

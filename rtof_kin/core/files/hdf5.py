@@ -156,7 +156,13 @@ class Hdf5Writer:
         how: dict[str, Any] = {"chunks": chunks, "compression": "gzip", "compression_opts": 4, "shuffle": True}
         how["fillvalue"] = np.nan if array.dtype.kind == "f" else 0
         dataset = self._file.create_dataset(
-            name, shape, array.dtype, maxshape=largest, fletcher32=True, track_times=False, **how
+            name,
+            shape,
+            array.dtype,
+            maxshape=tuple(size or None for size in largest),
+            fletcher32=True,
+            track_times=False,
+            **how,
         )
         ends = [end for end in self._about if name.endswith(end)]
         for key, text in self._about[max(ends, key=len)].items() if ends else ():

@@ -13,7 +13,7 @@ from rtof_kin.body.motion_file import MotionReader, motion_folder
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path, read_measurements
 from rtof_kin.view.overlay.angle_labels import angle_labels
 from rtof_kin.view.overlay.canvas import Image

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_file import MeasurementsReader
 
 
