@@ -108,6 +108,8 @@ def _inspector(path: Path) -> Callable[[Path], Inspection] | None:
             motion_path(path)
             return _motion
         return _keypoints if any(path.glob("*_keypoints.json")) else None
+    if path.suffix.lower() == ".h5":
+        return _motion
     if path.suffix.lower() == ".npz":
         return _motion if {"schema_version", "q"} <= set(npz_names(path)) else _keypoints
     return _BY_SUFFIX.get(path.suffix.lower())

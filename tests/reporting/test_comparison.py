@@ -167,7 +167,7 @@ def test_outputs_motions_and_coordinates_are_read(tmp_path: Path) -> None:
     assert distinct(found[0], found[0], paths) == ("before/out", "after/out")  # a page is passed on
     exported = compare(found[0], found[3], "time")
     assert max(abs(c.difference) for angle in exported.angles for c in angle.changes) < 1e-6
-    with pytest.raises(FileFormatError, match=r"motion\.npz"):
+    with pytest.raises(FileFormatError, match=r"motion\.h5"):
         read_compared(tmp_path)
 
 

@@ -102,7 +102,7 @@ def _person(place: Path, name: str) -> str:
         InvalidInputError: there is no motion, or its audit failed.
     """
     if file_in(place) is None:
-        raise InvalidInputError("an analysis without its motion; name the output of reconstruct or run")
+        raise InvalidInputError("an analysis without its motion.h5; name the output of reconstruct or run")
     if not (path := place / SUMMARY).is_file():
         return name
     summary = read_summary(path)

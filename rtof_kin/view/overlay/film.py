@@ -93,7 +93,7 @@ def read_result(folder: str | Path) -> ResultFiles:
         )
     measurements = read_measurements(path)
     if not np.array_equal(measurements.times, motion.times):
-        raise FileFormatError(path, "is not of the motion beside it; reconstruct again")
+        raise FileFormatError(path, "is not of the motion.h5 beside it; reconstruct again")
     return ResultFiles(motion, mode, measurements, read_verdict(folder))
 
 
