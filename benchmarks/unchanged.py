@@ -1,8 +1,8 @@
 """Compare what two versions of the code compute: every command's numbers, compiled and interpreted.
 
-``python -m benchmarks.unchanged --inputs IN --out A`` runs `STEPS` through the command line and keeps what they write;
+``python -m benchmarks unchanged --inputs IN --out A`` runs `STEPS` through the command line and keeps what they write;
 IN is a folder of recordings that the first run makes. Run it with each version and the same IN, then
-``python -m benchmarks.unchanged --compare A B`` lists the largest difference of every file and fails above 1e-9.
+``python -m benchmarks unchanged --compare A B`` lists the largest difference of every file and fails above 1e-9.
 Arrays are compared by name, tables by column, JSON by key, other text number by number; words, pages, figures and
 measured durations are not compared. Twelve minutes of two cores.
 """
