@@ -24,7 +24,7 @@ from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.phone import phone_files, read_phone
 from rtof_kin.formats.video_arrays import VIDEO_AXES, VIDEO_CONSTANTS, video_arrays, with_video
-from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, motion_of_gyroscope
+from rtof_kin.inertial.orientation import HELD, held_of_gravity, motion_of_gyroscope
 from rtof_kin.recording.streams import Source, Stream, Table, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import (
     OWN_LAYOUT,

@@ -40,7 +40,7 @@ from rtof_kin.data.imu_stream import (
 )
 from rtof_kin.formats.imu_calibration_toml import SensorTable
 from rtof_kin.formats.world_axes import UP
-from rtof_kin.inertial.camera_gyroscope import HELD
+from rtof_kin.inertial.orientation import HELD
 from rtof_kin.vision.layouts import detector_table
 
 SCHEMA: Final = Path(__file__).with_name("recording.schema.json")
