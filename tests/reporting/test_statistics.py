@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core import column_statistics
-from rtof_kin.core.column_statistics import ColumnStatistics
 from rtof_kin.core.errors import ShapeError
+from rtof_kin.reporting.statistics import ColumnStatistics
 
 
 def in_blocks(times: np.ndarray, values: np.ndarray, sizes: list[int]) -> ColumnStatistics:
