@@ -179,7 +179,7 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
 
 def _fetch(file: ModelFile, folder: Path, report: Callable[[int], None]) -> None:
     """Download a file, and move it into its folder when it is right."""
-    import pooch  # slow to import
+    import pooch  # type: ignore[import-untyped]  # slow to import
 
     pooch.get_logger().setLevel("ERROR")
     with TemporaryDirectory(dir=folder, prefix=".download-") as fresh:
