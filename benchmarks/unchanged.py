@@ -27,7 +27,7 @@ import numpy as np
 TOLERANCE = 1e-9
 """Of every number, in its own unit (m, rad, s, deg, mm)."""
 DEMO = Path(__file__).parent.parent / "models" / "demo"
-WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "10_01_excerpt.bvh"
+WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 MODES = {
     "rtof": "",
     "calibrated": "--calibrate",
@@ -142,7 +142,7 @@ def replay(recording_folder: Path, out: Path) -> None:
     from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(recording_folder)
-    found = list(estimates(estimator(recording, recording.video.landmarks, settings()), recording))
+    found = list(estimates(estimator(recording, recording.video.names, settings()), recording))
     names = ("times", "p_world_joint", "R_world_bone", "sigma_rad")
     np.savez(out, **{name: np.concatenate([getattr(one.poses, name) for one in found]) for name in names})
 
