@@ -17,9 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.clinical.angle_errors import AngleDifferences, angle_differences
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.clinical.comparison_alignment import align
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
+from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import MODES, Mode

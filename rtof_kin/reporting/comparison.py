@@ -18,11 +18,19 @@ from markupsafe import Markup
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical import comparison as clinical
-from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison, compared
-from rtof_kin.clinical.comparison_alignment import POOR, Alignment
-from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
+from rtof_kin.clinical.angles import opensim_angles
+from rtof_kin.clinical.comparison import (
+    AngleComparison,
+    By,
+    Compared,
+    Comparison,
+    agreement,
+    choose_axis,
+    compare_sides,
+    compared,
+)
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.comparison_samples import POOR, Alignment
 from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array

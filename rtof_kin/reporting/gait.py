@@ -17,9 +17,16 @@ import numpy as np
 
 from rtof_kin.body.motion_file import MotionReader, file_in, motion_folder, motion_path
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.gait_deviation_index import DeviationIndex, deviation_index, gait_features
-from rtof_kin.clinical.gait_reference import FEW
-from rtof_kin.clinical.gait_scores import GaitScores, Score, gait_scores, people_scores
+from rtof_kin.clinical.gait_scores import (
+    FEW,
+    DeviationIndex,
+    GaitScores,
+    Score,
+    deviation_index,
+    gait_features,
+    gait_scores,
+    people_scores,
+)
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError

@@ -37,9 +37,8 @@ import numpy as np
 from pydantic import Strict
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
-from rtof_kin.clinical.measurement_error import BandShares
-from rtof_kin.clinical.visit_measures import BETTERS, MOVEMENTS, Better, Movement
-from rtof_kin.clinical.visits import Setup, Trial, Visit, trial
+from rtof_kin.clinical.follow_up import BandShares
+from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Better, Movement, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.input_table import InputTable, Names, Number

@@ -15,8 +15,7 @@ from clinical_support import walk
 from comparison_support import one
 from report_support import BROWSER, Page, certain_to, folder_of, plotted_data, unpacked
 
-from rtof_kin.clinical.comparison import Compared, Comparison, compare
-from rtof_kin.clinical.comparison_axis import agreement
+from rtof_kin.clinical.comparison import Compared, Comparison, agreement, compare
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.opensim_mot import write_mot
 from rtof_kin.reporting.comparison import COLUMNS, distinct, document, read_compared

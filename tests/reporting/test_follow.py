@@ -13,8 +13,7 @@ import pytest
 from follow_support import visit_folders, walk_at
 from report_support import Page, folder_of
 
-from rtof_kin.clinical.follow_up import FollowUp, Outcome, follow_up
-from rtof_kin.clinical.measurement_error import BandShares
+from rtof_kin.clinical.follow_up import BandShares, FollowUp, Outcome, follow_up
 from rtof_kin.clinical.visits import Visit, trial
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
 from rtof_kin.reporting.audit_results import AuditResult
