@@ -1,13 +1,13 @@
 """Standard deviations of joint torques and of the external force, against the errors of held-out people.
 
-``python -m benchmarks.dynamics --corpus DIR`` with DIR the folder of free motion (README.md). Each motion of
+``python -m benchmarks dynamics --corpus DIR`` with DIR the folder of free motion (README.md). Each motion of
 the people and rigs that nothing was learned from is recorded by one of the benchmark's four cameras
 (realistic 2D) with 0, 8 and 10 sensors and reconstructed. Torques, with no foot's load, and the external
 wrench are computed of the reconstruction and of the truth with the same body (75 kg), so that only the
 motion differs, and the errors are compared with the standard deviations of that component alone. What the
 low-pass takes away of the true motion is not in the errors.
 
-``--fit`` computes the constants `SPECTRA` of `rtof_kin.clinical.pose_errors` from the validation people, half
+``--fit`` computes the constants `SPECTRA` of `rtof_kin.clinical.body_dynamics` from the validation people, half
 of their motions also on another rig, and prints them. It minimises the logarithms of the ratios of stated
 and actual root mean squares by joint and by number of sensors; those below 1 count more, of the force
 most: its band is to be too wide rather than too narrow.
@@ -35,8 +35,7 @@ from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
-from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics
-from rtof_kin.clinical.pose_errors import SPECTRA, ErrorSpectrum, error_gains, pose_errors
+from rtof_kin.clinical.body_dynamics import SPECTRA, UNKNOWN, BodyDynamics, ErrorSpectrum, error_gains, pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.clinical.torques import joint_torques
 from rtof_kin.core import rotations as so3
@@ -228,7 +227,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="print the constants of the validation people")
@@ -249,7 +248,7 @@ def main(arguments: list[str] | None = None) -> int:
     motions, people = (len({one.about[key] for one in found}) for key in ("motion", "subject"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = (
-        f"`python -m benchmarks.dynamics {words}`: {motions} motions of {people} people, "
+        f"`python -m benchmarks dynamics {words}`: {motions} motions of {people} people, "
         f"{KG:g} kg, root mean squares over frames and axes.\n\n{table(rows)}"
     )
     harness.write_results(options.out, {"command": words, "rows": rows}, text)

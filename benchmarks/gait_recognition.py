@@ -1,7 +1,7 @@
-"""Recognition of walking: ``python -m benchmarks.gait_recognition --corpus DIR``.
+"""Recognition of walking: ``python -m benchmarks gait_recognition --corpus DIR``.
 
 DIR is the folder of free motion (see README.md here). Every motion of the people of split.toml is judged by
-`rtof_kin.clinical.gait_recognition`, once with its feet and once by its ankles alone, as in recordings
+`rtof_kin.clinical.gait`, once with its feet and once by its ankles alone, as in recordings
 without sensors on the feet. What it is follows from its description in index.csv; walking is judged again
 with its mean velocity subtracted, as on a treadmill. Limits were chosen on the people who train and on
 validation. After a look at held-out people (test), one more condition, of walking in place, was added: the
@@ -118,7 +118,7 @@ def outcome(row: dict[str, Any]) -> str:
 def tables(rows: Sequence[dict[str, Any]]) -> str:
     """Confusion tables by part and feet, and the motions that are judged against their description."""
     columns = ("gait", "too few strides", "no gait")
-    lines = ["# Recognition of walking", "", "Made by `python -m benchmarks.gait_recognition --corpus DIR`."]
+    lines = ["# Recognition of walking", "", "Made by `python -m benchmarks gait_recognition --corpus DIR`."]
     for part, about in PARTS.items():
         lines += ["", f"## {part.title()}: {about}", ""]
         lines += [f"| | motions | {' | '.join(columns)} | strides found | of walking |", "|---" * 7 + "|"]

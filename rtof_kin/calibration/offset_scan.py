@@ -2,7 +2,7 @@
 
 What agreement means is the caller's: a log-likelihood of rotations (`clock_scan`), of bones in the image
 (`bone_images`), of the joints of two videos (`clocks`), of the energy of a window (`sequential`), or a correlation of
-joint angles (`rtof_kin.clinical.comparison_alignment`). What follows from it is here.
+joint angles (`rtof_kin.clinical.comparison_samples`). What follows from it is here.
 """
 
 from __future__ import annotations

@@ -21,4 +21,4 @@ class Job:
         save: Path | None = self.protocol.save
         if save is None or self.camera is None:
             return None
-        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.npz"
+        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.h5"

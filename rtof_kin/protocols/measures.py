@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import rtof_kin
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -82,7 +82,7 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     if path is None:
         return
     motion = result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
-    write_motion_npz(path, motion, first_frame=result.recording.first_frame, mode=mode)
+    write_motion(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 
 def provenance(lifter: str | Path | None) -> dict[str, Any]:

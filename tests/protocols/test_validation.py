@@ -16,6 +16,7 @@ from overlay_support import write_film
 from protocol_support import read_json
 from public_sets import known, true_motion
 
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.cli import main
 from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, error_rows
 from rtof_kin.clinical.angles import clinical_angles
@@ -24,7 +25,6 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.movi import CENTRES
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.protocols import validation
 from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
 from rtof_kin.protocols.published_angles import PUBLISHED
@@ -200,7 +200,7 @@ def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path])
     assert overall["rmse_deg"] == pytest.approx(np.sqrt(squares / overall["samples"]))
     assert 2.0 < overall["rmse_deg"] < 30.0  # the shipped network on simulated detections
     assert overall["median_deg"] < overall["mae_deg"] < overall["rmse_deg"]
-    motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.npz"
+    motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.h5"
     mot = out.parent / "opencap" / "subject2" / "OpenSimData" / "Mocap" / "IK" / "walking1.mot"
     code, said = silent("evaluate", str(motion), "--truth", str(mot), "--movement", "walk", "-o", str(out / "own"))
     assert code == 0, said
@@ -363,9 +363,9 @@ def test_evaluate_prints_the_table_of_angles_against_a_recording(tmp_path: Path)
     )
     recording.save(take)
     motion = true_motion()
-    write_motion_npz(tmp_path / "motion.npz", motion, mode="rto")
+    write_motion(tmp_path / "motion.h5", motion, mode="rto")
     code, said = silent(
-        "evaluate", str(tmp_path / "motion.npz"), "--truth", str(take), "--angles", "-o", str(tmp_path / "out")
+        "evaluate", str(tmp_path / "motion.h5"), "--truth", str(take), "--angles", "-o", str(tmp_path / "out")
     )
     assert code == 0, said
     assert "Joint angles against the truth of walk:" in said
