@@ -26,6 +26,7 @@ from benchmarks.calibration.sessions import joined
 from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.assignment import assign_sensors, check_assignment
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
@@ -33,8 +34,6 @@ from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.assignment import assign_sensors
-from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 

@@ -30,8 +30,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
+from rtof_kin.inertial.pose_calibration import POSES, calibrate_by_pose, facing_of, pose_rotations
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS

@@ -28,8 +28,7 @@ from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuCalibration
-from rtof_kin.inertial.pose_calibration import usual_lever
-from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.inertial.pose_calibration import pose_rotations, usual_lever
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus

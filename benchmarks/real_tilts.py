@@ -22,7 +22,7 @@ from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.camera_prior import HEIGHT, SIGMA_HEIGHT, SIGMA_PITCH_DEG, SIGMA_ROLL_DEG
+from rtof_kin.setup.camera import HEIGHT, SIGMA_HEIGHT, SIGMA_PITCH_DEG, SIGMA_ROLL_DEG
 
 _PEOPLE = ("child", "adult")
 _UNSURE = CameraUncertainty(

@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.bone_images import Limbs, sensed_bones
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.limb_images import Limbs, sensed_bones
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
 

@@ -8,23 +8,111 @@ image or without. A motion that is the same in a mirror, such as a squat, does n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.special import logsumexp
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.motion_score import image_scores, shipped_score
+from rtof_kin.calibration.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import Check, indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.setup.image_evidence import image_scores
-from rtof_kin.setup.matching import Labels, Matching, Score, match
-from rtof_kin.setup.motion_score import shipped_score
-from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, sensor_motions
+
+Labels = NDArray[np.intp]
+Score = Callable[[Labels], Array]
+"""Log-probabilities (C,) of assignments (C, S)."""
+_CHAINS, _COOLING, _SAMPLING = 32, 300, 400  # chains, steps of each
+_HOTTEST = 10.0  # [-] temperature at the start
+_IMPOSSIBLE = -1e4  # [nats]
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Posterior of the assignments of S sensors to K segments."""
+
+    best: Labels
+    """(S,) segment of each sensor in the likeliest assignment."""
+    probability: Array
+    """(S, K) of each sensor on each segment."""
+
+
+def match(
+    single: Array,
+    pair: Array | None = None,
+    *,
+    allowed: NDArray[np.bool_] | None = None,
+    mirrors: Sequence[Labels] = (),
+    prior: Score | None = None,
+) -> Matching:
+    """Sample assignments of each sensor to a segment of its own.
+
+    Args:
+        single: (S, K) scores, nats; S <= K. pair: (S, S, K, K) scores, symmetric, 0 of a sensor with itself. allowed:
+        (S, K) segments that each sensor may be on; at least one assignment is possible. mirrors: permutations (K,) of
+        segments that are proposed for all sensors at once. prior: log-probability (C,) of assignments (C, S), added.
+    """
+    S, K = single.shape
+    single = np.where(np.ones((S, K), bool) if allowed is None else allowed, single, _IMPOSSIBLE)
+    rng = np.random.default_rng(0)
+    rows, (a, b) = np.arange(S), np.triu_indices(S, 1)
+
+    def score(labels: Labels) -> Array:
+        out = single[rows, labels].sum(axis=-1)
+        if pair is not None:
+            out = out + pair[a, b, labels[:, a], labels[:, b]].sum(axis=-1)
+        return np.asarray(out if prior is None else out + prior(labels))
+
+    at = _starts(rng, single)
+    counts, seen = np.zeros((S, K)), set[tuple[int, ...]]()
+    temperatures = np.append(np.geomspace(_HOTTEST, 1.0, _COOLING), np.ones(_SAMPLING))
+    for step, temperature in enumerate(temperatures):
+        at = _placed(rng, at, step % S, K, score, float(temperature))
+        if len(mirrors) and step % S == 0:
+            sides = np.asarray(mirrors)[rng.integers(len(mirrors), size=len(at))[:, None], at]
+            better = np.log(rng.uniform(size=len(at))) < (score(sides) - score(at)) / temperature
+            at = np.where(better[:, None], sides, at)
+        if step >= _COOLING:
+            np.add.at(counts, (rows, at), 1)
+            seen.update(map(tuple, at.tolist()))
+    every = np.array(sorted(seen))
+    return Matching(every[score(every).argmax()], counts / counts.sum(axis=1, keepdims=True))
+
+
+def _starts(rng: np.random.Generator, single: Array) -> Labels:
+    S, K = single.shape
+    starts = [linear_sum_assignment(-single)[1]]
+    for _ in range(_CHAINS - 1):
+        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
+    return np.array(starts)
+
+
+def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Score, temperature: float) -> Labels:
+    """Return assignments (C, S) after a step that places sensor s."""
+
+    def ways(of: Labels) -> tuple[Labels, Array]:
+        """Return assignments (C, K, S) with sensor s on each segment, whose sensor takes its place, and their
+        scores (C, K).
+        """
+        new = np.repeat(of[:, None], K, axis=1)
+        new = np.where(new == np.arange(K)[:, None], of[:, s, None, None], new)
+        new[:, :, s] = np.arange(K)
+        return new, score(new.reshape(-1, of.shape[1])).reshape(-1, K) / temperature
+
+    there, scores = ways(at)
+    total = logsumexp(scores, axis=1)
+    share = np.exp(scores - total[:, None]).cumsum(axis=1)
+    drawn = np.minimum((share < rng.uniform(size=(len(at), 1))).sum(axis=1), K - 1)
+    new = there[np.arange(len(at)), drawn]
+    accepted = np.log(rng.uniform(size=len(at))) < total - logsumexp(ways(new)[1], axis=1)
+    return np.where(accepted[:, None], new, at)
+
 
 Candidates = Sequence[str] | Mapping[str, Sequence[str]]
 _SURE = 0.95  # [-] probability from which a sensor's segment is not doubted
@@ -225,3 +313,89 @@ def _too_short(motions: SensorMotions) -> str:
     seconds = len(motions) / RATE_HZ
     least = f"record {_SHORT:g} s at least with steps and a turn, or give a video"
     return f"{seconds:.0f} s are too short to be sure from motion alone; {least}" if seconds < _SHORT else ""
+
+
+NAME = "another place of sensors"
+_FIRST_ERROR, _FURTHER_ERROR = 6.0, 0.5  # [nats] against a map with errors, and for each sensor concerned
+_SURE_ELSEWHERE = 0.9  # [-] probability from which a sensor is said to be elsewhere
+
+
+@dataclass(frozen=True)
+class WrongSensor:
+    """A sensor that is not where it is declared."""
+
+    sensor: str
+    declared: str
+    """Segment it is declared on."""
+    likely: str
+    """Segment it is on."""
+    probability: float
+    """Of that."""
+
+    def __str__(self) -> str:
+        where = f"declared on {self.declared}, is on {self.likely}"
+        return f"{self.sensor}, {where} ({100 * self.probability:.0f} %)"
+
+
+@dataclass(frozen=True)
+class AssignmentCheck:
+    """What motion tells of a map from sensors to segments."""
+
+    joints: dict[str, str]
+    """Sensor -> segment, corrected where that is sure."""
+    wrong: tuple[WrongSensor, ...]
+    """Sensors that are elsewhere."""
+    probability: float
+    """That the map as declared is wrong somewhere."""
+    doubt: str = ""
+    """What is possible but not sure, in one sentence; may be empty."""
+
+    def check(self) -> Check:
+        """Return the result as a check of plausibility."""
+        advice = "; ".join(map(str, self.wrong)) + ". Write the corrected recording with --fix -o OUT"
+        cause = "sensors are not where they are declared" if self.wrong else ""
+        value = self.probability if self.wrong else min(self.probability, 1 - _SURE_ELSEWHERE)
+        return Check(NAME, "sensors", value, 1 - _SURE_ELSEWHERE, "", advice if self.wrong else self.doubt, cause=cause)
+
+
+def check_assignment(
+    log: SensorLog, joints: Mapping[str, str], skeleton: SkeletonModel, poses: PoseSequence | None = None
+) -> AssignmentCheck:
+    """Check that sensors are where they are declared. A map without errors is taken to be likelier.
+
+    Args:
+        log: the sensors; with poses, on their clock. joints: sensor -> segment, by its proximal joint;
+            others are ignored. skeleton: the subject's. poses: lifted from a video, if there is one.
+
+    Raises:
+        UnknownNameError: a sensor or segment does not exist.
+        InvalidInputError: two sensors on one segment, too little data, or no evidence without poses.
+    """
+    indices_of("sensor", list(joints), log.names)
+    indices_of("segment", list(joints.values()), skeleton.names)
+    if len(set(joints.values())) < len(joints):
+        twice = sorted({j for j in joints.values() if list(joints.values()).count(j) > 1})
+        raise InvalidInputError(f"there are two sensors on {', '.join(twice)}; declare each where it is")
+    motions = sensor_motions(log.select(list(joints)))
+    segments = tuple(dict.fromkeys([*usual_segments(skeleton), *joints.values()]))
+    declared = np.array([segments.index(joints[name]) for name in motions.names])
+
+    def prior(labels: Labels) -> Array:
+        errors = np.sum(labels != declared, axis=1)
+        return np.asarray(-np.where(errors > 0, _FIRST_ERROR + _FURTHER_ERROR * errors, 0.0))
+
+    found = match_sensors(motions, skeleton, segments, poses, prior=prior)
+    wrong, unsure, corrected = [], [], dict(joints)
+    for name, own, k, row in zip(motions.names, declared, found.best, found.probability, strict=True):
+        if k != own and row[k] >= _SURE_ELSEWHERE:
+            wrong.append(WrongSensor(name, segments[own], segments[k], float(min(row[k], 0.999))))
+            corrected[name] = segments[k]
+        elif row[own] < _SURE_ELSEWHERE:
+            other = max((i for i in range(len(segments)) if i != own), key=lambda i: float(row[i]))
+            unsure.append(f"{name} may be on {segments[other]} ({100 * row[other]:.0f} %)")
+    if len(set(corrected.values())) < len(corrected):  # a part of an exchange alone is no correction
+        unsure += [f"{sensor.sensor} may be on {sensor.likely}" for sensor in wrong]
+        wrong, corrected = [], dict(joints)
+    probability = 1 - float(np.prod(found.probability[np.arange(len(declared)), declared]))
+    doubt = f"by its motion {', '.join(unsure)}; what is declared is kept" if unsure else ""
+    return AssignmentCheck(corrected, tuple(wrong), probability, doubt)

@@ -33,9 +33,9 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.reconstruction.camera_evidence import Scene, floor_plane, lasting, turn_of_image, walk
-from rtof_kin.reconstruction.image_checks import STEP, Picture
+from rtof_kin.reconstruction.checks.image import STEP, Picture
 from rtof_kin.recording.recording import Recording
 
 FOCAL, SIZE, RIGHT, DOWN, PITCH, HEADING, ROLL, HEIGHT = range(8)

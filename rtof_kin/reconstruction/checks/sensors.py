@@ -6,28 +6,30 @@ sensors share, then single sensors. A check that an earlier failure would mislea
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images
-from rtof_kin.calibration.clock_check import NAME as CLOCKS
-from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.calibration.assignment import AssignmentCheck, check_assignment
+from rtof_kin.calibration.bone_images import NAME as CLOCKS
+from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images, check_clocks
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.recorded_form import FROZEN, UNEXPLAINED, check_form
-from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
-from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Prepared, prepare
+from rtof_kin.inertial.outlier_rejection import FROZEN, UNEXPLAINED, check_form
+from rtof_kin.inertial.pose_calibration import pose_rotations, usual_lever
+from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup, setup_log_likelihood
+from rtof_kin.reconstruction.checks.causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.setup_causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -217,3 +219,58 @@ def _least(fault: Fault) -> float:
 def _long_enough(bone_imus: BoneImuSequence) -> bool:
     known = np.isfinite(bone_imus.R_world_bone).all(axis=(-2, -1)).any(axis=-1)
     return bool(known.any() and np.ptp(bone_imus.times[known]) >= _LEAST_SECONDS)
+
+
+_CONTRADICTED = 10.0  # [nats] by which calibrated motion may favour the map as declared
+
+
+def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
+    """Check the sensors of a recording with its video, if it has one whose clock agrees.
+
+    Returns:
+        The check, and the recording with the correction, or as it is where nothing is wrong.
+
+    Raises:
+        InvalidInputError: no IMUs or calibration, or too little of them.
+        ViewError: a lifted pose is behind the camera.
+    """
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None or calibration is None:
+        raise InvalidInputError(f"{recording.name} has no calibrated sensors whose places could be checked")
+    calibration = calibration.select(imus.names)
+    joints = dict(zip(calibration.sensors, calibration.joints, strict=True))
+    skeleton = recording.skeleton
+    poses = None if recording.keypoints is None else lift(evenly_spaced(recording.video), skeleton).poses
+    if poses is not None:
+        clocks = check_clocks(recording.video, calibration.apply(imus), poses, skeleton)
+        poses = None if clocks.failed else poses
+    check = check_assignment(SensorLog.of_imus(imus, recording.name), joints, skeleton, poses)
+    if not check.wrong:
+        return check, recording
+    scores = [
+        (setup_log_likelihood(way.apply(imus), skeleton, poses), way)
+        for way in (calibration, *_corrections(calibration, check.joints, skeleton))
+    ]
+    best, way = max(scores[1:], key=lambda pair: pair[0])
+    if best < scores[0][0] - _CONTRADICTED:
+        doubt = f"{'; '.join(map(str, check.wrong))}; but the calibration agrees with the declared places"
+        return replace(check, joints=joints, wrong=(), doubt=doubt), recording
+    return check, replace(recording, calibration=way)
+
+
+def _corrections(
+    calibration: ImuCalibration, joints: Mapping[str, str], skeleton: SkeletonModel
+) -> Iterator[ImuCalibration]:
+    """Generate calibrations with the sensors on other segments."""
+    new = tuple(joints[sensor] for sensor in calibration.sensors)
+    known = dict(zip(calibration.joints, calibration.p_bone_sensor, strict=True))
+    levers = np.stack([known.get(j, usual_lever(j, skeleton)) for j in new])
+    before, after = list(skeleton.index(*calibration.joints)), list(skeleton.index(*new))
+    for pose in ("T", "N"):
+        R = pose_rotations(pose, skeleton)
+        turned = calibration.R_sensor_bone @ np.swapaxes(R[before], -1, -2) @ R[after]
+        yield replace(calibration, joints=new, R_sensor_bone=turned, p_bone_sensor=levers)
+    if set(new) == set(calibration.joints):  # the samples are filed under each other's names
+        order = [calibration.joints.index(joint) for joint in new]
+        others = calibration.select(tuple(calibration.sensors[i] for i in order))
+        yield replace(others, sensors=calibration.sensors)

@@ -13,7 +13,7 @@ together, by the keypoints, the joints between the segments and the pose prior.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,12 +32,14 @@ from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.headings import wrapped
+from rtof_kin.inertial.likelihood import wrapped
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import imus_of_log
 
+Refine = Callable[[Recording, None, CalibrationPriors], SelfCalibration]
+"""Calibrates a recording, on its own skeleton, from its motion."""
 _RATE_HZ: Final = 20.0
 _LEAST_SECONDS: Final = 2.0
 _LONGEST_GAP: Final = 0.1
@@ -120,15 +122,15 @@ def align_sensors(
     log: SensorLog,
     joints: Mapping[str, str],
     skeleton: SkeletonModel,
-    *,
-    refine: bool = True,
+    refine: Refine | None = None,
 ) -> Alignment:
     """Estimate heading and mounting of each sensor.
 
     Args:
         skeleton: the subject's. log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
-        refine: by the self-calibration, which takes about as long as the video.
+        refine: `calibrate_recording`, which takes about as long as the video; None: heading and mounting are those of
+            the orientations alone.
 
     Raises:
         UnknownNameError: an unknown sensor or segment.
@@ -162,9 +164,9 @@ def align_sensors(
         np.stack([usual_lever(joint, skeleton) for joint in segments]),
     )
     refined, warnings = None, tuple[str, ...]()
-    if refine:
+    if refine is not None:
         priors = _PRIORS if shared is None else replace(_PRIORS, sigma_heading=_SHARED_SIGMA)
-        calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, priors)
+        calibration, refined, warnings = _refined(calibration, keypoints, log, skeleton, refine, priors)
     sensors = _judged(calibration, starts, refined)
     stated = np.degrees([sensor.sigma_mounting for sensor in sensors]).round(1)
     calibration = replace(calibration, mounting_sd_deg=stated)
@@ -269,11 +271,10 @@ def _refined(
     keypoints: KeypointSequence,
     log: SensorLog,
     skeleton: SkeletonModel,
+    refine: Refine,
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:
     """Refine the sensors on segments that the solver takes sensors on."""
-    from rtof_kin.reconstruction.self_calibration import calibrate_recording
-
     carriers = {joint for joint, _ in skeleton.sensors.values()}
     used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]
     if not used:
@@ -288,7 +289,7 @@ def _refined(
         joint_offsets=skeleton.joint_offsets,
     )
     try:
-        found = calibrate_recording(recording, priors=priors)
+        found = refine(recording, None, priors)
     except RtofError as error:
         return calibration, None, (f"heading and mounting are not refined: {error}",)
     refined = found.apply(recording).calibration
