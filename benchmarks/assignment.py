@@ -1,6 +1,6 @@
 """Which sensor is on which segment: share right and calibration of the stated probabilities.
 
-``python -m benchmarks.assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Recordings of 10 to 60 s join motions of the test split's people, and the same on the rig that nothing learned
 from (`rerigged`); realistic 2D of one camera, lifted without sensors. 4, 8, 10 and 13 sensors with arbitrary
 mountings and headings have 13 segments to choose from, or those that have one are told. Exchanges are planted
@@ -318,7 +318,7 @@ def _real(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> int:
     """Run and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.assignment", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks assignment", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--real", type=Path, help="folder of real sensor recordings")
     parser.add_argument("--subset", choices=("test", "validation"), default="test")

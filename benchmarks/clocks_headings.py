@@ -1,6 +1,6 @@
 """How well clocks and headings of sensors are found from a video, and what is said where they are not.
 
-``python -m benchmarks.clocks_headings --corpus DIR`` with DIR the folder of free motion (README.md here).
+``python -m benchmarks clocks_headings --corpus DIR`` with DIR the folder of free motion (README.md here).
 The test people of split.toml, three of them also on another rig (rerigged.py). Each has a session of about
 12 minutes: all own motions one after the other, with pauses and turns between, among motions of people
 that train, on his skeleton. Sensors of 100, 60 or 120 Hz measure all of it, each with a heading and mounting
@@ -431,7 +431,7 @@ def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.clocks_headings",
+        prog="python -m benchmarks clocks_headings",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

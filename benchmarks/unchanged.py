@@ -1,8 +1,8 @@
 """Compare what two versions of the code compute: every command's numbers, compiled and interpreted.
 
-``python -m benchmarks.unchanged --inputs IN --out A`` runs `STEPS` through the command line and keeps what they write;
+``python -m benchmarks unchanged --inputs IN --out A`` runs `STEPS` through the command line and keeps what they write;
 IN is a folder of recordings that the first run makes. Run it with each version and the same IN, then
-``python -m benchmarks.unchanged --compare A B`` lists the largest difference of every file and fails above 1e-9.
+``python -m benchmarks unchanged --compare A B`` lists the largest difference of every file and fails above 1e-9.
 Arrays are compared by name, tables by column, JSON by key, other text number by number; words, pages, figures and
 measured durations are not compared. Twelve minutes of two cores.
 """
@@ -27,7 +27,7 @@ import numpy as np
 TOLERANCE = 1e-9
 """Of every number, in its own unit (m, rad, s, deg, mm)."""
 DEMO = Path(__file__).parent.parent / "models" / "demo"
-WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "10_01_excerpt.bvh"
+WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 MODES = {
     "rtof": "",
     "calibrated": "--calibrate",
@@ -49,7 +49,7 @@ STEPS: list[tuple[str, str]] = [
     *((f"visits/{i}/{j}", f"reconstruct IN/squat_{i}_{j} -o OUT") for i in (1, 2) for j in (1, 2, 3)),
     ("analyse/demo", "analyse RUN/demo/rtof -o OUT --weight 70 --no-figures"),
     ("analyse/gait", "analyse RUN/people/gait_1 -o OUT --weight 70 --sex female --no-figures"),
-    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --from-standing --no-figures"),
+    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --no-figures"),
     ("compare/modes", "compare RUN/demo/rtof RUN/demo/rto -o OUT"),
     ("compare/sides", "compare RUN/people/gait_1 --sides -o OUT"),
     ("compare/people", "compare RUN/people/gait_1 RUN/people/gait_2 --by cycle --spm -o OUT"),
@@ -60,7 +60,7 @@ STEPS: list[tuple[str, str]] = [
     ("evaluate", f"evaluate RUN/demo/rtof --truth {DEMO} --angles -o OUT"),
     ("export", "export RUN/demo/rtof OUT --to csv,ros,parquet,osim,mot,sto,trc,c3d,bvh"),
     ("report.html", "report RUN/people/gait_1 -o OUT"),
-    ("study", "study IN/short -o OUT --path ranked --no-figures --workers 1"),
+    ("study", "study IN/short -o OUT --seconds 3 --path ranked --no-figures --workers 1"),
     ("plan", "plan squat -o OUT --draws 1 --workers 1"),
     ("simulate", f"simulate {WALK} -o OUT"),
     ("live.npz", "benchmarks.unchanged --replay IN/short OUT"),
@@ -142,7 +142,7 @@ def replay(recording_folder: Path, out: Path) -> None:
     from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(recording_folder)
-    found = list(estimates(estimator(recording, recording.video.landmarks, settings()), recording))
+    found = list(estimates(estimator(recording, recording.video.names, settings()), recording))
     names = ("times", "p_world_joint", "R_world_bone", "sigma_rad")
     np.savez(out, **{name: np.concatenate([getattr(one.poses, name) for one in found]) for name in names})
 

@@ -55,7 +55,7 @@ def add_commands(commands: Any) -> None:
 
 class _PrintSchema(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from rtof_kin.recording.schema import SCHEMA
+        from rtof_kin.recording.tables import SCHEMA
 
         out.print(SCHEMA, soft_wrap=True)
         parser.exit()

@@ -185,7 +185,7 @@ def _run_session(options: argparse.Namespace) -> None:
         check_replaceable(options.output, INDEX)
     known = None if options.calibration is None else read_self_calibration_toml(options.calibration)
     lifter = lifter_of(options)
-    with warnings_in_summary("rtof_kin.recording.files"):
+    with warnings_in_summary("rtof_kin.recording.cameras"):
         setup = replace(Recording.load(options.setup), model_prior=getattr(lifter, "prior", None))
         if not options.imus and setup.keypoints is not None:
             setup = replace(setup, imus=None, calibration=None)

@@ -42,7 +42,7 @@ from rtof_kin.protocols.measures import (
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, document_of, pooled, rows_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.files import RECOGNISE
+from rtof_kin.recording.tables import RECOGNISE
 from rtof_kin.reporting.document import Cell, Document
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 from rtof_kin.solve.cartesian.settings import CartesianSettings

@@ -8,7 +8,7 @@ walk      logarithm of the path of the body over standing feet, by the image, pe
 ========  ===================================================================================  ==========
 
 Heights follow from the size of the person in the image. Standard deviations are those with the true camera
-on recordings of other people (``python -m benchmarks.uncalibrated_camera --fit``).
+on recordings of other people (``python -m benchmarks uncalibrated_camera --fit``).
 """
 
 from __future__ import annotations

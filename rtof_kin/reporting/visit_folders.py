@@ -29,18 +29,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Annotated, Any, Final, cast
 
 import numpy as np
+from pydantic import Strict
 
 from rtof_kin.clinical.measurement_error import BandShares
 from rtof_kin.clinical.visit_measures import BETTERS, MOVEMENTS, Better, Movement
 from rtof_kin.clinical.visits import Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.section import Section
+from rtof_kin.core.files.input_table import InputTable, Names, Number
 from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsReader
 from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.reporting.audit_results import Grade
@@ -73,6 +74,34 @@ class Plan:
     shares: BandShares = field(default_factory=BandShares)
 
 
+class VisitTable(InputTable):
+    """A table ``[[visit]]``."""
+
+    folder: str
+    name: str | None = None
+    date: Any = None
+    """A day of TOML, or its text."""
+
+
+class BandsTable(InputTable):
+    """See `BandShares`."""
+
+    all_visits: Number = 0.0
+    visit: Number = 1.0
+
+
+class PlanTable(InputTable):
+    """The file ``follow.toml``."""
+
+    baseline: str = ""
+    by: str = ""
+    repetitions: str = ""
+    measures: Names = ()
+    visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
+    better: dict[str, str] = {}
+    bands: BandsTable = BandsTable()
+
+
 @dataclass(frozen=True)
 class FoundVisits:
     """Visits in a folder."""
@@ -93,47 +122,35 @@ def read_plan(folder: str | Path) -> Plan:
     path = Path(folder) / PLAN
     if not path.exists():
         return Plan()
-    top = Section.of_file(path)
-    names, days = {}, {}
-    for one in top.tables("visit"):
-        own = one.text("folder")
-        names[own] = one.text("name", own)
-        if one.has("date"):
-            days[own] = _declared_day(one)
-        one.close()
-    by, better, bands = top.text("by", ""), top.table("better"), top.table("bands")
-    directions = {name: better.text(name) for name in better.keys()}  # noqa: SIM118
-    for chosen, known, what in (
-        ([by] if by else [], MOVEMENTS, f"choice in {path}, by"),
-        (directions.values(), BETTERS, f"direction in {path}, [better]"),
-    ):
-        indices_of(what, list(chosen), known)
+    top = PlanTable.read(path)
+    indices_of(f"direction in {path}, [better]", [*top.better.values()], BETTERS)
+    if top.by:
+        indices_of(f"choice in {path}, by", [top.by], MOVEMENTS)
     try:
-        shares = BandShares(bands.number("all_visits", 0.0), bands.number("visit", 1.0))
+        shares = BandShares(top.bands.all_visits, top.bands.visit)
     except InvalidInputError as error:
         raise top.error("bands", str(error)) from error
-    plan = Plan(
-        tuple(names),
-        names,
-        days,
-        top.text("baseline", ""),
-        cast("Movement | None", by or None),
-        top.text("repetitions", ""),
-        top.optional_names("measures") or (),
-        cast("dict[str, Better]", directions),
+    return Plan(
+        tuple(one.folder for one in top.visit),
+        {one.folder: one.folder if one.name is None else one.name for one in top.visit},
+        {one.folder: _declared_day(one) for one in top.visit if one.date is not None},
+        top.baseline,
+        cast("Movement | None", top.by or None),
+        top.repetitions,
+        top.measures,
+        cast("dict[str, Better]", top.better),
         shares,
     )
-    bands.close()
-    top.close()
-    return plan
 
 
-def _declared_day(one: Section) -> date:
-    value = one.data["date"]
+def _declared_day(one: VisitTable) -> date:
+    value = one.date
+    if isinstance(value, datetime):
+        return value.date()
     if isinstance(value, date):
-        return value if type(value) is date else date(value.year, value.month, value.day)
+        return value
     try:
-        return date.fromisoformat(one.text("date"))
+        return date.fromisoformat(str(value))
     except ValueError as error:
         raise one.error("date", "not a day; write year, month and day, as 2026-01-31") from error
 
