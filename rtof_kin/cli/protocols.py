@@ -207,7 +207,7 @@ def _add_total_capture(commands: Any) -> None:
     parser.add_argument("--no-studies", action="store_true", help="leave out the tables of fragment length and k_V")
     add_model(parser)
     parser.add_argument("--seed", type=int, default=0, help="of all noise; same seed, same table")
-    _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.npz")
+    _add_run(parser, "out/total_capture", "DIR/S5/acting3/cam1/rtof/motion.h5")
 
 
 def _add_human36m(commands: Any) -> None:
@@ -232,4 +232,4 @@ def _add_human36m(commands: Any) -> None:
     parser.add_argument("--actions", metavar="NAMES", help="such as Walking,Eating; all if not given")
     parser.add_argument("--cameras", default="0,1,2,3", help="numbers")
     parser.add_argument("--modes", default="lift,rto", help="stages to measure")
-    _add_run(parser, "out/human36m", "DIR/S9/Walking/cam0/rto/motion.npz")
+    _add_run(parser, "out/human36m", "DIR/S9/Walking/cam0/rto/motion.h5")

@@ -10,9 +10,8 @@ import numpy as np
 
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import ALL, AngleErrors, angle_differences, error_rows
-from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
-from rtof_kin.clinical.comparison_alignment import align
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles, opensim_angles
+from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.datasets.public_sets import Movement
 from rtof_kin.formats.opensim_table import read_opensim_table

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 import rtof_kin
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -74,7 +74,7 @@ class Job:
         save = self.protocol.save
         if save is None or self.camera is None:
             return None
-        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.npz"
+        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.h5"
 
 
 def measure(job: Job) -> JobResult:
@@ -141,7 +141,7 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     if path is None:
         return
     motion = result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
-    write_motion_npz(path, motion, first_frame=result.recording.first_frame, mode=mode)
+    write_motion(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 
 def plain_settings(protocol: Any, *without: str) -> dict[str, Any]:

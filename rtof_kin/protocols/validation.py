@@ -18,8 +18,7 @@ import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_errors import AngleDifferences, angle_differences, angle_errors, error_rows
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import MODES, Mode
@@ -244,7 +243,7 @@ def measure(job: ValidationJob) -> JobResult:
         recording = recording.between(recording.times[0], recording.times[0] + protocol.seconds)
         notes.append(f"the first {protocol.seconds:g} of {whole:.0f} s are used")
     result = reconstruct(recording, mode=mode, lifter=network, calibrate=protocol.calibrate)
-    save_motion(result, mode, job.folder / "motion.npz")
+    save_motion(result, mode, job.folder / "motion.h5")
     facts, arrays = compared_with(clinical_angles(result.motion), truth, take, protocol.align)
     about = {"subject": take.subject, "take": take.movement, "kind": take.kind, "camera": take.camera or None}
     return JobResult(about | {"notes": [*notes, *sorted(set(result.warnings))]} | facts, arrays)

@@ -15,10 +15,10 @@ from lifting_support import TABLE_17, untrained_lifter
 from protocol_support import read_json, row
 
 from lifting.checkpoint import save_checkpoint
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
-from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.protocols import human36m, published, run
 from rtof_kin.protocols.human36m import Human36MProtocol, all_tables
 from rtof_kin.protocols.tables import STILL, Table
@@ -96,8 +96,8 @@ def test_the_figures_are_those_of_the_saved_motions(measured: Path) -> None:
         p_true = positions[subject]["Action 1"][:18]
         saved = measured / "motions" / subject / "Action 1" / "cam1"
         assert sorted(path.name for path in saved.iterdir()) == ["lift", "rto"]
-        motion = read_motion_npz(saved / "rto" / "motion.npz")
-        assert (motion.mode, motion.skeleton) == ("rto", TABLE_17.name)
+        motion = Motion.load(saved / "rto" / "motion.h5")
+        assert motion.skeleton.name == TABLE_17.name
         still = np.broadcast_to(p_true.mean(axis=0), p_true.shape)
         for method, p in {"rto": motion.poses.p_world_joint, STILL: still}.items():
             expected = per_frame(p, p_true)

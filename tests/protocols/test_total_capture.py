@@ -19,12 +19,12 @@ from scipy import signal
 
 from benchmarks.total_capture_motion import cameras
 from benchmarks.total_capture_standin import StandInTake, write_detections
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.motion_file import MotionReader
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.total_capture import TotalCapture
-from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.protocols import Measured, published, run, total_capture
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table
 from rtof_kin.protocols.total_capture import (
@@ -109,8 +109,8 @@ def figures(outcome: Outcome) -> dict[str, dict[str, Any]]:
 
 def position(measured: Found, take: StandInTake, mode: str) -> np.ndarray:
     """The joints (T, J, 3) m that were saved."""
-    path = measured.save / take.subject / take.name / "cam1" / mode / "motion.npz"
-    return read_motion_npz(path).poses.p_world_joint
+    path = measured.save / take.subject / take.name / "cam1" / mode / "motion.h5"
+    return Motion.load(path).poses.p_world_joint
 
 
 def truth(root: Path, take: StandInTake) -> np.ndarray:
@@ -189,15 +189,16 @@ def test_the_default_protocol_is_that_of_the_paper() -> None:
 
 
 def test_every_take_and_mode_has_its_motion(measured: Found) -> None:
-    found = {str(path.relative_to(measured.save)) for path in measured.save.rglob("*.npz")}
-    assert found == {f"{take}/cam1/{mode}/motion.npz" for take in ("S1/walking2", "S5/acting3") for mode in MODES}
+    found = {str(path.relative_to(measured.save)) for path in measured.save.rglob("*.h5")}
+    assert found == {f"{take}/cam1/{mode}/motion.h5" for take in ("S1/walking2", "S5/acting3") for mode in MODES}
     for name in found:
-        motion = read_motion_npz(measured.save / name)
-        assert motion.mode == name.split("/")[3]
+        with MotionReader(measured.save / name) as file:
+            motion = file.read()
+            assert file.mode == name.split("/")[3]
         take = WALKING if name.startswith("S1") else ACTING
-        np.testing.assert_allclose(motion.joint_offsets, take.joint_offsets, atol=1e-4)
+        np.testing.assert_allclose(motion.skeleton.joint_offsets, take.joint_offsets, atol=1e-4)
         np.testing.assert_allclose(motion.poses.times, take.poses.times)
-        p, _ = motion.motion().skeleton.forward_kinematics(motion.q)
+        p, _ = motion.skeleton.forward_kinematics(motion.q)
         np.testing.assert_allclose(p, motion.poses.p_world_joint, atol=1e-9)
 
 

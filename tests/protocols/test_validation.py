@@ -14,6 +14,7 @@ from overlay_support import write_film
 from protocol_support import read_json
 from public_sets import known, true_motion
 
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, error_rows
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
@@ -21,7 +22,6 @@ from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.movi import CENTRES
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.protocols import SETS, Measured, run, validation
 from rtof_kin.protocols.angles import against_opensim, against_recording, angle_document, published_table
 from rtof_kin.protocols.published import PUBLISHED
@@ -174,9 +174,9 @@ def test_errors_are_those_of_the_written_motion(measured: Path) -> None:
     assert overall["rmse_deg"] == pytest.approx(np.sqrt(squares / overall["samples"]))
     assert 2.0 < overall["rmse_deg"] < 30.0  # the shipped network on simulated detections
     assert overall["median_deg"] < overall["mae_deg"] < overall["rmse_deg"]
-    motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.npz"
+    motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.h5"
     mot = out.parent / "opencap" / "subject2" / "OpenSimData" / "Mocap" / "IK" / "walking1.mot"
-    write_results(against_opensim(read_motion_npz(motion).motion(), mot, "walk"), out / "own")
+    write_results(against_opensim(Motion.load(motion), mot, "walk"), out / "own")
     again = read_json(out / "own" / "tables.json")["rows"]
     for name in ("rmse_deg", "mae_deg", "median_deg", "offset_deg"):
         assert again[0][name] == pytest.approx(overall[name], rel=1e-6)
