@@ -194,7 +194,7 @@ def test_the_clock_is_searched_first_where_the_files_say_that_they_began(
     """A time zone that was forgotten is no harm: all offsets are searched then."""
     asked = list[tuple[float, float]]()
 
-    def find(*_: object, around: float = 0.0, reach: float) -> ClockEstimate:
+    def find(*_: object, around: float = 0.0, reach: float, **__: object) -> ClockEstimate:
         asked.append((around, round(reach)))
         right = ClockEstimate(-3.0, 0.0, 0.01, 50.0, "")
         return replace(right, doubt=doubt) if around == begun else right

@@ -74,16 +74,12 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     if np.median(np.linalg.norm(every - shared, axis=1)) > _APART:
         return Check.unknown(TILT, "sensors", "deg", "the sensors do not share one vertical")
     tilt = float(np.degrees(np.arctan2(np.hypot(x, y), STANDARD_GRAVITY)))
-    return Check(
-        TILT,
-        "sensors",
-        tilt,
-        _TILT_DEG + _TILT_DEG_S / seconds,
-        "deg",
+    advice = (
         f"On average the accelerometers' vertical leans by {tilt:.0f} deg; correct R_world_inertial, "
-        "or calibrate the sensors again",
-        cause=f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity",
+        "or calibrate the sensors again"
     )
+    cause = f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity"
+    return Check(TILT, "sensors", tilt, _TILT_DEG + _TILT_DEG_S / seconds, "deg", advice, cause=cause)
 
 
 def _velocity(poses: PoseSequence) -> Array:
@@ -209,17 +205,15 @@ def check_frame_rate(images: BoneImages, keypoints: KeypointSequence) -> Check:
             best, gain, ratio = found, own, other
     alike = best[1] < min(_SAME_MOTION, _EXPLAINED * as_given[1])
     rate_hz = declared_hz / ratio
-    return Check(
-        RATE,
-        subject,
-        gain if alike else 0.0,
-        _SURE_RATE,
-        "nats",
+    advice = (
         f"At {rate_hz:.3g} frames a second the limbs turn as fast as the sensors measure; give the times "
-        "of the frames as they were recorded, or look at the sensors' rate",
-        cause=f"the video runs {max(ratio, 1 / ratio):.2g} times too {'fast' if ratio > 1 else 'slow'}: "
-        f"it has probably {rate_hz:.3g} frames a second, not {declared_hz:.3g}",
+        "of the frames as they were recorded, or look at the sensors' rate"
     )
+    cause = (
+        f"the video runs {max(ratio, 1 / ratio):.2g} times too {'fast' if ratio > 1 else 'slow'}: "
+        f"it has probably {rate_hz:.3g} frames a second, not {declared_hz:.3g}"
+    )
+    return Check(RATE, subject, gain if alike else 0.0, _SURE_RATE, "nats", advice, cause=cause)
 
 
 def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
@@ -278,16 +272,12 @@ def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
                     worst = value, s, times[window.start], times[window.stop - 1]
     value, s, start, stop = worst
     name = native.joints[s]
-    return Check(
-        STILL,
-        f"sensor on {name}",
-        value,
-        _STILL_LIMIT,
-        "m/s2",
+    advice = (
         f"Its orientation rests from {start:.1f} to {stop:.1f} s, while the joint that it shares with the "
-        "next sensor moves; leave it out, or record again",
-        cause=f"the sensor on {name} is frozen, but for noise",
+        "next sensor moves; leave it out, or record again"
     )
+    cause = f"the sensor on {name} is frozen, but for noise"
+    return Check(STILL, f"sensor on {name}", value, _STILL_LIMIT, "m/s2", advice, cause=cause)
 
 
 def _smooth(values: Array, times: Array) -> Array:
@@ -327,12 +317,6 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
         limit = _TWIST_ARM_DEG if "Arm" in joint else _TWIST_DEG
         worst = max(worst, (twist, joint, limit), key=lambda own: abs(own[0]) / own[2])
     twist, joint, limit = worst
-    return Check(
-        TWIST,
-        f"sensor on {joint}",
-        abs(twist),
-        limit,
-        "deg",
-        "Put it back as it was, or calibrate the sensors again as they sit now",
-        cause=f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its calibration",
-    )
+    advice = "Put it back as it was, or calibrate the sensors again as they sit now"
+    cause = f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its calibration"
+    return Check(TWIST, f"sensor on {joint}", abs(twist), limit, "deg", advice, cause=cause)
