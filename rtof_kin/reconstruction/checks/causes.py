@@ -98,49 +98,37 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
         One check of horizontal axes and one of the vertical.
     """
     found = _rotation(images, camera)
+
+    def unknown(why: str) -> tuple[Check, Check]:
+        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
+
     if found is None:
-        why = f"less than {_FEWEST} bones with sensors are visible"
-        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
-    w = np.degrees(found[0])
+        return unknown(f"less than {_FEWEST} bones with sensors are visible")
     if found[2] > _AGREEING:
-        why = "image and sensors show different motion"
-        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
+        return unknown("image and sensors show different motion")
+    w = np.degrees(found[0])
     tilt, turn = float(np.hypot(*w[:2])), float(w[2])
     level = np.array([*w[:2], 0.0]) / max(tilt, 1e-9)
-    spreads = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]]))
-    about_view = float(w @ camera.R_camera_world[2])
-    rolled = abs(about_view) > tilt / 2
-    how = "about its line of sight" if rolled else "up or down"
-    checks = []
+    across, about = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]])).tolist()
+    rolled = abs(float(w @ camera.R_camera_world[2])) > tilt / 2
     whose = "the camera" if upright else "the camera, or all sensors' references,"
-    for name, subject, value, spread, least, cause, advice in (
-        (
-            VIEW,
-            "camera",
-            tilt,
-            float(spreads[0]),
-            _ROLL_DEG if rolled else _PITCH_DEG,
-            f"{whose} is probably turned by about {tilt:.0f} deg {how}",
-            "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
-            "calibrate the camera again, or hold it level",
-        ),
-        (
-            HEADING,
-            "sensors",
-            abs(turn),
-            float(spreads[1]),
-            _HEADING_DEG,
-            f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera",
-            f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
-            "or set the headings anew in a known pose",
-        ),
-    ):
-        limit = max(least, _SIGMAS * spread)
-        if spread > _VAGUE_DEG:
-            checks.append(Check.unknown(name, subject, "deg", "the movement does not show it"))
-        else:
-            checks.append(Check(name, subject, value, limit, "deg", advice, cause=cause))
-    return tuple(checks)
+    cause = (
+        f"{whose} is probably turned by about {tilt:.0f} deg {'about its line of sight' if rolled else 'up or down'}"
+    )
+    advice = (
+        "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
+        "calibrate the camera again, or hold it level"
+    )
+    limit = max(_ROLL_DEG if rolled else _PITCH_DEG, _SIGMAS * across)
+    view = Check(VIEW, "camera", tilt, limit, "deg", advice, cause=cause)
+    cause = f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera"
+    advice = (
+        f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
+        "or set the headings anew in a known pose"
+    )
+    heading = Check(HEADING, "sensors", abs(turn), max(_HEADING_DEG, _SIGMAS * about), "deg", advice, cause=cause)
+    vague = unknown("the movement does not show it")
+    return vague[0] if across > _VAGUE_DEG else view, vague[1] if about > _VAGUE_DEG else heading
 
 
 def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] | None:
