@@ -237,7 +237,6 @@ def test_a_constant_rotation_of_the_orientation_is_found() -> None:
     stream, R = moved(), Rotation.from_rotvec([0.9, -1.1, 0.4])
     segment = replace(stream, R_inertial_sensor=stream.R_inertial_sensor @ R.as_matrix())
     fixed = fixed_axes(segment)
-    assert fixed is not None
     off = R.inv() * Rotation.from_matrix(fixed[0])
     assert np.degrees(off.magnitude()) < 1.0
     assert not failed(replace(segment, R_inertial_sensor=segment.R_inertial_sensor @ fixed[0].T))

@@ -200,4 +200,4 @@ def test_footholds_are_at_the_ankle() -> None:
 )
 def test_invalid_values_are_refused(make: object, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
-        make()  # type: ignore[operator]
+        make()

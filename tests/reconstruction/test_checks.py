@@ -63,7 +63,6 @@ BY_BENCHMARK = (
 def demo(seconds: float = 6.0) -> Recording:
     """The beginning of the demo."""
     whole = Recording.load(model_path("demo"))
-    assert whole.imus is not None
     keypoints = whole.video[: round(60 * seconds)]
     imus = whole.imus[: int(np.searchsorted(whole.imus.times, keypoints.times[-1], "right"))]
     return replace(whole, keypoints=keypoints, imus=imus, truth=None)
@@ -71,7 +70,7 @@ def demo(seconds: float = 6.0) -> Recording:
 
 @cache
 def right(mode: str) -> Reconstruction:
-    return reconstruct(demo(), mode=mode)  # type: ignore[arg-type]
+    return reconstruct(demo(), mode=mode)
 
 
 def failed(result: Reconstruction) -> list[Check]:
@@ -84,7 +83,7 @@ def named(checks: tuple[Check, ...], name: str) -> Check:
 
 def with_imus(recording: Recording, **changed: object) -> Recording:
     assert recording.imus is not None
-    return replace(recording, imus=replace(recording.imus, **changed))  # type: ignore[arg-type]
+    return replace(recording, imus=replace(recording.imus, **changed))
 
 
 # --- mistakes that are recognised ------------------------------------------------------------------
@@ -101,7 +100,7 @@ def with_imus(recording: Recording, **changed: object) -> Recording:
 def test_first_failed_check_names_the_mistake(mistake: str, mode: str) -> None:
     fault = (OF_CAMERA | OF_SENSORS)[mistake]
     given = replace(demo(), imus=None) if mistake in OF_IMAGE and mode == "lift" else demo()
-    assert fault.named in failed(reconstruct(fault.plant(given), mode=mode))[0].cause  # type: ignore[arg-type]
+    assert fault.named in failed(reconstruct(fault.plant(given), mode=mode))[0].cause
 
 
 def test_correct_recording_passes_without_diagnosis_of_its_setup(caplog: pytest.LogCaptureFixture) -> None:
@@ -145,7 +144,6 @@ def test_image_in_which_the_lifter_sees_no_person_is_unknown() -> None:
 
 def test_wrong_samples_are_named_by_sensor_or_without_usual_cause_as_such() -> None:
     imus = demo().imus
-    assert imus is not None
     f = imus.f_sensor.copy()
     f[:, 2] *= -1
     one, unusual = (
@@ -160,7 +158,6 @@ def test_wrong_samples_are_named_by_sensor_or_without_usual_cause_as_such() -> N
 @pytest.mark.parametrize("seconds", [-2.0, -0.7, 1.3])
 def test_clock_offset_beyond_the_range_of_calibration_is_estimated(seconds: float) -> None:
     imus = demo().imus
-    assert imus is not None
     clocks = named(reconstruct(with_imus(demo(), times=imus.times + seconds), mode="lift").checks, CLOCKS)
     assert clocks.value == pytest.approx(abs(seconds - 0.06), abs=0.05)  # the demo's video is late
     assert "start_s" in clocks.advice
@@ -168,7 +165,6 @@ def test_clock_offset_beyond_the_range_of_calibration_is_estimated(seconds: floa
 
 def test_clock_offset_of_periodic_motion_is_unknown() -> None:
     k, imus = demo().video, demo().imus
-    assert imus is not None
     once = 90  # frames, repeated four times
     kept = np.searchsorted(imus.times, k.times[:once]).clip(0, len(imus) - 1)
     uv, confidence, R, f = (
@@ -188,7 +184,6 @@ def test_clock_offset_of_periodic_motion_is_unknown() -> None:
 def references(axis: str, degrees: float, recording: Recording) -> Recording:
     """All references turned alike."""
     given = recording.calibration
-    assert given is not None
     R = so3.about_axis(axis, np.radians(degrees)) @ given.R_world_inertial
     return replace(recording, calibration=replace(given, R_world_inertial=R))
 
@@ -203,8 +198,6 @@ def rolled(recording: Recording) -> Recording:
 def frozen(recording: Recording) -> Recording:
     """The left shank's sensor repeats one sample with noise."""
     given, imus = recording.calibration, recording.imus
-    assert given is not None
-    assert imus is not None
     s = imus.names.index(given.sensors[given.joints.index("LeftLeg")])
     R, f, noise = imus.R_inertial_sensor.copy(), imus.f_sensor.copy(), np.random.default_rng(0)
     R[:, s] = R[0, s] @ so3.exp(np.radians(0.5) * noise.standard_normal((len(imus), 3)))
@@ -215,7 +208,6 @@ def frozen(recording: Recording) -> Recording:
 def twisted(recording: Recording) -> Recording:
     """The left shank's sensor turned by 60 deg about the bone."""
     given, skeleton = recording.calibration, recording.skeleton
-    assert given is not None
     s, R = given.joints.index("LeftLeg"), given.R_sensor_bone.copy()
     bone = so3.unit(skeleton.joint_offsets[skeleton.names.index("LeftFoot")])
     R[s] = R[s] @ so3.exp(np.radians(60.0) * bone)
@@ -239,7 +231,6 @@ def unseen(recording: Recording) -> Recording:
 
 
 def ending(recording: Recording) -> Recording:
-    assert recording.imus is not None
     return replace(recording, imus=recording.imus[: len(recording.imus) // 2])
 
 
@@ -263,14 +254,12 @@ def ending(recording: Recording) -> Recording:
 )
 def test_first_line_names_the_cause(plant: Plant, first: str) -> None:
     mode = "rtof" if plant is twisted or "about 9" in first else "sf2"
-    assert headline(audit(reconstruct(plant(demo(8.0)), mode=mode))).text.startswith(first)  # type: ignore[arg-type]
+    assert headline(audit(reconstruct(plant(demo(8.0)), mode=mode))).text.startswith(first)
 
 
 def test_noise_of_orientations_does_not_make_bones_too_long() -> None:
     """Regression on noisy orientations is attenuated as by bones that are shorter than declared."""
     recording = demo(8.0)
-    assert recording.imus is not None
-    assert recording.calibration is not None
     rng, T = np.random.default_rng(0), len(recording.imus)
     shake = np.cumsum(rng.standard_normal((T, len(recording.imus.names), 3)), axis=0)
     shake = np.radians(8.0) * (shake - shake.mean(axis=0)) / 6

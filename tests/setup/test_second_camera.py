@@ -70,7 +70,7 @@ def second() -> KeypointSequence:
 def recording(**changes: object) -> Recording:
     """The first camera, without sensors."""
     made = Recording("one", planted.keypoints(TRUTH.poses, 3.0))
-    return replace(made, **changes)  # type: ignore[arg-type]
+    return replace(made, **changes)
 
 
 @pytest.fixture
