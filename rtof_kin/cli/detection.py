@@ -124,7 +124,7 @@ def _detect(options: argparse.Namespace) -> None:
 
 def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None:
     from rtof_kin.formats.camera_motion_npz import write_camera_motion
-    from rtof_kin.setup.camera import assumed_camera, turning_of_video
+    from rtof_kin.setup.camera import assumed_camera, rotation_of_video
     from rtof_kin.setup.recording_text import Field
     from rtof_kin.vision.lens_prior import lens_prior
     from rtof_kin.vision.video_metadata import read_video_metadata
@@ -135,7 +135,7 @@ def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None
     lens = lens_prior(*size, metadata)
     camera = assumed_camera(*size, lens, Field(None)).camera
     with progress() as update:
-        turned = turning_of_video(
+        turned = rotation_of_video(
             options.video, found, camera, lens.sigma_focal, phone=options.phone_log, progress=update
         )
     write_camera_motion(target, turned.motion, options.overwrite)

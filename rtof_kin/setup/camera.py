@@ -211,7 +211,7 @@ def filming_camera(
         return FilmingCamera(camera)
     unsure = camera.camera.uncertainty
     try:
-        found = turning_of_video(
+        found = rotation_of_video(
             video, people, camera.camera, unsure.focal if unsure else 0.0, phone=phone, progress=progress
         )
     except FileFormatError:
@@ -233,7 +233,7 @@ def filming_camera(
     return FilmingCamera(SetupCamera(camera.camera, fields), found.motion)
 
 
-def turning_of_video(
+def rotation_of_video(
     video: str | Path,
     people: Detections | KeypointSequence | None,
     camera: Camera,

@@ -32,7 +32,7 @@ from rtof_kin.setup.camera import (
     assumed_camera,
     calibrated_camera,
     filming_camera,
-    turning_of_video,
+    rotation_of_video,
 )
 from rtof_kin.setup.init import SetupSettings, find_people, make_recording
 from rtof_kin.setup.recording_text import Field, Origin, recording_text, summaries
@@ -143,7 +143,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Array]:
 
 def test_turning_focal_length_and_tilt_are_found_from_nothing(filmed: tuple[Path, Array], tmp_path: Path) -> None:
     path, R_true = filmed
-    found = turning_of_video(path, PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv"))
+    found = rotation_of_video(path, PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv"))
     assert found.camera.K[0, 0] == pytest.approx(360, rel=0.02)
     off = np.degrees(so3.angle_between(found.motion.R_first_camera, R_true))
     assert off.max() < 0.15
@@ -155,7 +155,7 @@ def test_turning_focal_length_and_tilt_are_found_from_nothing(filmed: tuple[Path
 def test_log_of_another_take_is_not_used(
     filmed: tuple[Path, Array], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found = turning_of_video(filmed[0], PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv", seed=6))
+    found = rotation_of_video(filmed[0], PEOPLE, GUESS, 0.15, phone=log(tmp_path / "gyro.csv", seed=6))
     assert found.motion.up_first is None
     assert "is it the file of this video" in caplog.text
 
