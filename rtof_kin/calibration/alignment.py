@@ -250,7 +250,6 @@ def _refined(
     refine: Refine,
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:
-    """Refine the sensors on segments that the solver takes sensors on."""
     carriers = {joint for joint, _ in skeleton.sensors.values()}
     used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]
     if not used:

@@ -106,7 +106,6 @@ def shared_fragments(
 
 
 def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpaceSettings) -> SharedFragments:
-    """The problem of an excerpt."""
     sensors = excerpt.data[0].sensors
     slow = [
         low_passed(even_noise(mask_faults(_sensed(part.recording), excerpt.left_out)), settings)
@@ -126,7 +125,6 @@ def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpace
 
 
 def _sensed(recording: Recording) -> BoneImuSequence:
-    """Sensors at their own rate, as they are calibrated approximately."""
     assert recording.imus is not None
     assert recording.calibration is not None
     return recording.calibration.apply(recording.imus)
@@ -159,7 +157,6 @@ def _check_long_enough(slices: Sequence[Slice], priors: CalibrationPriors) -> No
 
 
 def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> list[Unknown]:
-    """The unknowns, in the order in which they correct the observations."""
     data, skeleton = excerpt.data[0], excerpt.slices[0].recording.skeleton
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:

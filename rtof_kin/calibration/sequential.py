@@ -325,7 +325,6 @@ class SequentialCalibration:
         return corrected(given, self.unknowns, y)
 
     def _weighted(self, given: CalibrationObservations) -> CalibrationObservations:
-        """Observations with the weights of a calibration."""
         p, rows = self._priors, given.rows
         return given.changed(
             w_visual=p.weight_vision * rows["w_visual"],
@@ -336,7 +335,6 @@ class SequentialCalibration:
         )
 
     def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
-        """The window after some steps of its states, and the last factor."""
         problem = self._problem
         energy = problem.total(fragment.x)
         for _ in range(_STEPS):
@@ -355,7 +353,6 @@ class SequentialCalibration:
     def _searched(
         self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
     ) -> Slices[Array]:
-        """Energies of a window at other delays, each after a step of the states."""
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
         for i, k in enumerate(late.steps.tolist()):
@@ -366,7 +363,6 @@ class SequentialCalibration:
         return self.delay.interpolated(late, energies)
 
     def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
-        """Add the information of a window."""
         if not all(np.isfinite(values).all() for values in (told, force, energies)):
             return
         kept = max(0.0, 1 - seconds / self._pace.memory_s)
@@ -387,7 +383,6 @@ class SequentialCalibration:
         return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
 
     def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
-        """Every item."""
         found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
@@ -432,7 +427,6 @@ def _turning(given: CalibrationObservations) -> float:
 
 
 def _is_known(quantity: Quantity) -> bool:
-    """Whether a quantity is known better than before and not in doubt."""
     return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
 
 
@@ -447,7 +441,6 @@ def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown
 
 
 def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
-    """Posterior of a delay that is open."""
     if usual is None or saved is None:
         return None if usual is None else DelayPosterior(usual, 0.0, usual)
     sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))

@@ -140,7 +140,6 @@ class SharedFragments:
         return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
-        """The prior's energy."""
         return 0.5 * float(y @ self.prior @ y)
 
     def _searched(self) -> Array:

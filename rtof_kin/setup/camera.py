@@ -105,7 +105,6 @@ def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, in
 
 
 def _placed(camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float) -> SetupCamera:
-    """Return a camera with the assumed pose and its standard deviations."""
     unsure = Origin.ASSUMED
     pitch, roll = (float(np.radians(deg)) for deg in (SIGMA_PITCH_DEG, SIGMA_ROLL_DEG))
     sigma = CameraUncertainty(sigma_focal, pitch, SIGMA_HEIGHT, sigma_k1, roll)

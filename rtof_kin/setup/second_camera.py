@@ -340,7 +340,6 @@ def _result(found: Adjusted, view: KeypointSequence, clock: ClockEstimate) -> Se
 
 
 def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[Camera, PoseSequence]:
-    """The second camera and its lift, on its own clock and in its own world, in the first one's world."""
     times = first.times[(first.times >= second.times[0]) & (first.times <= second.times[-1])]
     p, q = (signals.interpolate(s.times, s.p_world_joint, times) for s in (first, second))
     H = np.einsum("tji,tjk->ik", p[:, 1:] - p[:, :1], q[:, 1:] - q[:, :1])
@@ -354,7 +353,6 @@ def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[
 
 
 def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:
-    """Used frames: evenly distributed ones in which both cameras see enough."""
     common = first.select(JOINTS).seen & seen.select(JOINTS).seen
     frames = np.flatnonzero(common.sum(axis=1) >= _FEWEST_JOINTS)
     if len(frames) < _FEWEST_FRAMES:
@@ -373,7 +371,6 @@ def _images(
     skeleton: SkeletonModel,
     shapes: Sequence[PoseSequence],
 ) -> Images:
-    """The joints in both images, as each camera's poses have them, and the bones between them."""
     times, index = first.times[frames], skeleton.index(*JOINTS)
     seen = [keypoints.resample(times).select(JOINTS) for keypoints in (first, view)]
     straight = [k.camera.normalise(k.uv_px) @ k.camera.K[:2, :2].T + k.camera.K[:2, 2] for k in seen]

@@ -116,7 +116,6 @@ def _on_clock(log: SensorLog, clock: Callable[[Array], Array]) -> SensorLog:
 def _clock(
     search: Callable[..., ClockEstimate], log: SensorLog, seconds: float, start_utc: datetime | None
 ) -> ClockEstimate:
-    """Find the clock by the motion; where video and sensors state when they began, near that first."""
     if start_utc is not None and log.start_utc is not None:
         stated = (log.start_utc - start_utc).total_seconds()
         with suppress(CalibrationError):
@@ -153,7 +152,6 @@ def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonMode
 
 
 def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
-    """Return the sensors that move, and a sentence about the others."""
     moving = [stream.name for stream in log.streams if _speed(stream) > _STILL]
     still = [name for name in log.names if name not in moving]
     if not moving:
@@ -168,7 +166,6 @@ def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
 
 
 def _speed(stream: SensorStream) -> float:
-    """Return the 95th percentile of a sensor's angular speed, rad/s."""
     assert stream.R_inertial_sensor is not None
     every = max(1, round(_STEP * stream.rate_hz))
     R, times = stream.R_inertial_sensor[::every], stream.times[::every]

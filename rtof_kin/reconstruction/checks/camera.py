@@ -251,7 +251,6 @@ def _check_view(camera: Camera) -> Check:
 
 
 def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
-    """Check the camera's parameters by themselves and against the points."""
     camera = keypoints.camera
     causes = (
         "the focal length is of another unit or picture",
