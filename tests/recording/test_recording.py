@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import planted
@@ -26,8 +27,14 @@ from rtof_kin.core.errors import (
     UnknownNameError,
 )
 from rtof_kin.core.files.manifest import MANIFEST
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.camera import Camera, CameraUncertainty
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.reader import RecordingReader
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.session import Session
+from rtof_kin.recording.streams import BLOCK
 
 SKELETON = SkeletonModel.default()
 T, S = 12, 2
@@ -130,10 +137,11 @@ def assert_same(a: object, b: object, where: str = "recording") -> None:
     if hasattr(a, "__dataclass_fields__"):
         for field in fields(a):  # type: ignore[arg-type]
             assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
+    elif isinstance(a, tuple):
+        for i, (one, other) in enumerate(zip(a, b, strict=True)):  # type: ignore[arg-type, call-overload]
+            assert_same(one, other, f"{where}[{i}]")
     elif isinstance(a, np.ndarray):
-        assert isinstance(b, np.ndarray)
-        assert a.dtype == b.dtype, where
-        np.testing.assert_array_equal(a, b, err_msg=where, strict=True)
+        np.testing.assert_array_equal(a, b, err_msg=where, strict=True)  # type: ignore[arg-type]
     else:
         assert a == b, where
 
@@ -588,3 +596,193 @@ def test_an_existing_recording_is_replaced_on_request_only(tmp_path: Path) -> No
     assert Recording.load(tmp_path / "take").name == "other"
     assert not (tmp_path / "take" / "imus.npz").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["take"]
+
+
+LABELS = Session("P07 <x>", "Dr. Ü", "2026-01-31", "gait lab", "walk")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    recording = planted.recording(planted.moving(SkeletonModel.default(), 12))
+    replace(recording, session=LABELS).save(tmp_path / "out")
+    return tmp_path / "out"
+
+
+def test_labels_are_saved_with_a_recording_which_may_have_none(folder: Path) -> None:
+    assert Recording.load(folder).session == LABELS
+    text = (folder / "recording.toml").read_text()
+    start, stop = text.index("[session]"), text.index("[subject]")
+    (folder / "recording.toml").write_text(text[:start] + text[stop:])
+    assert Recording.load(folder).session == Session()
+
+
+def test_a_day_that_is_none_is_refused(folder: Path) -> None:
+    path = folder / "recording.toml"
+    path.write_text(path.read_text().replace('date = "2026-01-31"', 'date = "31.1."'))
+    with pytest.raises(FileFormatError, match=r"\[session\] date: .*'31.1.' is not a day"):
+        Recording.load(folder)
+
+
+def test_updated_labels_take_precedence() -> None:
+    assert LABELS.updated(Session(subject="P08")) == replace(LABELS, subject="P08")
+    assert Session().updated(LABELS) == LABELS
+    assert Session(subject="P08").plain() == {"subject": "P08"}
+
+
+def test_a_label_that_is_not_text_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="session place"):
+        Session.of({"place": 3})
+
+
+DEMO = Recording.load(model_path("demo"))
+
+
+def demo() -> Recording:
+    """The demo, whose sensors have more samples than a block of the reader, with a second camera."""
+    assert DEMO.imus is not None
+    imus = DEMO.imus
+    twice = replace(
+        imus,
+        times=np.r_[imus.times, imus.times + imus.times[-1] - imus.times[0] + 1 / 60],
+        R_inertial_sensor=np.concatenate([imus.R_inertial_sensor] * 2),
+        f_sensor=np.concatenate([imus.f_sensor] * 2),
+    )
+    assert len(twice.times) > BLOCK
+    return replace(DEMO, imus=twice, views=(DEMO.video[150:400:2],))
+
+
+def test_digest_is_that_of_the_saved_and_of_the_streamed_recording(tmp_path: Path) -> None:
+    recording = demo()
+    recording.save(tmp_path / "saved")
+    digest = recording.digest()
+    assert Recording.load(tmp_path / "saved").digest() == digest
+    with RecordingReader.open(tmp_path / "saved") as reader:
+        assert reader.digest() == digest
+
+
+def test_labels_and_the_form_of_files_do_not_matter(tmp_path: Path) -> None:
+    recording = demo()
+    labelled = replace(
+        recording, name="other", notes="a", acknowledgement="b", session=Session(subject="c", date="2026-01-31")
+    )
+    labelled.save(tmp_path / "a")
+    arrays = dict(np.load(tmp_path / "a" / "keypoints.npz"))
+    np.savez(tmp_path / "a" / "keypoints.npz", **dict(reversed(arrays.items())))
+    assert Recording.load(tmp_path / "a").digest() == recording.digest()
+
+
+def _later(recording: Recording) -> dict[str, Any]:
+    return {"keypoints": replace(recording.video, times=np.nextafter(recording.video.times, np.inf))}
+
+
+def _other_sample(recording: Recording) -> dict[str, Any]:
+    assert recording.imus is not None
+    f = recording.imus.f_sensor.copy()
+    f[-1, 0, 0] = np.nextafter(f[-1, 0, 0], np.inf)
+    return {"imus": replace(recording.imus, f_sensor=f)}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        _later,
+        _other_sample,
+        lambda _: {"mass_kg": 70.0},
+        lambda _: {"floor_height": 0.0},
+        lambda _: {"views": ()},
+        lambda _: {"truth": None},
+        lambda r: {"calibration": replace(r.calibration, p_bone_sensor=r.calibration.p_bone_sensor + 1e-9)},
+    ],
+)
+def test_any_other_number_gives_another_digest(change: Any) -> None:
+    recording = demo()
+    assert replace(recording, **change(recording)).digest() != recording.digest()
+
+
+@pytest.mark.parametrize("degrees", [2.896076792883497, 3.2240400206284368, 5.0, 0.1, 7.3, 1 / 3])
+def test_an_uncertain_camera_is_saved_exactly(tmp_path: Path, degrees: float) -> None:
+    tilt = degrees * float(np.radians(1.0))  # as it is read
+    camera = replace(DEMO.video.camera, uncertainty=CameraUncertainty(0.1, tilt, roll=tilt), heading_drift=tilt)
+    recording = replace(DEMO, keypoints=replace(DEMO.video[:60], camera=camera), imus=None, calibration=None)
+    recording.save(tmp_path / "a")
+    after = Recording.load(tmp_path / "a")
+    assert after.digest() == recording.digest()
+    assert after.video.camera.uncertainty == camera.uncertainty
+    assert after.video.camera.heading_drift == tilt
+
+
+POSES = planted.moving(SkeletonModel.default(), 12).poses
+SIDE = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], 900.0, 1280, 720)
+
+
+def view(start: float = 0.01, rate_hz: float = 25.0) -> KeypointSequence:
+    """A second camera with a rate, a start and points of its own."""
+    uv = np.random.default_rng(0).uniform(100, 600, (5, 3, 2))
+    uv[1, 2] = np.nan
+    times = start + np.arange(5) / rate_hz
+    return KeypointSequence(SIDE, times, uv, np.isfinite(uv[..., 0]) * 0.8, ("Hips", "Nose", "LeftHand"))
+
+
+def two_views(*views: KeypointSequence) -> Recording:
+    return Recording("two", planted.keypoints(POSES), views=views)
+
+
+def test_views_are_read_back_exactly(tmp_path: Path) -> None:
+    before = two_views(view(), replace(view(0.02), camera=planted.camera()))
+    before.save(tmp_path / "two")
+    assert_same(Recording.load(tmp_path / "two").views, before.views)
+
+
+def written_with(folder: Path, text: str) -> Path:
+    """The folder of a recording of one camera with more in its index."""
+    two_views().save(folder)
+    np.savez(folder / "side.npz", uv_px=view().uv_px)
+    index = folder / INDEX
+    index.write_text(index.read_text() + textwrap.dedent(text))
+    return folder
+
+
+SIDE_VIEW = """
+    [[views]]
+    [views.camera]
+    width_px = 1280
+    height_px = 720
+    focal_px = 900.0
+    position_m = [0.5, -4.0, 1.2]
+    target_m = [0.0, 0.0, 1.0]
+    assumed = ["focal length"]
+    [views.keypoints]
+    file = "side.npz"
+    rate_hz = 25.0
+    landmarks = ["Hips", "Nose", ""]
+"""
+
+
+def test_a_view_written_by_hand_is_read(tmp_path: Path) -> None:
+    (side,) = Recording.load(written_with(tmp_path / "a", SIDE_VIEW)).views
+    assert side.names == ("Hips", "Nose")
+    assert side.camera.assumed == ("focal length",)
+    np.testing.assert_allclose(side.camera.center_world, [0.5, -4.0, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"Nose"', '"Nos"', r"views.1.keypoints.*Nos"),
+        ("focal_px", "focal", r"views.1.camera.*focal_px"),
+        ('file = "side.npz"', 'file = "../side.npz"', r"\[views.1.keypoints\] file.*folder"),
+    ],
+)
+def test_errors_name_the_view(tmp_path: Path, old: str, new: str, words: str) -> None:
+    with pytest.raises(RtofError, match=f"(?s){words}"):
+        Recording.load(written_with(tmp_path / "a", SIDE_VIEW.replace(old, new)))
+
+
+def test_views_must_fit_the_recording() -> None:
+    with pytest.raises(InvalidInputError, match="view 1 times"):
+        two_views(view(start=100.0))
+    with pytest.raises(UnknownNameError, match="Elbow"):
+        two_views(replace(view(), names=("Hips", "Nose", "Elbow")))
+    imus = planted.recording(planted.moving(SkeletonModel.default(), 12))
+    with pytest.raises(InvalidInputError, match="first one as keypoints"):
+        replace(imus, keypoints=None, views=(view(0.0),))
