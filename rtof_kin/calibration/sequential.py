@@ -39,11 +39,11 @@ from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.core.numerics.banded import Factor
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.observations import bone_axis
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
 DELAY_ALONE: Final = CalibrationPriors(sigma_swing=None, sigma_image_bias=None, sigma_ankle_height=None)
 """Priors that leave nothing open but the delay. Where sensors are calibrated well, headings, mountings and
@@ -238,7 +238,7 @@ class SequentialCalibration:
             w_torso=p.weight_poses * rows["w_torso"],
         )
 
-    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
         """The window after some steps of its states, and the last factor."""
         problem = self._problem
         energy = problem.total(fragment.x)
@@ -255,9 +255,7 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
-    def _searched(
-        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[Array]:
+    def _searched(self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor) -> Slices[Array]:
         """Energies of a window at other delays, each after a step of the states."""
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
@@ -350,7 +348,7 @@ def _is_known(quantity: Quantity) -> bool:
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
-    sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
+    sensors = tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors)
     if priors.sigma_heading is not None and sensors:
         found.append(Heading(sensors, priors.sigma_heading, None))
     if priors.sigma_swing is not None and sensors:

@@ -25,7 +25,7 @@ from rtof_kin.inertial.initial_poses import poses_from_sensors
 from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _LOW = 0.75
 """Fraction of the standing root height below which a person sits, kneels or lies."""

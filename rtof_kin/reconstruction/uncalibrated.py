@@ -19,7 +19,7 @@ from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_fe
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.uncertainty.disagreement import disagreement
+from rtof_kin.solve.uncertainty import disagreement
 
 _MOST_SECONDS: Final = 40.0
 """[s] of a longer recording that are used: those in which the person comes and goes most."""

@@ -21,11 +21,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.initial_guess import InertialGuidedIK
 from rtof_kin.solve.joint_space import solver as solver_module
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.fragment import TERMS
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
