@@ -1,8 +1,8 @@
 """Terms of one's own in the energy: ``python examples/extending/residual.py``.
 
-A radio ranging anchor (UWB) at a known location measures its distance to a tag on the pelvis. One camera hardly sees how
-far away the person is; the distance tells. One second of the demo is solved from a start that is 30 cm too far away,
-without and with the distances. An inclinometer on the chest is a term of another kind.
+A radio ranging anchor (UWB) at a known location measures its distance to a tag on the pelvis. One camera hardly sees
+how far away the person is; the distance tells. One second of the demo is solved from a start that is 30 cm too far
+away, without and with the distances. An inclinometer on the chest is a term of another kind.
 """
 
 from dataclasses import dataclass, replace

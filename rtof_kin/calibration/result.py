@@ -8,16 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final, Self
+from pathlib import Path
+from typing import Any, Final, Literal, Self
 
 import numpy as np
+import tomli_w
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.files.input_table import InputTable, Integer, Number, Row
+from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -361,3 +365,104 @@ def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[st
     known["all"] = tuple(skeleton.names[1:])
     indices_of("group of bones", names, tuple(known))
     return tuple((name, tuple(skeleton.index(*known[name]))) for name in names)
+
+
+SCHEMA_VERSION = 1
+
+
+class QuantityTable(InputTable):
+    """A quantity: SI units or px."""
+
+    value: Row
+    sigma: Row
+    sigma_prior: Row
+    known: Number
+    """Relative reduction of the prior's variance."""
+    doubt: str = ""
+    """Why the value may be wrong."""
+
+
+class DetectorTable(InputTable):
+    """Remaining reprojection errors of a landmark."""
+
+    sigma_px: Number
+    memory_s: Number
+
+
+class CalibrationTable(InputTable):
+    """The file."""
+
+    schema_version: Literal[1]
+    middle_s: Number
+    """Time stamp of the constants of what drifts."""
+    converged: Integer
+    quantities: dict[str, dict[str, QuantityTable]]
+    """By kind and item."""
+    detector: dict[str, DetectorTable] = {}
+
+
+def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
+    """Write a calibration; `read_self_calibration_toml` restores it exactly.
+
+    Args:
+        overwrite: whether an existing file is replaced.
+
+    Raises:
+        OutputExistsError: the file exists and overwriting was not asked for.
+        RtofError: it cannot be written.
+    """
+    quantities: dict[str, dict[str, Any]] = {}
+    for q in calibration.quantities:
+        quantities.setdefault(q.kind, {})[q.item] = {
+            "value": q.value.tolist(),
+            "sigma": q.sigma.tolist(),
+            "sigma_prior": q.sigma_prior.tolist(),
+            "known": q.known,
+            **({"doubt": q.doubt} if q.doubt else {}),
+        }
+    content = {
+        "schema_version": SCHEMA_VERSION,
+        "middle_s": calibration.middle,
+        "converged": int(calibration.converged),
+        "quantities": quantities,
+        "detector": {d.landmark: {"sigma_px": d.sigma_px, "memory_s": d.memory} for d in calibration.detector},
+    }
+    write_text(Path(path), tomli_w.dumps(content), overwrite)
+
+
+def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
+    """Read a calibration.
+
+    Raises:
+        FileFormatError, UnknownNameError: the message names file, field and remedy.
+    """
+    data = load_toml(path)
+    if "quantities" not in data:
+        raise FileFormatError(
+            path,
+            "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
+            "the file named by its -o",
+        )
+    if (version := data.get("schema_version", SCHEMA_VERSION)) != SCHEMA_VERSION:
+        raise FileFormatError(
+            path,
+            f"schema_version: {version} is not {SCHEMA_VERSION}, which this version of the package "
+            "reads; use the version that wrote it, or a newer one",
+        )
+    file = CalibrationTable.of(data, Path(path))
+    try:
+        return SelfCalibration(
+            tuple(_quantity(one, kind, item) for kind, items in file.quantities.items() for item, one in items.items()),
+            tuple(Detector(name, one.sigma_px, one.memory_s) for name, one in file.detector.items()),
+            file.middle_s,
+            bool(file.converged),
+        )
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error)) from error
+
+
+def _quantity(table: QuantityTable, kind: str, item: str) -> Quantity:
+    for name in ("sigma", "sigma_prior"):
+        if (shape := getattr(table, name).shape) != table.value.shape:
+            raise table.error(name, f"expected {len(table.value)} numbers, got shape {shape}")
+    return Quantity(kind, item, table.value, table.sigma, table.sigma_prior, table.known, table.doubt)

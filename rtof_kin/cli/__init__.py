@@ -1,7 +1,7 @@
 """The command line ``rtof-kin``: the only place that prints.
 
-Exit codes: 0 done, 1 a check does not hold (inspect, reproduce) or a recording failed (batch), 2 wrong input
-(one line says what, where and what to do), 3 reproduced but for the last bits (reproduce), 130 interrupted.
+Exit codes: 0 done, 1 a check does not hold (inspect) or a recording failed (batch), 2 wrong input
+(one line says what, where and what to do), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -89,7 +89,6 @@ def _parser() -> tuple[Parser, argparse._SubParsersAction[Parser]]:
     """Return the parser and its commands."""
     from rtof_kin.cli import (
         batch,
-        bundle,
         clinical,
         compare,
         conversion,
@@ -136,7 +135,6 @@ def _parser() -> tuple[Parser, argparse._SubParsersAction[Parser]]:
         training,
         lifters,
         batch,
-        bundle,
         protocols,
         validation,
         view,

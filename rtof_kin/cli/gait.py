@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rich.table import Column, Table
 
 from rtof_kin.cli.terminal import add_output, command, out, print_files
 
 if TYPE_CHECKING:
     from rtof_kin.data.gait_reference import GaitReference
-    from rtof_kin.reporting.gait.result import ScoredGait
-
-_BAR = 9
-"""Longest bar of the printed profile, characters."""
 
 
 def add_commands(commands: Any) -> None:
@@ -46,7 +39,7 @@ def _from_recordings(options: argparse.Namespace) -> GaitReference:
     from rtof_kin.clinical.gait_reference import build_reference
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
-    from rtof_kin.reporting.gait.inputs import find_people
+    from rtof_kin.reporting.gait import find_people
 
     for_tables = {
         "--people": options.people,
@@ -134,67 +127,17 @@ def _print_reference(reference: GaitReference) -> None:
 
 
 def _scores(options: argparse.Namespace) -> None:
-    from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.core.packages import can_draw
-    from rtof_kin.data.gait_reference import STANDING_ZERO
-    from rtof_kin.formats.gait_reference_json import read_gait_reference
-    from rtof_kin.formats.motion_npz import motion_folder
-    from rtof_kin.reporting.gait.files import MARKER, write_gait_scores
-    from rtof_kin.reporting.gait.inputs import read_cycles
-    from rtof_kin.reporting.gait.result import score_gait
-    from rtof_kin.reporting.gait.sentences import cautions, opening
+    from dataclasses import replace
 
-    check_replaceable(options.output, MARKER, options.overwrite)
-    reference = read_gait_reference(options.reference)
-    standing = options.from_standing or reference.zero == STANDING_ZERO
-    cycles, _ = read_cycles(options.motion, standing)
-    found = score_gait(motion_folder(options.motion).resolve().name, cycles, reference)
-    for line in opening(found):
-        out.print(line, style="bold", soft_wrap=True)
-    for line in cautions(found):
-        out.print(f"caution: {line}", style="yellow", soft_wrap=True)
-    if found.scores is not None:
-        _print_profile(found)
-    with new_folder(options.output, MARKER, options.overwrite) as folder:
-        write_gait_scores(found, folder)
-        if found.scores is not None and not options.no_figures and can_draw():
-            from rtof_kin.reporting.figures import save_figures
-            from rtof_kin.reporting.gait.figures import gait_figure
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.reporting.document import show, write
+    from rtof_kin.reporting.gait import score_motion
 
-            save_figures({"gait_scores": gait_figure(found)}, folder)
+    check_replaceable(options.output, "gait_scores.json", options.overwrite)
+    document = score_motion(options.motion, options.reference, options.from_standing)
+    show(document, out)
+    write(replace(document, figures=()) if options.no_figures else document, options.output, options.overwrite)
     print_files(options.output)
-
-
-def _print_profile(found: ScoredGait) -> None:
-    """Bars of the Movement Analysis Profile, with bands and the reference's median."""
-    from rtof_kin.reporting.angle_names import label
-    from rtof_kin.reporting.gait.files import rows
-
-    scores = list(rows(found))
-    largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
-    first = Column("MAP [deg]", no_wrap=True)
-    sides = [Column(name, no_wrap=True) for name in ("right", "", "left", "")]
-    table = Table(first, *sides, "people", title="95 % bands in brackets; people: median of the reference")
-    for name in dict.fromkeys(row["score"] for row in scores):
-        own = {row["side"]: row for row in scores if row["score"] == name}
-        cells = []
-        for side in ("right", "left"):
-            value = own[side]["value_deg"]
-            bar = "" if value is None else "\u2588" * max(1, round(_BAR * value / max(largest, 1e-9)))
-            cells += [_cell(own[side]), bar]
-        median = own["right"]["reference_median_deg"]
-        shown = "GPS" if name == "gps" else label(name)
-        table.add_row(shown, *cells, "" if median is None else f"{median:.1f}")
-    out.print(table)
-
-
-def _cell(row: dict[str, Any]) -> str:
-    if row["value_deg"] is None:
-        return "-"
-    band = ""
-    if math.isfinite(row["noise_deg"]) and row["noise_deg"] > 0:
-        band = f" ({row['low_deg']:.0f}-{row['high_deg']:.0f})"
-    return f"{row['value_deg']:.1f}{band}"
 
 
 # --- their arguments -----------------------------------------------------------------------------

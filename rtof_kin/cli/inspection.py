@@ -55,7 +55,7 @@ def add_commands(commands: Any) -> None:
 
 class _PrintSchema(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        from rtof_kin.recording.schema import SCHEMA
+        from rtof_kin.recording.tables import SCHEMA
 
         out.print(SCHEMA, soft_wrap=True)
         parser.exit()
@@ -100,10 +100,11 @@ def _with_places(found: Any) -> tuple[Any, Any]:
     """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
     from dataclasses import replace
 
+    from rtof_kin.calibration.assignment import NAME
     from rtof_kin.core.checks import Check
     from rtof_kin.core.errors import RtofError
+    from rtof_kin.reconstruction.checks.sensors import check_recording
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.assignment_check import NAME, check_recording
 
     if found.title != "recording" or found.log is None:
         return found, None

@@ -168,7 +168,7 @@ def _run_session(options: argparse.Namespace) -> None:
     from rtof_kin.core.environment import limit_threads
 
     limit_threads(None)
-    from rtof_kin.calibration.file import read_self_calibration_toml
+    from rtof_kin.calibration.result import read_self_calibration_toml
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.live.estimation.estimator import OnlineEstimator
@@ -185,7 +185,7 @@ def _run_session(options: argparse.Namespace) -> None:
         check_replaceable(options.output, INDEX)
     known = None if options.calibration is None else read_self_calibration_toml(options.calibration)
     lifter = lifter_of(options)
-    with warnings_in_summary("rtof_kin.recording.files"):
+    with warnings_in_summary("rtof_kin.recording.cameras"):
         setup = replace(Recording.load(options.setup), model_prior=getattr(lifter, "prior", None))
         if not options.imus and setup.keypoints is not None:
             setup = replace(setup, imus=None, calibration=None)
@@ -339,7 +339,7 @@ def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None
 
 def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) -> None:
     """Print what was refined, and write it beside the recording."""
-    from rtof_kin.calibration.file import write_self_calibration_toml
+    from rtof_kin.calibration.result import write_self_calibration_toml
 
     if found is None:
         return

@@ -109,10 +109,9 @@ def opened(folder: str | Path) -> Iterator[RecordingSlices]:
 
 def _calibrate(options: argparse.Namespace) -> None:
     use_threads(options)
-    from rtof_kin.calibration.file import write_self_calibration_toml
+    from rtof_kin.calibration.result import write_self_calibration_toml
     from rtof_kin.core.files.folder import check_new_file, check_replaceable
-    from rtof_kin.reconstruction.consistency_checks import consistency_warnings
-    from rtof_kin.reconstruction.self_calibration import calibrate_recording
+    from rtof_kin.reconstruction.self_calibration import calibrate_recording, consistency_warnings
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
     from rtof_kin.reporting.audit import calibration_results
@@ -153,7 +152,7 @@ def _known(options: argparse.Namespace) -> Any:
     """Read the calibration of another recording of the same person, if one is named."""
     if options.calibration is None:
         return None
-    from rtof_kin.calibration.file import read_self_calibration_toml
+    from rtof_kin.calibration.result import read_self_calibration_toml
 
     return read_self_calibration_toml(options.calibration)
 

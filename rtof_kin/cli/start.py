@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
 """Folders that `run` writes, beside the report; the second and third where there are two cameras."""
 _KINDS: Final = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
-_OF_KEYPOINTS: Final = "rtof_kin.recording.files"
+_OF_KEYPOINTS: Final = "rtof_kin.recording.cameras"
 """Logger of how the person was followed, which the findings say."""
 _OF_MOTION: Final = (
     "frames",

@@ -34,7 +34,7 @@ from rtof_kin.protocols.measures import curves, provenance, reconstructions, sav
 from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.files import RECOGNISE
+from rtof_kin.recording.tables import RECOGNISE
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import CartesianSettings

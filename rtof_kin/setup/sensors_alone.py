@@ -37,7 +37,7 @@ def make_sensor_recording(
 
     Args:
         sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; the height is used. pose: that was held: N, T or seated (`rtof_kin.inertial.poses`).
+        settings: of the user; the height is used. pose: that was kept: N, T or seated.
         name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
 
     Raises:

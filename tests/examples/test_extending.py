@@ -136,7 +136,7 @@ def test_distances_bring_the_root_back() -> None:
 
 
 def test_an_inclinometer_straightens_the_chest() -> None:
-    """A term of another kind than positions: the start and the lifter's anchor lean by 20 degrees, the sensor does not."""
+    """A term of another kind than positions: the start leans by 20 degrees, the sensor does not."""
     own, recording = example("residual"), Recording.load(model_path("demo"))
     assert recording.truth is not None
     truth, chest = recording.truth[:24], recording.skeleton.names.index("Spine3")

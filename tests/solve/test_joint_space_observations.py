@@ -15,11 +15,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds
+from rtof_kin.inertial.root_path import FEET, Footholds
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InitialGuess
-from rtof_kin.solve.joint_space.terms import TORSO
 from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.terms import TORSO
 from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.inertial.root_path import Footholds
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import estimated_places
 from rtof_kin.solve.joint_space.energy import FrameEnergy

@@ -20,7 +20,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
+from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
 from rtof_kin.solve import terms as residuals
 from rtof_kin.solve.joint_space.energy import Frame, camera_names
 from rtof_kin.solve.joint_space.state import StateSpace

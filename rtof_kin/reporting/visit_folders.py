@@ -1,0 +1,299 @@
+"""Visits in folders: ``DIR/VISIT/TRIAL/motion.npz``, and what ``DIR/follow.toml`` says about them.
+
+A folder in DIR with one output of reconstruct or run, or more, at any depth, is a visit, and each output a
+trial. Visits are ordered by their day: that of ``follow.toml``, else the one in the name of the folder
+(2026-01-31), else that of the recordings' sessions; by name if one has no day. ``follow.toml`` may have
+
+::
+
+    baseline = "before"          # name of the visit that the others are compared with; default: the first
+    by = "cycle"                 # or repetition, range; default: chosen from the data, and said
+    repetitions = "squat"        # kind
+    measures = ["gait_speed"]    # to follow; fewer are tested more sharply
+
+    [[visit]]                    # in order; folders that are not listed are left out
+    folder = "2026-01-31"
+    name = "before"              # default: the folder
+    date = "2026-01-31"
+
+    [better]                     # direction that is better: up, down, or (towards) zero
+    right_knee_flexion_range = "up"
+
+    [bands]                      # how the variance of the bands is divided, see `BandShares`
+    all_visits = 0.0
+    visit = 1.0
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated, Any, Final, cast
+
+import numpy as np
+from pydantic import Strict
+
+from rtof_kin.clinical.measurement_error import BandShares
+from rtof_kin.clinical.visit_measures import BETTERS, MOVEMENTS, Better, Movement
+from rtof_kin.clinical.visits import Setup, Trial, Visit, trial
+from rtof_kin.core.checks import indices_of
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.input_table import InputTable, Names, Number
+from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsReader
+from rtof_kin.formats.motion_npz import MOTION, MotionReader
+from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
+
+PLAN: Final = "follow.toml"
+_DAY: Final = re.compile(r"(?<!\d)(\d{4})[-_.]?(\d{2})[-_.]?(\d{2})(?!\d)")
+_OF_RUN: Final = "motion"  # folder of the motion in the output of `run`
+_SETTINGS: Final = ("space", "backend", "energy", "lifter", "lift_with_sensors", "calibrate")
+_STEADY: Final = 0.8  # length of the mean of unit vectors along the heading, from which on it has a mean
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Contents of ``follow.toml``."""
+
+    folders: tuple[str, ...] = ()
+    """In order; none: all."""
+    names: dict[str, str] = field(default_factory=dict)
+    """Folder -> name."""
+    days: dict[str, date] = field(default_factory=dict)
+    """Folder -> day."""
+    baseline: str = ""
+    by: Movement | None = None
+    kind: str = ""
+    measures: tuple[str, ...] = ()
+    better: dict[str, Better] = field(default_factory=dict)
+    shares: BandShares = field(default_factory=BandShares)
+
+
+class VisitTable(InputTable):
+    """A table ``[[visit]]``."""
+
+    folder: str
+    name: str | None = None
+    date: Any = None
+    """A day of TOML, or its text."""
+
+
+class BandsTable(InputTable):
+    """See `BandShares`."""
+
+    all_visits: Number = 0.0
+    visit: Number = 1.0
+
+
+class PlanTable(InputTable):
+    """The file ``follow.toml``."""
+
+    baseline: str = ""
+    by: str = ""
+    repetitions: str = ""
+    measures: Names = ()
+    visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
+    better: dict[str, str] = {}
+    bands: BandsTable = BandsTable()
+
+
+@dataclass(frozen=True)
+class FoundVisits:
+    """Visits in a folder."""
+
+    visits: tuple[Visit, ...]
+    baseline: int
+    plan: Plan
+    notes: tuple[str, ...]
+    """What to be careful about: their order, and folders that are left out."""
+
+
+def read_plan(folder: str | Path) -> Plan:
+    """Read ``follow.toml``; without one nothing is declared.
+
+    Raises:
+        FileFormatError: a field is of the wrong kind. UnknownNameError: there is no such field or choice.
+    """
+    path = Path(folder) / PLAN
+    if not path.exists():
+        return Plan()
+    top = PlanTable.read(path)
+    indices_of(f"direction in {path}, [better]", [*top.better.values()], BETTERS)
+    if top.by:
+        indices_of(f"choice in {path}, by", [top.by], MOVEMENTS)
+    try:
+        shares = BandShares(top.bands.all_visits, top.bands.visit)
+    except InvalidInputError as error:
+        raise top.error("bands", str(error)) from error
+    return Plan(
+        tuple(one.folder for one in top.visit),
+        {one.folder: one.folder if one.name is None else one.name for one in top.visit},
+        {one.folder: _declared_day(one) for one in top.visit if one.date is not None},
+        top.baseline,
+        cast("Movement | None", top.by or None),
+        top.repetitions,
+        top.measures,
+        cast("dict[str, Better]", top.better),
+        shares,
+    )
+
+
+def _declared_day(one: VisitTable) -> date:
+    value = one.date
+    if isinstance(value, datetime):
+        return value.date()
+    if isinstance(value, date):
+        return value
+    try:
+        return date.fromisoformat(str(value))
+    except ValueError as error:
+        raise one.error("date", "not a day; write year, month and day, as 2026-01-31") from error
+
+
+def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVisits:
+    """Read all visits of a folder, and analyse their motions.
+
+    Args:
+        progress: called with the number of trials done, and of all.
+
+    Raises:
+        FileFormatError: fewer than two visits, one without a motion, or a damaged file.
+    """
+    folder = Path(folder)
+    plan, found = read_plan(folder), _motions(folder)
+    wanted = plan.folders or tuple(found)
+    if missing := [name for name in wanted if name not in found]:
+        raise FileFormatError(
+            folder / PLAN, f"visit {missing[0]!r} has no {MOTION}; there are {', '.join(found) or 'none'}"
+        )
+    if len(wanted) < 2:
+        raise FileFormatError(
+            folder,
+            f"has {len(wanted)} visit(s); give a folder that has a folder with outputs of "
+            "reconstruct for each of two visits or more",
+        )
+    total, done, visits, notes = sum(len(found[name]) for name in wanted), 0, list[Visit](), list[str]()
+    for name in wanted:
+        trials = []
+        for path in found[name]:
+            trials.append(_trial(path, folder / name))
+            done += 1
+            if progress is not None:
+                progress(done, total)
+        visits.append(Visit(plan.names.get(name, name), tuple(trials), _day(name, trials, plan, notes)))
+    if unlisted := [name for name in found if name not in wanted]:
+        notes.append(f"Left out, as {PLAN} does not list them: {', '.join(unlisted)}")
+    if not plan.folders:
+        visits = _ordered(visits, notes)
+    return FoundVisits(tuple(visits), _baseline(visits, plan, folder), plan, tuple(notes))
+
+
+def _motions(folder: Path) -> dict[str, list[Path]]:
+    """Folder of each visit -> its motions."""
+    if not folder.is_dir():
+        raise FileFormatError(folder, "there is no such folder")
+    if (folder / MOTION).exists():
+        raise FileFormatError(folder, "is one motion; give the folder that has a folder for each visit")
+    out = {}
+    for place in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
+        if motions := sorted(place.rglob(MOTION)):
+            out[place.name] = motions
+    return out
+
+
+def _trial(path: Path, visit: Path) -> Trial:
+    place = path.parent.parent if path.parent.name == _OF_RUN and path.parent != visit else path.parent
+    name = place.relative_to(visit).as_posix()
+    summary = read_summary(path.parent / SUMMARY) if (path.parent / SUMMARY).is_file() else None
+    with MotionReader(path) as reader:
+        found = trial(visit.name if name == "." else name, reader.source())
+        mode = reader.mode
+    view = _view(found, path.parent / MEASUREMENTS)
+    return Trial(**{**vars(found), "setup": _setup(summary, mode, view)})
+
+
+def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
+    if summary is None:
+        return Setup(mode=mode, view=view)
+    inputs, session, settings = summary.inputs, summary.session, summary.settings or {}
+    camera: dict[str, Any] = inputs.get("camera") or {}
+    segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
+    overall = None if summary.results is None else headline(summary.results)
+    return Setup(
+        session.subject,
+        session.date,
+        session.protocol,
+        summary.mode or mode,
+        str(inputs.get("software") or ""),
+        ", ".join(f"{name} {settings[name]}" for name in _SETTINGS if name in settings),
+        tuple(sorted(str(segment) for segment in segments if segment)),
+        tuple(camera.get("landmarks") or ()),
+        int(inputs.get("cameras") or 0),
+        _number(camera.get("height_m")),
+        _number(camera.get("distance_m")),
+        view,
+        overall.text if overall is not None and overall.grade is Grade.FAIL else "",
+    )
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _view(found: Trial, path: Path) -> float:
+    """Mean heading from the direction of the first camera, rad; NaN where unknown."""
+    heading = found.analysis.paths.heading
+    mean = np.mean(np.exp(1j * heading[np.isfinite(heading)])) if np.isfinite(heading).any() else 0.0
+    if abs(mean) < _STEADY or not path.is_file():
+        return float("nan")
+    reader = MeasurementsReader(path)
+    try:
+        views = reader.block(0, 1).views
+    finally:
+        reader.close()
+    if not views:
+        return float("nan")
+    ahead = views[0].camera.R_camera_world[2]
+    return float(np.angle(mean * np.exp(-1j * np.arctan2(ahead[1], ahead[0]))))
+
+
+def _day(name: str, trials: Sequence[Trial], plan: Plan, notes: list[str]) -> date | None:
+    """Day of a visit."""
+    recorded = sorted({one.setup.date for one in trials} - {""})
+    day = plan.days.get(name)
+    if day is None and (match := _DAY.search(name)) is not None:
+        try:
+            day = date(*map(int, match.groups()))
+        except ValueError:
+            day = None
+    if day is None:
+        return date.fromisoformat(recorded[0]) if recorded else None
+    if other := [text for text in recorded if text != day.isoformat()]:
+        notes.append(f"{name} is of {day}, but its recordings say {', '.join(other)}")
+    return day
+
+
+def _ordered(visits: list[Visit], notes: list[str]) -> list[Visit]:
+    days = [visit.day for visit in visits]
+    if any(day is None for day in days):
+        notes.append(f"Not all visits have a day: they are in the order of their names ({PLAN} may list them)")
+        return sorted(visits, key=lambda visit: _natural(visit.name))
+    return sorted(visits, key=lambda visit: (visit.day or date.min, _natural(visit.name)))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sort key by which visit 10 comes after visit 2."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def _baseline(visits: Sequence[Visit], plan: Plan, folder: Path) -> int:
+    if not plan.baseline:
+        return 0
+    names = [visit.name for visit in visits]
+    wanted = plan.names.get(plan.baseline, plan.baseline)
+    return indices_of(f"visit in {folder / PLAN}, baseline", [wanted], names)[0]
