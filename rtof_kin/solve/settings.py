@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Any, Final, Literal, get_args
-
-import numpy as np
 
 from rtof_kin.core.choices import BACKENDS, Backend, Compile
 from rtof_kin.core.errors import InvalidInputError
@@ -48,9 +47,9 @@ class JointSpaceSettings:
     landmark_places: bool = False
     """Whether the places of a detector's points in the person's segments are estimated, for which the recording is
     solved twice. On simulated recordings of 3 to 23 s this gains nothing."""
-    sigma_swing: float = np.radians(5.0)
+    sigma_swing: float = math.radians(5.0)
     """[rad] of a sensor's segment about axes across its bone."""
-    sigma_twist: float = np.radians(20.0)
+    sigma_twist: float = math.radians(20.0)
     """[rad] about the bone, where soft tissue rolls."""
     robust_orientation: float = 3.0
     """[sigma] where the loss of an orientation turns from square to linear."""
@@ -66,9 +65,9 @@ class JointSpaceSettings:
     """[1] The same for limbs without a sensor, and for all joints where there are no sensors."""
     prior_inflation: float = 1.7
     """[1] Factor on the standard deviations of the pose prior: frames are not independent."""
-    sigma_prior_least: float = np.radians(3.0)
+    sigma_prior_least: float = math.radians(3.0)
     """[rad] added in squares to each standard deviation of the prior."""
-    sigma_torso: float | None = np.radians(18.0)
+    sigma_torso: float | None = math.radians(18.0)
     """[rad] of pelvis and upper trunk about the initial guess, with a Cauchy loss; only without a sensor on them, and
     where the initial guess has no standard deviation of its own. None: no anchor."""
     torso_inflation: float = 2.0
@@ -113,7 +112,7 @@ class JointSpaceSettings:
             if getattr(self, field) not in values:
                 raise InvalidInputError(f"{field}: {getattr(self, field)!r} is none of {', '.join(values)}")
         low, high = self.sigma_reprojection_range
-        if not 0 < low <= high < np.inf:
+        if not 0 < low <= high < math.inf:
             raise InvalidInputError("sigma_reprojection_range must be positive, the smaller one first")
         object.__setattr__(self, "sigma_reprojection_range", (float(low), float(high)))
         sigmas = [name for name in vars(self) if name.startswith(("sigma_", "robust_"))]
@@ -121,15 +120,15 @@ class JointSpaceSettings:
             value = getattr(self, field)
             if isinstance(value, tuple) or (value is None and field in _OPTIONAL):
                 continue
-            if not isinstance(value, int | float | np.number) or not 0 < value < np.inf:
+            if not isinstance(value, Real) or not 0 < value < math.inf:
                 raise InvalidInputError(f"{field} must be positive and finite")
-        if self.floor_height is not None and not np.isfinite(self.floor_height):
+        if self.floor_height is not None and not math.isfinite(self.floor_height):
             raise InvalidInputError("floor_height must be finite, or None where there is no floor")
         if self.largest_correlation_factor < 1:
             raise InvalidInputError("largest_correlation_factor must be at least 1")
         for field in ("annealing", "max_iterations"):
             value = getattr(self, field)
-            if not isinstance(value, int | np.integer) or value < 0:
+            if not isinstance(value, Integral) or value < 0:
                 raise InvalidInputError(f"{field} must be a whole number, not negative")
 
 

@@ -176,7 +176,7 @@ def test_prior_at_its_mean_has_the_precision_as_hessian() -> None:
 def test_a_sensor_half_a_turn_off_gives_finite_forces(axis: int) -> None:
     fragment = Fragment("balls", seed=3)
     fragment.x[:, 3:] = np.tile(np.eye(4)[0], len(fragment.built.space.joints))
-    for out in outputs(fragment, {"quat_sensor": np.eye(4)[None, None, 1 + axis]}):
+    for out in outputs(fragment, {"quat_sensor": np.repeat(np.eye(4)[None, None, 1 + axis], 2, axis=1)}):
         assert np.isfinite(out).all()
 
 
