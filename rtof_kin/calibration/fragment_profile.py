@@ -28,11 +28,9 @@ from rtof_kin.solve.joint_space.observations import Attached
 from rtof_kin.solve.joint_space.state import Limits
 from rtof_kin.solve.settings import JointSpaceSettings
 
-_FRAMES: Final = 13
-"""Frames that are added in one slice."""
+_FRAMES = 13  # Frames that are added in one slice
 _Result = TypeVar("_Result")
-Slices = Generator[None, None, _Result]
-"""Work that is done piece by piece; the result comes with the end."""
+Slices = Generator[None, None, _Result]  # Work that is done piece by piece; the result comes with the end
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -110,26 +108,20 @@ class UnknownsHessian:
 
 
 _DAMPING: Final = 1e-6
-_BLOCK: Final = 24
-"""Right-hand sides that are solved in one slice."""
+_BLOCK = 24  # Right-hand sides that are solved in one slice
 
 
 @dataclass(frozen=True)
 class ProfiledFragment:
     """A fragment's observations and states, and the problem to evaluate them with."""
 
-    problem: FragmentEnergy
-    """With the observations bound to it."""
+    problem: FragmentEnergy  # With the observations bound to it
     limits: Limits | None
     settings: JointSpaceSettings
-    observations: CalibrationObservations
-    """Corrected by the unknowns y."""
-    first: int
-    """Frame of the observations with which the fragment begins."""
-    x: Array
-    """(N, 3 + 4A) states."""
-    multipliers: Array | None = None
-    """(N, M) of the limits."""
+    observations: CalibrationObservations  # Corrected by the unknowns y
+    first: int  # Frame of the observations with which the fragment begins
+    x: Array  # (N, 3 + 4A) states
+    multipliers: Array | None = None  # (N, M) of the limits
 
     def linearise(self) -> Array:
         """Return the energy's gradient (N, D) by the states; the problem stores the Hessian."""

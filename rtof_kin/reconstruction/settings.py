@@ -52,9 +52,6 @@ class ReconstructionSettings:
     def solver(self, skeleton: SkeletonModel) -> JointSpaceSettings | CartesianSettings:
         """Return the settings of the fragment solver: those given, else the defaults.
 
-        Args:
-            skeleton: the subject's.
-
         Raises:
             InvalidInputError: there is no such backend.
         """

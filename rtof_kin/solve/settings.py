@@ -120,7 +120,7 @@ class JointSpaceSettings:
             value = getattr(self, field)
             if isinstance(value, tuple) or (value is None and field in _OPTIONAL):
                 continue
-            if not isinstance(value, Real) or not 0 < value < math.inf:
+            if not isinstance(value, Real) or not 0 < float(value) < math.inf:
                 raise InvalidInputError(f"{field} must be positive and finite")
         if self.floor_height is not None and not math.isfinite(self.floor_height):
             raise InvalidInputError("floor_height must be finite, or None where there is no floor")
