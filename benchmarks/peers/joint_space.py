@@ -19,7 +19,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve import terms as energies
 from rtof_kin.solve.initial_guess import initial_guess
-from rtof_kin.solve.joint_space.fragment import FragmentData, JointProblem
+from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
 from rtof_kin.solve.settings import JointSpaceSettings
@@ -41,7 +41,7 @@ class JointScene:
         m, self.settings, self.frames = material, settings, frames
         guess = initial_guess(m.start, m.keypoints, m.imus, m.skeleton, refit_root=settings.refit_root)
         self.observations = Observations(m.skeleton, frames, settings, guess, m.keypoints, m.imus)
-        self.problem: JointProblem = self.observations.problem
+        self.problem: FragmentEnergy = self.observations.problem
         self.space: StateSpace = self.observations.space
         assert self.observations.limits is not None
         self.limits: Limits = self.observations.limits
@@ -56,7 +56,7 @@ class JointScene:
         return Fragment(first, self.observations.start[index], data)
 
     def score(self, fragment: Fragment, x: Array, multipliers: Array | None = None) -> Score:
-        """Score by `JointProblem.total` and `gradient`; with multipliers the Lagrangian's gradient."""
+        """Score by `FragmentEnergy.total` and `gradient`; with multipliers the Lagrangian's gradient."""
         self.problem.bind(fragment.data)
         energy, gradient = self.problem.total(x), self.problem.gradient(x)
         angles = self.limits.values(x)
