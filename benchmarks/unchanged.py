@@ -49,7 +49,7 @@ STEPS: list[tuple[str, str]] = [
     *((f"visits/{i}/{j}", f"reconstruct IN/squat_{i}_{j} -o OUT") for i in (1, 2) for j in (1, 2, 3)),
     ("analyse/demo", "analyse RUN/demo/rtof -o OUT --weight 70 --no-figures"),
     ("analyse/gait", "analyse RUN/people/gait_1 -o OUT --weight 70 --sex female --no-figures"),
-    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --from-standing --no-figures"),
+    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --no-figures"),
     ("compare/modes", "compare RUN/demo/rtof RUN/demo/rto -o OUT"),
     ("compare/sides", "compare RUN/people/gait_1 --sides -o OUT"),
     ("compare/people", "compare RUN/people/gait_1 RUN/people/gait_2 --by cycle --spm -o OUT"),

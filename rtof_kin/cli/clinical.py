@@ -24,7 +24,7 @@ def add_commands(commands: Any) -> None:
         "signs and zeros, ranges of motion, gait cycles, torques where a body mass is known, figures, and "
         "notes on what could not be computed and why. An unobserved angle is an empty cell.",
     )
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.h5")
     add_output(parser, None, "folder to write")
     parser.add_argument("--height", type=decimal, metavar="M", help="to check the skeleton's size")
     add_analysis(parser)
@@ -66,18 +66,18 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     Args:
         inputs: fingerprints for the folder's manifest.
     """
+    from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.clinical.analysis import analyse_motion
     from rtof_kin.clinical.files import MARKER, write_analysis
     from rtof_kin.core.files.folder import check_replaceable, new_folder
     from rtof_kin.core.packages import can_draw
-    from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     check_replaceable(options.output, MARKER, options.overwrite)
     path = motion_path(options.motion)
     weight_kg, sex = _weight_and_sex(options, path.parent)
     with MotionReader(path) as reader:
         analysis = analyse_motion(
-            reader.source(),
+            reader,
             weight_kg=weight_kg,
             height=options.height,
             sex=sex,

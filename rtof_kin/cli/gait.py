@@ -36,7 +36,7 @@ def _reference(options: argparse.Namespace) -> None:
 def _from_recordings(options: argparse.Namespace) -> GaitReference:
     """Reference from a folder of recordings; says who is left out, and why."""
     import rtof_kin
-    from rtof_kin.clinical.gait_reference import build_reference
+    from rtof_kin.clinical.gait_scores import build_reference
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
     from rtof_kin.reporting.gait import find_people
@@ -103,8 +103,7 @@ def _from_table(options: argparse.Namespace) -> GaitReference:
 
 def _print_reference(reference: GaitReference) -> None:
     """Print what the reference is of, and what it cannot be used for."""
-    from rtof_kin.clinical.gait_deviation_index import gait_features
-    from rtof_kin.clinical.gait_reference import FEW
+    from rtof_kin.clinical.gait_scores import FEW, gait_features
     from rtof_kin.core.errors import InvalidInputError
 
     speeds = ""

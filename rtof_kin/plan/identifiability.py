@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -24,11 +24,11 @@ from rtof_kin.plan.prediction import SETTINGS
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import state_covariances
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.settings import JointSpaceSettings
 
 NOT_IDENTIFIABLE: Final = np.radians(30.0)
 """[rad] Least standard deviation, by the measurements alone, of an angle that is not identifiable."""
