@@ -18,8 +18,8 @@ from rtof_kin.core import environment as module
 from rtof_kin.core.environment import environment
 from rtof_kin.core.files.compact import multiples
 from rtof_kin.core.numerics import c_compiler
-from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 
 def test_environment_has_versions_and_neither_names_nor_paths(monkeypatch: pytest.MonkeyPatch) -> None:
