@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES, AngleRow, AngleTable, clinical_name
 from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
@@ -102,7 +102,7 @@ def report(
     summary = replace(summary, inputs=inputs)
     with MotionReader(folder / MOTION) as reader:
         motion = reader.source()
-        analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+        analysis = analyse(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 
