@@ -25,7 +25,7 @@ def add_commands(commands: Any) -> None:
         "signs and zeros, ranges of motion, gait cycles, torques where a body mass is known, figures, and "
         "notes on what could not be computed and why. An unobserved angle is an empty cell.",
     )
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.h5")
     add_output(parser, None, "folder to write")
     parser.add_argument("--height", type=decimal, metavar="M", help="to check the skeleton's size")
     add_analysis(parser)
@@ -57,9 +57,9 @@ def analyse_and_write(options: argparse.Namespace, inputs: Mapping[str, str] | N
     Args:
         inputs: fingerprints for the folder's manifest.
     """
+    from rtof_kin.body.motion_file import motion_path
     from rtof_kin.clinical.analysis import analyse
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.formats.motion_npz import motion_path
     from rtof_kin.reporting.analysis import MARKER, document
     from rtof_kin.reporting.document import write
 

@@ -15,7 +15,7 @@ def add_commands(commands: Any) -> None:
         "compare",
         _compare,
         "two motions, or the left and right side of one, angle by angle",
-        "A and B are outputs of reconstruct or run, a motion.npz, or a .mot or .sto of another system. "
+        "A and B are outputs of reconstruct or run, a motion.h5, or a .mot or .sto of another system. "
         "Prints what is compared and how, which angles have changed, and differences B - A with 95 % "
         "intervals and errors; -o writes a page with the curves, a table and JSON.",
     )

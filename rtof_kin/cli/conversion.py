@@ -52,10 +52,10 @@ def _simulate(options: argparse.Namespace) -> None:
 
 
 def _export(options: argparse.Namespace) -> None:
+    from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.errors import InvalidInputError
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     if options.output and options.folder:
         raise InvalidInputError("export: name one folder to write, as OUT or with -o OUT")
@@ -73,7 +73,7 @@ def _export(options: argparse.Namespace) -> None:
         return
     check_formats(formats)
     with MotionReader(motion_path(options.motion)) as reader, new_folder(output, URDF, options.overwrite) as folder:
-        write_motion_files(folder, reader.source(), formats)
+        write_motion_files(folder, reader, formats)
     print_files(output)
 
 
@@ -121,7 +121,7 @@ def _add_export(commands: Any) -> None:
         "Always writes the subject's URDF and files.json, which lists axes, units and names of every "
         "file. Unobserved frames are marked or missing in every format.",
     )
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.h5")
     folder = parser.add_argument("folder", metavar="OUT", help="folder to write")
 
     class InPlaceOfFolder(argparse.Action):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
 
-from rtof_kin.cli.protocols import print_tables
+from rtof_kin.cli.protocols import print_first, print_tables
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
@@ -239,22 +239,23 @@ def _reconstruct_to(recording: RecordingSlices, mode: Mode, options: argparse.Na
 
 def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.body.metrics import aligned_worlds, comparable, evaluate
+    from rtof_kin.body.motion_file import MotionReader
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
     from rtof_kin.formats.opensim_table import SUFFIXES
     from rtof_kin.recording.recording import Recording
 
-    motion = read_motion_npz(motion_path(options.motion))
+    with MotionReader(options.motion) as reader:
+        motion, mode = reader.read(), reader.mode
     if Path(options.truth).suffix.lower() in SUFFIXES:
-        _evaluate_angles(options, motion.motion(), None)
+        _evaluate_angles(options, motion, None)
         return
     recording = Recording.load(options.truth)
     if recording.truth is None:
         raise InvalidInputError(f"{options.truth}: the recording has no truth to compare with")
-    poses = comparable(motion.poses, recording.truth, motion.mode)
+    poses = comparable(motion.poses, recording.truth, mode)
     moved, turn, shift = aligned_worlds(poses, recording.truth)
     metrics, aligned = (evaluate(p, recording.truth, recording.skeleton) for p in (poses, moved))
-    name = motion.mode or "motion"
+    name = mode or "motion"
     print_scores(with_zero_motion(recording) | {name: metrics, f"{name}, worlds\naligned": aligned})
     out.print(
         f"worlds aligned: the motion is turned by {math.degrees(turn):.1f} deg about the vertical and moved "
@@ -268,21 +269,22 @@ def _evaluate(options: argparse.Namespace) -> None:
         table.add_row(joint, *(figure_text(key, figures.get(key)) for key in columns))
     out.print(table)
     if options.angles or options.output:
-        _evaluate_angles(options, motion.motion(), recording)
+        _evaluate_angles(options, motion, recording)
 
 
 def _evaluate_angles(options: argparse.Namespace, motion: Motion, recording: Recording | None) -> None:
     """Print the errors of clinical angles, and write them if asked."""
-    from rtof_kin.protocols.angle_evaluation import against_opensim, against_recording
+    from rtof_kin.protocols.angles import against_opensim, against_recording
+    from rtof_kin.protocols.tables import write_results
 
     if recording is None:
         found = against_opensim(motion, Path(options.truth), options.movement)
     else:
         found = against_recording(motion, recording, options.movement)
-    out.print(found.first, style="bold", soft_wrap=True)
-    print_tables(found.tables)
+    print_first(found)
+    print_tables(found.printed)
     if options.output:
-        written = found.write(Path(options.output))
+        written = write_results(found, Path(options.output))
         out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
 
 
@@ -315,7 +317,7 @@ def _add_reconstruct(commands: Any) -> None:
         _reconstruct,
         "reconstruct the motion of a recording",
         "RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; "
-        "docs/recording.md describes it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, "
+        "docs/recording.md describes it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, "
         "the trajectory as CSV and for ROS; of recordings up to two minutes figures. Longer ones are "
         "reconstructed in parts, in bounded memory.",
     )
@@ -378,7 +380,7 @@ def _add_evaluate(commands: Any) -> None:
         "Prints position, acceleration, jerk and angle errors, pooled and per joint, beside a "
         "predictor that never moves; --angles: of clinical joint angles, as published for other systems.",
     )
-    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="MOTION", help="output folder, or its motion.h5")
     parser.add_argument(
         "--truth",
         required=True,

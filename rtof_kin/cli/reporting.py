@@ -27,9 +27,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> None:
+    from rtof_kin.body.motion_file import motion_folder
     from rtof_kin.core.files.folder import check_new_file
     from rtof_kin.core.files.text import write_text
-    from rtof_kin.formats.motion_npz import motion_folder
     from rtof_kin.recording.session import Session
     from rtof_kin.reporting.page import PAGE, report
 

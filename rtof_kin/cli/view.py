@@ -32,7 +32,7 @@ def add_commands(commands: Any) -> None:
         "with a secret token; nothing leaves it. Ctrl-C ends. Keys: space plays, arrows step by a frame "
         "(left, right) or a second (up, down). Needs the extra: pip install 'rtof-kin[view]'.",
     )
-    parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.npz")
+    parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.h5")
     parser.add_argument(
         "--video",
         action="append",

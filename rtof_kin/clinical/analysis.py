@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
@@ -19,7 +20,6 @@ from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetit
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques, joint_torques
 from rtof_kin.clinical.travel import Travel, travel
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def analyse(
     if isinstance(motion, str | Path):
         with MotionReader(motion_path(motion)) as reader:
             return analyse(
-                reader.source(),
+                reader,
                 weight_kg=weight_kg,
                 height=height,
                 sex=sex,

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from markupsafe import Markup
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse
@@ -23,7 +24,6 @@ from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.signals import runs
-from rtof_kin.formats.motion_npz import MOTION, MotionReader
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict, section_verdict
@@ -100,8 +100,7 @@ def report(
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    with MotionReader(folder / MOTION) as reader:
-        motion = reader.source()
+    with MotionReader(folder) as motion:
         analysis = analyse(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 

@@ -1,4 +1,4 @@
-"""Visits in folders: ``DIR/VISIT/TRIAL/motion.npz``, and what ``DIR/follow.toml`` says about them.
+"""Visits in folders: ``DIR/VISIT/TRIAL/motion.h5``, and what ``DIR/follow.toml`` says about them.
 
 A folder in DIR with one output of reconstruct or run, or more, at any depth, is a visit, and each output a
 trial. Visits are ordered by their day: that of ``follow.toml``, else the one in the name of the folder
@@ -36,13 +36,13 @@ from typing import Annotated, Any, Final, cast
 import numpy as np
 from pydantic import Strict
 
+from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
 from rtof_kin.clinical.follow_up import BandShares
 from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Better, Movement, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.input_table import InputTable, Names, Number
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsReader
-from rtof_kin.formats.motion_npz import MOTION, MotionReader
+from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
 from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.headline import headline
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
@@ -196,11 +196,11 @@ def _motions(folder: Path) -> dict[str, list[Path]]:
     """Folder of each visit -> its motions."""
     if not folder.is_dir():
         raise FileFormatError(folder, "there is no such folder")
-    if (folder / MOTION).exists():
+    if file_in(folder):
         raise FileFormatError(folder, "is one motion; give the folder that has a folder for each visit")
     out = {}
     for place in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
-        if motions := sorted(place.rglob(MOTION)):
+        if motions := sorted(path for name in (MOTION, EARLIER) for path in place.rglob(name)):
             out[place.name] = motions
     return out
 
@@ -210,9 +210,9 @@ def _trial(path: Path, visit: Path) -> Trial:
     name = place.relative_to(visit).as_posix()
     summary = read_summary(path.parent / SUMMARY) if (path.parent / SUMMARY).is_file() else None
     with MotionReader(path) as reader:
-        found = trial(visit.name if name == "." else name, reader.source())
+        found = trial(visit.name if name == "." else name, reader)
         mode = reader.mode
-    view = _view(found, path.parent / MEASUREMENTS)
+    view = _view(found, measurements_path(path.parent))
     return Trial(**{**vars(found), "setup": _setup(summary, mode, view)})
 
 
@@ -250,11 +250,8 @@ def _view(found: Trial, path: Path) -> float:
     mean = np.mean(np.exp(1j * heading[np.isfinite(heading)])) if np.isfinite(heading).any() else 0.0
     if abs(mean) < _STEADY or not path.is_file():
         return float("nan")
-    reader = MeasurementsReader(path)
-    try:
-        views = reader.block(0, 1).views
-    finally:
-        reader.close()
+    with MeasurementsReader(path) as reader:
+        views = reader.read(0, 1).views
     if not views:
         return float("nan")
     ahead = views[0].camera.R_camera_world[2]

@@ -129,9 +129,9 @@ def test_only_steps_after_a_change_are_done_again(root: Path, out: Path, log: Pa
     assert calls(log) - before == {"a reconstruct": 1, "a analyse": 1, "a report": 1}
     run(batch_of(one, out, version="2"))
     assert calls(log)["a reconstruct"] == 3
-    (out / "a/motion/motion.npz").unlink()
+    (out / "a/motion/motion.h5").unlink()
     run(batch_of(one, out, version="2"))
-    assert (out / "a/motion/motion.npz").is_file()
+    assert (out / "a/motion/motion.h5").is_file()
 
 
 def test_a_file_that_an_option_names_counts_by_its_content(root: Path, out: Path, log: Path) -> None:

@@ -62,12 +62,12 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
 
     shutil.rmtree(takes / "garbage")
     shutil.rmtree(takes / "s1" / "cut")
-    inode = (out / "s1/good/motion/motion.npz").stat().st_ino
+    inode = (out / "s1/good/motion/motion.h5").stat().st_ino
     again = cli("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 1)
     assert again.code == 0
     assert "1/1" in again.err
     assert table(out) == {"s1/good": good}
-    assert (out / "s1/good/motion/motion.npz").stat().st_ino == inode
+    assert (out / "s1/good/motion/motion.h5").stat().st_ino == inode
 
 
 @pytest.mark.parametrize(

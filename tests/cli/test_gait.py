@@ -52,7 +52,7 @@ def test_a_reference_says_who_is_in_it_and_who_is_not(cli: Any, healthy: Path, t
     assert done.code == 0, done.err
     assert "reference of 6 people at 1.0" in done.out
     assert "left out: squats: " in done.out
-    assert "left out: analysed: an analysis without its motion.npz" in done.out
+    assert "left out: analysed: an analysis without its motion.h5" in done.out
     assert "fewer than 10 people" in done.out
     data = json.loads((tmp_path / "own.json").read_text())
     assert [one["person"] for one in data["curves"]] == [f"P{k}" for k in range(6)] or data["people"] == 6

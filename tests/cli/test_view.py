@@ -94,7 +94,7 @@ def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Pa
     folder = written(tmp_path / "old", walking(40))
     done = cli("view", folder, "--html", tmp_path / "page.html", "--rate", 10)
     assert done.code == 0, done.err
-    assert "No measurements.npz beside the motion" in done.out
+    assert "No measurements.h5 beside the motion" in done.out
     assert "Reconstruct again" in done.out
     assert re.search(r"wrote .*page\.html: 0\.[89] MB, 8 frames at 10 Hz; opens in any browser", done.out)
     again = cli("view", folder, "--html", tmp_path / "page.html")

@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

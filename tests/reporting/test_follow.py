@@ -115,7 +115,7 @@ def test_wrong_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="is one motion"):
         read_visits(tmp_path / "a" / "out")
     (tmp_path / "follow.toml").write_text('[[visit]]\nfolder = "a"\n[[visit]]\nfolder = "c"\n')
-    with pytest.raises(FileFormatError, match="visit 'c' has no motion.npz; there are a"):
+    with pytest.raises(FileFormatError, match="visit 'c' has no motion.h5; there are a"):
         read_visits(tmp_path)
     small(tmp_path, ("c",))
     (tmp_path / "follow.toml").write_text('baseline = "aa"\n')

@@ -59,8 +59,8 @@ def obey(line: list[str]) -> int:
         doing = read_text(Path(first) / "recording.toml", "a behaviour")
         print(f"doing {doing}")
         _do(doing, mine)
-        with new_folder(output, "motion.npz", "--overwrite" in line) as folder:
-            (folder / "motion.npz").write_text(doing * 100, encoding="utf-8")
+        with new_folder(output, "motion.h5", "--overwrite" in line) as folder:
+            (folder / "motion.h5").write_text(doing * 100, encoding="utf-8")
             verdict = {"grade": doing.split()[0], "headline": f"this is <{doing}> & more"}
             summary = {"frames": 120, "rate_hz": 60.0, "verdict": verdict}
             (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
