@@ -16,8 +16,8 @@ from rtof_kin.plan.identifiability import NOT_IDENTIFIABLE, ROOT, Information, i
 from rtof_kin.plan.prediction import Prediction, predict
 from rtof_kin.plan.protocol import centre_of
 from rtof_kin.plan.setup import Setup, seen_share
-from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.covariance import confidence_of
+from rtof_kin.solve.joint_space.state import StateSpace
 
 
 @pytest.fixture(scope="module")
