@@ -22,11 +22,10 @@ if TYPE_CHECKING:
 
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.cli.live_display import LiveDisplay
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+    from rtof_kin.live.open_sources import Streams
     from rtof_kin.live.samples import Sink, Source
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.session.session_summary import SessionSummary
-    from rtof_kin.live.sources.open_sources import Streams
+    from rtof_kin.live.session import LiveSession, SessionSummary
+    from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
 CALIBRATION: Final = "calibration.toml"
@@ -152,7 +151,7 @@ def _live(options: argparse.Namespace) -> None:
 
 def _finish(folder: str) -> None:
     """Make a recording of a session that was killed."""
-    from rtof_kin.live.session.recorded_session import finish
+    from rtof_kin.live.recorded_session import finish
 
     for note in finish(folder):
         _line("note", note)
@@ -171,12 +170,12 @@ def _run_session(options: argparse.Namespace) -> None:
     from rtof_kin.calibration.result import read_self_calibration_toml
     from rtof_kin.cli.live_display import LiveDisplay
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
-    from rtof_kin.live.estimation.online_settings import OnlineSettings
-    from rtof_kin.live.estimation.refinement import refinement_priors
-    from rtof_kin.live.session.recorder import Recorder
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.sources.open_sources import open_sinks, open_sources
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.online_settings import OnlineSettings
+    from rtof_kin.live.open_sources import open_sinks, open_sources
+    from rtof_kin.live.recorder import Recorder
+    from rtof_kin.live.refinement import refinement_priors
+    from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
 
@@ -264,7 +263,7 @@ def _start(sources: Sequence[Source]) -> None:
 
 def _latency(camera: Source) -> float:
     """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
-    from rtof_kin.live.sources.video_source import VideoSource
+    from rtof_kin.live.video import VideoSource
 
     if not isinstance(camera, VideoSource):
         return 0.0
@@ -277,7 +276,7 @@ def _latency(camera: Source) -> float:
 
 def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
     """Return the servers among the outputs and print their addresses; with `view` there is one."""
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+    from rtof_kin.live.websocket_server import WebSocketServer
 
     servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
     if view and not servers:

@@ -84,7 +84,7 @@ class LiveDisplay:
         """Show the present state.
 
         Args:
-            status: of the streams, see `rtof_kin.live.session.monitor.Monitor.status`.
+            status: of the streams, see `rtof_kin.live.monitor.Monitor.status`.
         """
         self._shown = self._now()
         if self._live is None:

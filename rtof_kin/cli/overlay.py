@@ -15,7 +15,7 @@ _OTHERS = (
 
 def add_commands(commands: Any) -> None:
     """Declare the commands of this module."""
-    from rtof_kin.view.overlay.settings import BACKGROUNDS
+    from rtof_kin.view.overlay_settings import BACKGROUNDS
 
     parser = command(
         commands,
@@ -67,8 +67,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 def _overlay(options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.view.overlay.film import write_overlay
-    from rtof_kin.view.overlay.settings import OverlaySettings
+    from rtof_kin.view.film import write_overlay
+    from rtof_kin.view.overlay_settings import OverlaySettings
 
     if options.video is None and not options.no_video:
         raise InvalidInputError("overlay: name the VIDEO of this motion, or say --no-video")

@@ -15,7 +15,7 @@ from rich.text import Text
 from rtof_kin.cli.terminal import STYLES, command, out, progress
 
 if TYPE_CHECKING:
-    from rtof_kin.view.scene.viewer import Opened
+    from rtof_kin.view.viewer import Opened
 
 _NO_ADDRESS: Final = ""
 """Value of --live without an address."""
@@ -83,8 +83,8 @@ def _view(options: argparse.Namespace) -> None:
 
 
 def _motion(options: argparse.Namespace) -> None:
-    from rtof_kin.view.scene.local_server import local_server
-    from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.viewer import MotionFiles, MotionViewer
 
     with ExitStack() as stack:
         files = stack.enter_context(MotionFiles(options.motion, options.second))
@@ -98,9 +98,9 @@ def _motion(options: argparse.Namespace) -> None:
 
 def _page(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.view.scene.local_server import local_server
-    from rtof_kin.view.scene.static_page import write_static_page
-    from rtof_kin.view.scene.viewer import MotionFiles
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.static_page import write_static_page
+    from rtof_kin.view.viewer import MotionFiles
 
     check_new_file(options.html, options.overwrite)
     with MotionFiles(options.motion, options.second) as files, local_server() as server:
@@ -127,9 +127,9 @@ def _page(options: argparse.Namespace) -> None:
 
 def _live(options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.view.scene.live_client import LiveClient, live_address
-    from rtof_kin.view.scene.live_viewer import LiveViewer
-    from rtof_kin.view.scene.local_server import local_server
+    from rtof_kin.view.live_client import LiveClient, live_address
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.viewer import LiveViewer
 
     if options.live == _NO_ADDRESS:
         raise InvalidInputError(
@@ -171,7 +171,7 @@ def _line(name: str, text: str, style: str = "") -> None:
 
 def _open(server: Any, options: argparse.Namespace) -> None:
     """Print the address and open the browser."""
-    from rtof_kin.view.scene.local_server import address
+    from rtof_kin.view.local_server import address
 
     url = address(server)
     _line("address", f"{url} (this machine only, to who has this address; Ctrl-C ends)")
