@@ -1,0 +1,128 @@
+"""Options of commands: from the parameters of their functions and the fields of settings.
+
+A command is a function with typed parameters and a docstring; cyclopts makes options of them. A parameter of
+a settings' dataclass that is annotated with `Fields` becomes one option for each named field, with the field's
+docstring, type and default, so that no field is described twice.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from cyclopts import Group, Parameter, Token
+
+T = TypeVar("T")
+NoneType: Final = type(None)
+Function = Callable[..., Any]
+
+
+class Fields:
+    """Fields of a settings' dataclass that become options of a command.
+
+    Args:
+        names: of the fields, in the order of the help. renamed: field -> option, without dashes.
+        of: the class, where the parameter is annotated as a mapping; the command then gets the values that were
+            given alone. group: title in the help.
+    """
+
+    def __init__(self, *names: str, of: type | None = None, group: str = "", **renamed: str):
+        self.options = {name: name for name in names} | renamed
+        self.of, self.group = of, group
+
+
+def command(function: Function) -> Function:
+    """Return a function whose parameters are all options, with converters that accept a comma as decimal point
+    and lists with commas, and settings filled from their fields.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    filled: dict[str, tuple[type, Fields]] = {}
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        chosen = next((one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Fields)), None)
+        if chosen is None:
+            parameters.append(parameter.replace(annotation=_option(hint, parameter.default)))
+            continue
+        filled[parameter.name] = chosen.of or get_args(hint)[0], chosen
+        parameters += _options_of(*filled[parameter.name])
+
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        for name, (settings, chosen) in filled.items():
+            given = {field: named.pop(field) for field in chosen.options if field in named}
+            named[name] = given if chosen.of else settings(**given)
+        return function(*arguments, **named)
+
+    parameters.sort(key=lambda one: one.kind)
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {one.name: one.annotation for one in parameters}
+    return call
+
+
+def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
+    """Yield the options of some fields of a dataclass."""
+    hints, described = get_type_hints(settings, include_extras=True), descriptions(settings)
+    known: Mapping[str, Field[Any]] = {field.name: field for field in fields(settings)}
+    group = (Group(chosen.group),) if chosen.group else ()
+    for name, option in chosen.options.items():
+        default = known[name].default
+        if default is MISSING and known[name].default_factory is not MISSING:
+            default = known[name].default_factory()  # type: ignore[misc]
+        required = default is MISSING
+        usual = "" if required or default is None or default == () else _text(default)
+        how = Parameter(name=f"--{option.replace('_', '-')}", help=described[name], group=group, show_default=False)
+        if usual and not isinstance(default, bool):
+            how = Parameter.combine(how, Parameter(show_default=lambda _, text=usual: text))
+        hint = _option(hints[name], MISSING if required else default, how)
+        empty = inspect.Parameter.empty if required else None if chosen.of else default
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=empty, annotation=hint)
+
+
+def descriptions(settings: type) -> dict[str, str]:
+    """Return the docstring of each field of a class, in one line."""
+    (node,) = ast.parse(textwrap.dedent(inspect.getsource(settings))).body
+    assert isinstance(node, ast.ClassDef)
+    found = {}
+    for field, text in zip(node.body, node.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+            assert isinstance(text.value, ast.Constant)
+            found[field.target.id] = " ".join(str(text.value.value).split()).removesuffix(".")
+    return found
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
+    """Return a type with what cyclopts needs to read and to show it."""
+    own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
+    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
+    extra = []
+    if inner is bool:
+        extra.append(Parameter(negative=None if default is True else (), show_default=False))
+    elif inner is float:
+        extra.append(Parameter(converter=_decimal, metavar="X"))
+    elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
+        extra.append(Parameter(converter=_listed, n_tokens=1, allow_leading_hyphen=False, metavar="NAMES"))
+    return Annotated[(plain, *extra, *([how] if how else []), *own)]  # type: ignore[return-value]
+
+
+def _is_optional(hint: Any) -> bool:
+    return NoneType in get_args(hint) and len(get_args(hint)) == 2
+
+
+def _decimal(_: Any, tokens: Sequence[Token]) -> float:
+    text = tokens[0].value
+    try:
+        return float(text.replace(",", "."))
+    except ValueError as error:
+        raise ValueError(f"{text!r} is not a number, such as 1.72 (without its unit)") from error
