@@ -28,14 +28,12 @@ from benchmarks.held import HELD, MOVING, held_then_moving, held_wrongly
 from benchmarks.mounting import pieces
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.simulation.noise import ImuNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 
 HERE = Path(__file__).parent

@@ -33,7 +33,7 @@ from benchmarks.accuracy.windows import bounds
 from lifting.predict import Lifter
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core.choices import GUARDS
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.protocols.tables import Cell, Table
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import cleaned

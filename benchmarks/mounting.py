@@ -27,13 +27,12 @@ from rich.progress import track
 from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.inertial.pose_calibration import usual_lever
 from rtof_kin.inertial.poses import pose_rotations
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.simulation.noise import ImuNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import low_passed
 
 HERE = Path(__file__).parent

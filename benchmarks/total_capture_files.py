@@ -22,8 +22,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 

@@ -27,8 +27,7 @@ from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.setup.motion_features import pair_features, single_features
 from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
-from rtof_kin.simulation.noise import ImuNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import low_passed
 
 SPLIT = Path(__file__).parents[1] / "benchmarks" / "split.toml"

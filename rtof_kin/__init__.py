@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.core.errors import InvalidInputError, RtofError
     from rtof_kin.data.camera import Camera
-    from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-    from rtof_kin.data.imu_calibration import ImuCalibration
+    from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
     from rtof_kin.live.estimation.estimator import OnlineEstimator
@@ -43,8 +42,7 @@ _MODULES = {
     "calibration.result": ("SelfCalibration",),
     "core.errors": ("InvalidInputError", "RtofError"),
     "data.camera": ("Camera",),
-    "data.imu": ("BoneImuSequence", "ImuSequence"),
-    "data.imu_calibration": ("ImuCalibration",),
+    "data.imu": ("BoneImuSequence", "ImuCalibration", "ImuSequence"),
     "data.keypoints": ("KeypointSequence",),
     "data.poses": ("PoseSequence", "Provenance"),
     "live.estimation.estimator": ("OnlineEstimator",),

@@ -24,9 +24,8 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
-from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip, without_spikes
+from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip, map_motion, without_spikes
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
-from rtof_kin.simulation.mocap_mapping import map_motion
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate
 
 SECONDS: Final = 8.0

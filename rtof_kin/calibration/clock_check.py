@@ -16,7 +16,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import STEP, BoneImages, bone_images, exchanged_sides
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence

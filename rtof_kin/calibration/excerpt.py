@@ -15,7 +15,7 @@ import numpy as np
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements, merge_faults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess

@@ -33,7 +33,7 @@ from rtof_kin.calibration.schur_complement import UnknownsHessian, finished
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
 

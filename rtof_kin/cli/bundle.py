@@ -159,8 +159,8 @@ def _count(bundle: Bundle) -> str:
 
 def _reproduce(options: argparse.Namespace) -> int:
     from rtof_kin.batch.bundle_file import MANIFEST, read_bundle
+    from rtof_kin.core.environment import limit_threads
     from rtof_kin.core.files.folder import new_folder
-    from rtof_kin.core.threads import limit_threads
 
     path = options.file
     with ExitStack() as stack:

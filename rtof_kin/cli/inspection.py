@@ -100,8 +100,8 @@ def _with_places(found: Any) -> tuple[Any, Any]:
     """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
     from dataclasses import replace
 
+    from rtof_kin.core.checks import Check
     from rtof_kin.core.errors import RtofError
-    from rtof_kin.core.plausibility import Check
     from rtof_kin.recording.recording import Recording
     from rtof_kin.setup.assignment_check import NAME, check_recording
 

@@ -165,7 +165,7 @@ def _print_recorded(folder: Path | str) -> None:
 
 
 def _run_session(options: argparse.Namespace) -> None:
-    from rtof_kin.core.threads import limit_threads
+    from rtof_kin.core.environment import limit_threads
 
     limit_threads(None)
     from rtof_kin.calibration.file import read_self_calibration_toml

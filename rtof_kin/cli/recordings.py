@@ -75,7 +75,7 @@ def _demo(options: argparse.Namespace) -> None:
 
 def _write_files(recording: Recording, options: argparse.Namespace) -> None:
     """Write files to practise `init` and `run` on."""
-    from rtof_kin.simulation.raw_files import write_raw_files
+    from rtof_kin.simulation.simulate import write_raw_files
 
     first = recording.times[0]
     recording = recording.between(first, first + options.seconds)

@@ -1,20 +1,62 @@
-"""What the last bits of a result depend on beside its inputs: versions of code and libraries, the processor.
+"""Where a computation runs: versions of code and libraries, the processor, threads and memory.
 
 Nothing of it names a person, a machine or a folder.
 """
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
-from rtof_kin.core.threads import threads
+from rtof_kin.core.errors import InvalidInputError
+
+VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+USUAL = 1
+"""Default number of threads."""
+
+
+def threads() -> int | None:
+    """Return the number of threads set in the environment; None if unset."""
+    text = os.environ.get(VARIABLES[0], "")
+    return int(text) if text.isdecimal() else None
+
+
+def limit_threads(count: int | None) -> None:
+    """Set the number of threads of libraries that are loaded from now on.
+
+    Args:
+        count: if None, the number set in the environment, else `USUAL`.
+
+    Raises:
+        InvalidInputError: less than one, or libraries are loaded already with another number.
+    """
+    if count is not None and count < 1:
+        raise InvalidInputError(f"threads: {count}; give 1 or more")
+    if "numpy" in sys.modules:
+        if count not in (None, threads()):
+            raise InvalidInputError(
+                f"threads: numerical libraries are loaded already; set {VARIABLES[0]}={count} before Python starts"
+            )
+        return
+    for name in VARIABLES:
+        os.environ[name] = str(count or threads() or USUAL)
+
+
+def return_free_memory() -> None:
+    """Return memory that was freed to the system, where the C library (glibc) keeps it in pieces; elsewhere
+    nothing. A loop with large arrays of changing sizes otherwise grows.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
 
 PACKAGES: Final = ("numpy", "scipy", "casadi", "pin", "torch")
 """Dependencies that compute."""

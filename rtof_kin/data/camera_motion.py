@@ -17,8 +17,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_rotations, checked_times, freeze
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.camera import Camera
-from rtof_kin.data.camera_turning import LONGEST_GAP, CameraTurning
+from rtof_kin.data.camera import LONGEST_GAP, Camera, CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 
 _SIGMA_TILT: Final = np.radians(1.0)  # by a phone's accelerometer, whose axes are not quite the camera's

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import Declaration
 from rtof_kin.formats.sensors.readings import Readings
 
 _S: Final = r"[\s_./:-]"

@@ -8,7 +8,7 @@
     mounting_sd_deg = 6.0                # standard deviation of R_sensor_bone about each axis, where known
 
 `joint` and `lever_arm_m` default to those of the skeleton table's sensor of that name. The rotations are
-those of `rtof_kin.data.imu_calibration`.
+those of `rtof_kin.data.imu`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.section import Section
 from rtof_kin.core.files.text import write_text
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 
 _QUATERNION_TOLERANCE: Final = 1e-3
 

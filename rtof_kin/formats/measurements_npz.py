@@ -40,10 +40,9 @@ from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.files.arrays import npz_names, read_npz_as_saved
 from rtof_kin.core.files.npz_blocks import NpzBlocks
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.formats.frame_reader import FrameReader
 from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, with_video
 

@@ -17,9 +17,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.compact import multiples, rotation_vectors
 from rtof_kin.core.files.npz_writer import NpzWriter
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
-from rtof_kin.data.stream_faults import StreamFault
+from rtof_kin.data.imu_stream import StreamFault
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.formats.measurements_npz import CAMERA, FULL, SCHEMA_VERSION
 from rtof_kin.formats.video_arrays import video_arrays
 

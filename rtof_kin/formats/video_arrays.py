@@ -17,7 +17,7 @@ from typing import Final
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.camera_turning import CameraTurning
+from rtof_kin.data.camera import CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 
 _TURNING: Final = ("R_still_camera", "K_still", "video_K", "video_distortion")

@@ -24,8 +24,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.packages import optional
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.channels import PointChannels, StreamChannels
 from rtof_kin.formats.sensors.packets import lost

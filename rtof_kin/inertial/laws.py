@@ -19,8 +19,8 @@ from scipy import signal
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import runs
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream

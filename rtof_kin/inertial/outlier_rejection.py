@@ -19,8 +19,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import STANDARD_GRAVITY, BoneImuSequence, ImuSequence
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
 _STUCK = 0.25  # [s] over which a working sensor never repeats a sample
 _GONE = 0.6  # [s] without samples from which that is a fault

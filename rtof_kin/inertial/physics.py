@@ -16,10 +16,9 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.core.signals import runs
-from rtof_kin.data.imu_declaration import CHOICES, Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import CHOICES, Declaration, SensorLog, SensorStream
 from rtof_kin.inertial import laws
 
 LAWS: Final = (laws.FORCE, laws.DIRECTION, laws.MEAN_ACCELERATION, laws.LEVER, laws.GYROSCOPE)

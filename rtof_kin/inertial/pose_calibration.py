@@ -27,8 +27,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
-from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.headings import Headings, own_headings, shared_heading, wrapped
 from rtof_kin.inertial.likelihood import RATE_HZ, MotionLikelihood, orientation_rate, segment_motions

@@ -22,8 +22,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import BoneImuSequence, ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, even_times, seen_bones, segment_motions
 from rtof_kin.inertial.pose_calibration import usual_lever

@@ -15,8 +15,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.protocol import DETECTORS
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
-from rtof_kin.simulation.people import another_person
-from rtof_kin.simulation.simulate import SimulationSettings, simulate
+from rtof_kin.simulation.simulate import SimulationSettings, another_person, simulate
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.layouts import detector_table

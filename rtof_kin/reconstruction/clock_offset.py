@@ -19,10 +19,10 @@ from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration
 from rtof_kin.calibration.turning import Turning, image_turning, joined, turning_of
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, RtofError
-from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.self_calibration import calibrated
 from rtof_kin.reconstruction.sensor_checks import check_sensor_form

@@ -9,8 +9,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings

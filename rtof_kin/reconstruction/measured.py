@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rtof_kin.body.metrics import at_times
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.reconstruction.result import Reconstruction
 
 

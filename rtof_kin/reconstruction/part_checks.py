@@ -10,7 +10,7 @@ from typing import Final
 
 from scipy.stats import binom
 
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 
 _FALSE_ALARMS: Final = 0.05
 """Share of correct recordings in which a check fails, at most (benchmarks/results/planted.md)."""

@@ -13,8 +13,8 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import Confidence
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.reconstruction.quality import misfit_warnings, reprojection_errors
 from rtof_kin.reconstruction.result import Reconstruction

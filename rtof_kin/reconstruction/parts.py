@@ -19,8 +19,8 @@ from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
+from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError
-from rtof_kin.core.memory import return_free_memory
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.job import Job

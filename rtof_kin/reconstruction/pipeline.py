@@ -13,11 +13,11 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
+from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import MODES, Calibrate, Mode
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements
 from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS, check_camera_evidence, explained
 from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset

@@ -11,7 +11,7 @@ import numpy as np
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence

@@ -10,13 +10,13 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Calibrate, Mode
-from rtof_kin.core.plausibility import Check
-from rtof_kin.core.threads import threads
+from rtof_kin.core.environment import threads
 from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.reconstruction.room import Room
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording

@@ -12,7 +12,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.limbs import LIMBS
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import signals
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence

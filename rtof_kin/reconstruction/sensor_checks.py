@@ -16,11 +16,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
-from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.recorded_form import FROZEN, UNEXPLAINED, check_form

@@ -18,7 +18,7 @@ from rtof_kin.calibration.bone_images import STEP, BoneImages
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import STANDARD_GRAVITY, BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence

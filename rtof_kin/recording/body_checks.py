@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 

@@ -19,10 +19,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.section import Section
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.imu_declaration import CHOICES
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import ImuCalibration, ImuSequence
+from rtof_kin.data.imu_stream import CHOICES, SensorLog, SensorStream
 from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.formats.sensors.files import format_of, read_sensor_log
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map

@@ -38,6 +38,9 @@ MAIN: Final = frozenset(
 SECOND_SHOULDER: Final = "shoulder_xzy_"
 """Begins the names of the shoulder angles in the sequence for hanging arms, after their side."""
 
+SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
+"""Colours of figures."""
+
 _PLAIN: Final = {
     r" \(\w+_[xyz]\)|; more (fails|warns) in [^;]*| \([^()]*\babove [^()]*\)": "",
     r"^position in the room: half width of the 95 % band [\d.]+ m: ": "",

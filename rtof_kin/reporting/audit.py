@@ -18,7 +18,7 @@ from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
 from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction

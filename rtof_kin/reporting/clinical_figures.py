@@ -16,11 +16,10 @@ from rtof_kin.clinical.gait import PHASES
 from rtof_kin.clinical.ground_reaction import GroundReaction
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.reporting.angle_names import side_and_name
+from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
 from rtof_kin.reporting.figures import save_figures
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
 
-SIDE_COLORS: Final = {"right": "#0072b2", "left": "#c0392b", "": "0.25"}
 MOST_DRAWN: Final = 10_000
 """Largest number of samples of a curve; a picture has fewer columns of pixels."""
 SHOWN: Final = (

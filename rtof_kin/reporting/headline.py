@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.reporting.audit_results import (
     FAILED_FRAGMENTS,
     FAULT,

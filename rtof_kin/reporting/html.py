@@ -10,9 +10,13 @@ import base64
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Any, Final
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from rtof_kin.reporting.audit_results import Grade
 
@@ -27,6 +31,32 @@ GRADE_WORDS: Final = {
 }
 """What a grade means to the reader of a page."""
 _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js", "player.js", "start.js")
+
+
+@cache
+def _environment() -> Environment:
+    """Templates of the assets; what stands in them is escaped."""
+    environment = Environment(
+        loader=FileSystemLoader(_ASSETS),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.filters["source_hash"] = source_hash
+    return environment
+
+
+def render(template: str, styles: Iterable[str], scripts: Iterable[str] = (), **parts: Any) -> str:
+    """Return a page of a template of the assets, in one file that opens offline.
+
+    Args:
+        template: extends ``base.html``. styles, scripts: assets, joined in this order; a page without scripts has
+            a policy that allows none. parts: of the template; text is escaped unless it is `markupsafe.Markup`.
+    """
+    style, script = (Markup("".join(map(asset, names))) for names in (styles, scripts))
+    return _environment().get_template(template).render(style=style, script=script, **parts)
 
 
 def fill_template(parts: Mapping[str, str], plots: Mapping[str, Any], foot: str = "") -> str:

@@ -15,9 +15,9 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
-from rtof_kin.core.plausibility import Check
 from rtof_kin.core.signals import interpolate
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog, SensorStream

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from rtof_kin.body.metrics import Metrics
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
 from rtof_kin.core.column_statistics import ColumnStatistics
-from rtof_kin.core.plausibility import Check
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings

@@ -16,10 +16,9 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.clock_check import check_clocks
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import Check, indices_of
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.plausibility import Check
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.pose_calibration import usual_lever

@@ -8,23 +8,100 @@ the whole picture is late by some frames, and the camera stands a little differe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final, Self
 
 import numpy as np
 from numpy.random import Generator
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.core.rotations import unit
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table
-from rtof_kin.simulation.random_processes import episodes, ornstein_uhlenbeck, smoothed
-from rtof_kin.simulation.self_occlusion import self_occluded
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.detector_errors import harmonics
+
+
+def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory: float) -> Array:
+    """Return a stationary process (T, *size) of unit variance with an exponential autocorrelation.
+
+    Args:
+        memory: correlation time in frames; 0 gives white noise.
+    """
+    noise = rng.standard_normal((frames, *size))
+    if memory <= 0:
+        return noise
+    share = np.exp(-1 / memory)
+    noise[1:] *= np.sqrt(1 - share**2)
+    return np.asarray(lfilter([1.0], [1.0, -share], noise, axis=0))
+
+
+def smoothed(values: Array, width: float) -> Array:
+    """Return values (T, ...) under a moving normal window.
+
+    Args:
+        values: (T, ...).
+    """
+    return np.asarray(gaussian_filter1d(values, width, axis=0, mode="nearest"))
+
+
+def episodes(rng: Generator, per_minute: Array, rate_hz: float, median: float, spread: float) -> list[slice]:
+    """Return runs of frames that start at random, of log-normal durations of at least one frame.
+
+    Args:
+        per_minute: (T,) expected starts per minute at each frame. rate_hz: frames per second.
+        median: of the durations, s.
+    """
+    starts = np.flatnonzero(rng.random(len(per_minute)) < per_minute / 60 / rate_hz)
+    durations = median * np.exp(spread * rng.standard_normal(len(starts)))
+    lengths = np.maximum(np.round(durations * rate_hz).astype(int), 1)
+    return [slice(start, start + length) for start, length in zip(starts, lengths, strict=True)]
+
+
+_TRUNK = ("Hips", "Neck", 0.11, 0.12)
+"""Joints at the ends of a capsule; its radius and the depth behind its axis that hides points, m."""
+_LEG_RADIUS, _LEG_MARGIN = 0.06, 0.08
+_SPHERES = 6
+"""Spheres that make a capsule."""
+
+
+def self_occluded(p_camera_joint: Array, p_camera_point: Array, limb: Index, skeleton: SkeletonModel) -> Mask:
+    """Return which points (T, K) stand behind the trunk, or behind the other leg if they are of a leg.
+
+    Args:
+        p_camera_joint: (T, J, 3) joints in camera axes, m. p_camera_point: (T, K, 3) likewise.
+        limb: (K,) 3 for points of the right leg, 4 for those of the left.
+    """
+
+    def joint(name: str) -> Array:
+        return p_camera_joint[:, skeleton.index(name)[0]]
+
+    hips, neck, radius, margin = _TRUNK
+    hidden = _behind(p_camera_point, joint(hips), joint(neck), radius, margin)
+    for own, other in ((3, "Left"), (4, "Right")):
+        points = np.flatnonzero(limb == own)
+        leg = [joint(f"{other}{name}") for name in ("UpLeg", "Leg", "Foot")]
+        for start, stop in pairwise(leg):
+            hidden[:, points] |= _behind(p_camera_point[:, points], start, stop, _LEG_RADIUS, _LEG_MARGIN)
+    return hidden
+
+
+def _behind(points: Array, start: Array, stop: Array, radius: float, margin: float) -> Mask:
+    """Return which points (T, K) a capsule from `start` to `stop` (T, 3) hides."""
+    share = np.linspace(0, 1, _SPHERES)[:, None]
+    centre = start[:, None] + share * (stop - start)[:, None]
+    along = unit(points) @ np.swapaxes(centre, -1, -2)  # of the foot of the perpendicular from the centre
+    off = np.sum(centre**2, axis=-1)[:, None] - along**2
+    near = (off < radius**2) & (along < np.linalg.norm(points, axis=-1, keepdims=True) - margin)
+    return np.asarray(near.any(axis=-1))
+
 
 DELAY_RATE_HZ: Final = 60.0
 """Frame rate that `DetectorErrors.delay_frames` are counted at, Hz."""

@@ -1,6 +1,6 @@
 """Simulated recordings of known motion: a virtual camera and virtual IMUs with realistic errors.
 
-The clock is that of the poses and the IMUs. `rtof_kin.simulation.sensors` simulates the IMUs,
+The clock is that of the poses and the IMUs. `rtof_kin.simulation.noise` simulates the IMUs,
 `rtof_kin.simulation.noise` all the errors.
 """
 
@@ -18,22 +18,61 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.neutral_posture import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.files.text import write_text
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
 from rtof_kin.simulation.mocap import PARENTS, MocapClip, read_mocap, resample_clip
-from rtof_kin.simulation.noise import ImuNoise, KeypointNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, KeypointNoise, simulate_imus
 from rtof_kin.vision.keypoints import keypoints_from_detections
+
+PELVIS_DEG: Final = (1.5, 5.0, 1.5)
+"""Spread over people of the pelvis, about its axes x forward, y left, z up."""
+BEND_DEG: Final = (1.5, 5.0, 1.5)
+"""The same of each part of the spine, relative to the mean of all parts."""
+CLAVICLE_DEG: Final = (5.0, 1.5, 6.0)
+"""The same of a clavicle."""
+
+
+def another_person(rng: Generator, poses: PoseSequence, skeleton: SkeletonModel) -> PoseSequence:
+    """Return a movement as a person with another neutral posture makes it.
+
+    Args:
+        poses: (T, J) the movement.
+
+    Returns:
+        The movement with pelvis, lumbar spine and clavicles turned by constants in their own frames. Limbs,
+        head and upper trunk keep their orientations; the lowest foot keeps its height.
+    """
+    R, p_root = np.array(poses.R_world_bone), poses.p_world_joint[:, 0]
+    at = {name: skeleton.names.index(name) for name in ("Hips", *SPINE, "LeftShoulder", "RightShoulder")}
+    bends = np.radians(rng.normal(0.0, BEND_DEG, (len(SPINE), 3)))
+    bends -= bends.mean(axis=0)
+    turned = np.zeros(3)
+    for name, bend in zip(SPINE[:-1], bends[:-1], strict=True):
+        turned = turned + bend
+        R[:, at[name]] = R[:, at[name]] @ so3.exp(turned)
+    R[:, at["Hips"]] = R[:, at["Hips"]] @ so3.exp(np.radians(rng.normal(0.0, PELVIS_DEG)))
+    for side, mirror in (("Left", 1.0), ("Right", -1.0)):
+        constant = np.radians(rng.normal(0.0, CLAVICLE_DEG)) * [mirror, 1.0, mirror]
+        R[:, at[f"{side}Shoulder"]] = R[:, at[f"{side}Shoulder"]] @ so3.exp(constant)
+    p = kinematics.positions(skeleton.parents, skeleton.joint_offsets, p_root, R)
+    p[..., 2] += poses.p_world_joint[..., 2].min() - p[..., 2].min()
+    return replace(poses, p_world_joint=p, R_world_bone=R)
+
 
 LIMB_SENSORS = ("L_UpArm", "R_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg")
 """The eight sensors of the paper: upper arms, forearms, thighs, shanks."""
@@ -330,3 +369,73 @@ def _inside(camera: Camera, uv_px: Array) -> Mask:
     """Return whether pixels (..., 2) lie inside the image; NaN does not."""
     size = np.array([camera.width_px, camera.height_px])
     return np.asarray(((uv_px >= 0) & (uv_px <= size)).all(axis=-1))
+
+
+KEYPOINTS, SENSORS, PLACES, CAMERA = "keypoints.csv", "dots", "places.csv", "camera.toml"
+"""What `write_raw_files` writes."""
+_BEGUN: Final = 37.0
+"""[s] What the sensors' clock shows when the video begins."""
+_WORDS: Final = {"UpLeg": "thigh", "Leg": "shank", "ForeArm": "forearm", "Arm": "upper arm", "Foot": "foot"}
+_DOT_COLUMNS: Final = (
+    "PacketCounter",
+    "SampleTimeFine",
+    "Quat_W",
+    "Quat_X",
+    "Quat_Y",
+    "Quat_Z",
+    "FreeAcc_X",
+    "FreeAcc_Y",
+    "FreeAcc_Z",
+)
+
+
+def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
+    """Write keypoints, sensors on a clock of their own, their places and the camera, as a user has them.
+
+    The sensors' files are those of Movella DOTs, one per sensor, named by a letter and a number. Mounting,
+    headings and the time between the two clocks are in none of the files.
+
+    Args:
+        overwrite: replace what this wrote there earlier.
+
+    Raises:
+        InvalidInputError: there are no keypoints. OutputExistsError: `folder` may not be replaced.
+    """
+    keypoints = recording.video
+    columns = {"time": keypoints.times}
+    for i, name in enumerate(keypoints.names):
+        columns |= {f"{name}_{axis}": keypoints.uv_px[:, i, k] for k, axis in enumerate("xy")}
+        columns[f"{name}_c"] = keypoints.confidence[:, i]
+    with new_folder(folder, KEYPOINTS, overwrite) as fresh:
+        rows = np.stack(list(columns.values()), axis=1)
+        np.savetxt(fresh / KEYPOINTS, rows, "%.6g", ",", header=",".join(columns), comments="")
+        write_camera_toml(fresh / CAMERA, {"phone": keypoints.camera})
+        if recording.imus is not None:
+            _write_sensors(recording, fresh)
+
+
+def _write_sensors(recording: Recording, folder: Path) -> None:
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None or calibration is None:
+        raise InvalidInputError(f"recording {recording.name}: its sensors have no places")
+    (folder / SENSORS).mkdir()
+    places, rate = [], 1 / float(np.median(np.diff(imus.times)))
+    R, f = imus.R_inertial_sensor, imus.f_sensor
+    free = np.einsum("tsij,tsj->tsi", R, f) + GRAVITY_WORLD
+    stamps = np.round(1e6 * (imus.times - recording.video.times[0] + _BEGUN))
+    for s, name in enumerate(imus.names):
+        rows = np.column_stack([np.arange(len(stamps)), stamps, so3.to_quat_wxyz(R[:, s]), free[:, s]])
+        lines = [",".join(_DOT_COLUMNS), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
+        head = f"sep=,\nDeviceTag:,D{s + 1}\nOutputRate:,{rate:.0f}Hz\n\n"
+        path = folder / SENSORS / f"D{s + 1}_20260131_101500.csv"
+        write_text(path, head + "\n".join(lines) + "\n")
+        places.append(f"D{s + 1}, {_place(calibration.joints[calibration.sensors.index(name)])}\n")
+    write_text(folder / PLACES, "sensor, segment\n" + "".join(places))
+
+
+def _place(joint: str) -> str:
+    """Return the segment of a joint in words, such as 'left thigh'."""
+    for side in ("Left", "Right"):
+        if joint.startswith(side) and joint.removeprefix(side) in _WORDS:
+            return f"{side.lower()} {_WORDS[joint.removeprefix(side)]}"
+    return {"Hips": "pelvis", "Spine3": "chest"}.get(joint, joint)

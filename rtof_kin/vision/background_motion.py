@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.packages import optional
-from rtof_kin.core.plausibility import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.keypoints import KeypointSequence

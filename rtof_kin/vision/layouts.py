@@ -18,8 +18,8 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.core.extensions import Extensions
 from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.packages import Extensions
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import layout_and_point
 

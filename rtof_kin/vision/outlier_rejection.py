@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 
 from rtof_kin.core.array_types import Array, Index, Mask
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, layout_and_point
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
 
 _LONGEST_EXCHANGE = 0.5  # [s] that is corrected, ten times the usual length; longer ones are only reported
 _LONGEST_ABSENCE = 2.0  # [s] of another person's points that are left out

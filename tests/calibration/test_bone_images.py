@@ -12,7 +12,7 @@ import pytest
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.calibration.bone_images import best_exchange, bone_images, exchanged_sides
 from rtof_kin.calibration.clock_check import check_clocks, scan_clocks
-from rtof_kin.core.plausibility import Verdict
+from rtof_kin.core.checks import Verdict
 from rtof_kin.data.imu import BoneImuSequence
 
 BODY = SkeletonModel.default()

@@ -12,7 +12,7 @@ from clocks_support import cut, filmed, joints, shifted, skeleton, worn
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.core.errors import CalibrationError, UnknownNameError
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
 
 

@@ -15,7 +15,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.solver_options import add_solver_options, settings_of
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.choices import GUARDS
-from rtof_kin.core.threads import limit_threads, threads
+from rtof_kin.core.environment import limit_threads, threads
 from rtof_kin.reconstruction.result import _energy_name
 from rtof_kin.reporting.angle_names import plain_words
 from rtof_kin.solve.cartesian.settings import CartesianSettings

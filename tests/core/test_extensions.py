@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rtof_kin.core.errors import ExtensionError, InvalidInputError, UnknownNameError
-from rtof_kin.core.extensions import Extensions
+from rtof_kin.core.packages import Extensions
 from rtof_kin.formats.sensors import files
 from rtof_kin.vision import layouts
 from rtof_kin.vision.landmark_regression import LandmarkRegression

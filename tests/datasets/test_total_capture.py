@@ -18,8 +18,8 @@ from benchmarks import total_capture_standin as standin
 from rtof_kin.body.kinematics import positions
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
-from rtof_kin.core.plausibility import Check
 from rtof_kin.datasets import total_capture_truth
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import CAMERAS, SUBJECTS, TEST, TRAIN, Take, TotalCapture

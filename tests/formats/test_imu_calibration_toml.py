@@ -11,7 +11,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.formats.imu_calibration_toml import read_imu_calibration_toml, write_imu_calibration_toml
 
 ONE = """

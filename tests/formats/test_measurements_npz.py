@@ -12,8 +12,8 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
-from rtof_kin.data.measurements import Measurements
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_npz import read_measurements_npz
 from rtof_kin.formats.measurements_writer import write_measurements_npz
 from rtof_kin.recording.recording import Recording

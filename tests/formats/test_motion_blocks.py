@@ -19,7 +19,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence, per_axis
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.covariance_nodes import COLUMNS, ROWS, SPACING, TOLERANCE, NodeFinder, nodes, packed
 from rtof_kin.formats.measurements_npz import MeasurementsReader, read_measurements_npz
 from rtof_kin.formats.measurements_writer import MeasurementsWriter, write_measurements_npz

@@ -9,7 +9,7 @@ import pytest
 from sensor_files import REAL, SERIALS, WRITERS, truth, write_csv, write_dot, write_mt
 
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.data.imu_declaration import CHOICES
+from rtof_kin.data.imu_stream import CHOICES
 from rtof_kin.formats.sensors.files import FORMATS, read_sensor_log
 
 TRUTHS = [truth(1), truth(2)]

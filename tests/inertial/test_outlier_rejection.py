@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements, mask_faults, reject_imu_outliers
 
 Array = NDArray[np.float64]

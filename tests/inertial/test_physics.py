@@ -11,10 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sensor_support import moved, read_as
 
+from rtof_kin.core.checks import Check, Verdict
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.plausibility import Check, Verdict
-from rtof_kin.data.imu_declaration import CHOICES, Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import CHOICES, Declaration, SensorLog, SensorStream
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.inertial import laws
 from rtof_kin.inertial.laws import fixed_axes, likely_rate

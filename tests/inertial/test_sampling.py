@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from sensor_support import moved
 
-from rtof_kin.core.plausibility import Check, Verdict
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.core.checks import Check, Verdict
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.inertial.physics import LAWS, check_log
 
 PLAIN, STREAM = Declaration(), moved()

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
-from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import ImuCalibration
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose, calibrated
 from rtof_kin.inertial.setup_diagnosis import Fault, FaultKind, diagnose_setup

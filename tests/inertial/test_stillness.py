@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.inertial.likelihood import orientation_rate
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 

@@ -13,7 +13,7 @@ from lsl_support import Sender, unique, until
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import MissingPackageError, SourceError
-from rtof_kin.data.imu_declaration import Declaration
+from rtof_kin.data.imu_stream import Declaration
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
 from rtof_kin.live.sources import lsl_inlet
 from rtof_kin.live.sources.lsl_source import LslFrameSource, LslImuSource

@@ -14,8 +14,8 @@ import pytest
 from benchmarks.planted.gross import OF_CAMERA as FAULTS
 from benchmarks.planted.gross import camera
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.checks import Check, Verdict
 from rtof_kin.core.errors import InvalidInputError, ViewError
-from rtof_kin.core.plausibility import Check, Verdict
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.reconstruction.camera_checks import check_camera_alone, explained

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtof_kin.core.plausibility import Check
+from rtof_kin.core.checks import Check
 from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
 
 

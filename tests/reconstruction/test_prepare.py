@@ -18,8 +18,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES, Mode
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence
+from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus

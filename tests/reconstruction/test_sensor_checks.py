@@ -12,8 +12,8 @@ from benchmarks.planted.gross import OF_CAMERA
 from benchmarks.planted.gross import OF_SENSORS as FAULTS
 from rtof_kin.calibration.clock_check import NAME as CLOCKS
 from rtof_kin.core import rotations as so3
+from rtof_kin.core.checks import Verdict
 from rtof_kin.core.errors import InvalidInputError, SolverError
-from rtof_kin.core.plausibility import Verdict
 from rtof_kin.core.resources import model_path
 from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY
 from rtof_kin.reconstruction import pipeline

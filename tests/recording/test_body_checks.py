@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtof_kin.core.plausibility import Verdict
+from rtof_kin.core.checks import Verdict
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording import body_checks as bodies

@@ -20,7 +20,7 @@ from schema_recordings import RECORDINGS, write_files
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.section import Section
-from rtof_kin.data.imu_declaration import CHOICES
+from rtof_kin.data.imu_stream import CHOICES
 from rtof_kin.formats.world_axes import UP
 from rtof_kin.inertial.camera_gyroscope import HELD
 from rtof_kin.recording import index as index_module

@@ -13,8 +13,8 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.plausibility import Check
-from rtof_kin.data.stream_faults import FaultKind, StreamFault
+from rtof_kin.core.checks import Check
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings

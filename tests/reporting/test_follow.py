@@ -18,9 +18,9 @@ from rtof_kin.clinical.measurement_error import BandShares
 from rtof_kin.clinical.visits import Visit, trial
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
 from rtof_kin.reporting.audit_results import AuditResult
-from rtof_kin.reporting.follow.files import COLUMNS, plain, write_follow_up
-from rtof_kin.reporting.follow.inputs import read_plan, read_visits
-from rtof_kin.reporting.follow.sentences import cautions, number, opening, reasoning
+from rtof_kin.reporting.document import write_files
+from rtof_kin.reporting.visit_folders import read_plan, read_visits
+from rtof_kin.reporting.visits import COLUMNS, document, reasoning, value_text
 
 SPEEDS = {"2026-03-01": 1.4, "2026-01-10 <b>": 1.0}
 
@@ -139,7 +139,7 @@ def test_a_failed_audit_is_the_first_line(tmp_path: Path) -> None:
             audit=[audit.plain()],
             inputs={"software": "rtof_kin 1.0"},
         )
-    first = opening(follow_up(read_visits(tmp_path).visits))[0]
+    first = document(follow_up(read_visits(tmp_path).visits)).headline
     assert first.startswith("The visits may not be comparable: 2026-02-02: the audit of w2, w3 failed (wrong")
 
 
@@ -147,12 +147,13 @@ def test_a_failed_audit_is_the_first_line(tmp_path: Path) -> None:
 
 
 def test_the_first_lines_say_what_changed(found: FollowUp) -> None:
-    first, second = opening(found)
+    said = document(found)
+    first, second = said.headline, *said.sentences
     assert first.startswith("2 visits with their trials: 2026-01-10 <b> (2), 2026-03-01 (2)")
     assert "measured over gait cycles, as all visits are walking" in first
     assert second.startswith("2026-03-01: ")
     assert "measures changed (5 % for all measures and visits together)" in second
-    assert any("one day to the next" in line for line in cautions(found))
+    assert any("one day to the next" in line for line in said.cautions)
 
 
 def test_every_outcome_has_its_reason(found: FollowUp) -> None:
@@ -161,7 +162,7 @@ def test_every_outcome_has_its_reason(found: FollowUp) -> None:
     for one in found.measures:
         text, change = reasoning(one, 1), one.changes[1]
         assert change is not None
-        assert text.startswith(f"{number(one.measure, change.difference, True)} {one.measure.unit}")
+        assert text.startswith(f"{value_text(one.measure, change.difference, True)} {one.measure.unit}")
         expected = {
             Outcome.NOT_SHOWN: "smallest change that could be shown among all measures: ",
             Outcome.CHANGED: "no direction is known or declared to be better",
@@ -175,28 +176,28 @@ def test_every_outcome_has_its_reason(found: FollowUp) -> None:
 def test_single_trials_and_missing_bands_are_cautions() -> None:
     visits = [Visit(name, (trial("t", walk_at(1.0, place, certain=False)),)) for place, name in enumerate("ab")]
     single = follow_up(visits, names=["gait_speed", "right_knee_flexion_range"])
-    lines = " ".join(cautions(single))
+    lines = " ".join(document(single).cautions)
     assert "Each visit has one trial" in lines
     assert "Not known how all trials of a, b were recorded" in lines
     assert "The motions have no bands" in lines
     assert reasoning(single.measures[-1], 1).endswith("record each walk two times or more.")
     whole = follow_up(visits, by="range", names=["right_knee_flexion_range"])
-    assert "Nothing is repeated" in " ".join(cautions(whole))
-    assert opening(whole)[-1].startswith("b: nothing is tested (nothing states its error")
+    assert "Nothing is repeated" in " ".join(document(whole).cautions)
+    assert document(whole).sentences[-1].startswith("b: nothing is tested (nothing states its error")
 
 
 def test_numbers_never_have_the_sign_of_zero(found: FollowUp) -> None:
     measure = replace(found.measures[0].measure, unit="m")
-    assert number(measure, -0.001, True) == "0.00"
-    assert number(measure, 0.126, True) == "+0.13"
-    assert number(measure, float("nan")) == ""
+    assert value_text(measure, -0.001, True) == "0.00"
+    assert value_text(measure, 0.126, True) == "+0.13"
+    assert value_text(measure, float("nan")) == ""
 
 
 # --- files ---------------------------------------------------------------------------------------
 
 
 def test_files_have_all_numbers(found: FollowUp, tmp_path: Path) -> None:
-    write_follow_up(found, tmp_path, ["a note"])
+    write_files(document(found, ["a note"]), tmp_path)
     with (tmp_path / "follow.csv").open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     data = json.loads((tmp_path / "follow.json").read_text("utf-8"))
@@ -215,7 +216,7 @@ def test_files_have_all_numbers(found: FollowUp, tmp_path: Path) -> None:
 
 
 def test_the_page_is_well_formed_and_loads_nothing(found: FollowUp, tmp_path: Path) -> None:
-    write_follow_up(found, tmp_path)
+    write_files(document(found), tmp_path)
     html = (tmp_path / "follow.html").read_text("utf-8")
     page = Page(html)
     assert page.wrong == []
@@ -230,6 +231,6 @@ def test_the_page_is_well_formed_and_loads_nothing(found: FollowUp, tmp_path: Pa
 
 
 def test_plain_data_say_what_each_error_contains(found: FollowUp) -> None:
-    texts = plain(found)["definitions"]
+    texts = document(found).plain()["definitions"]
     assert list(texts) == ["SEM, bands", "SEM, repeats", "SEM, both", "MDC95"]
     assert "100 % of their variance counts as common to the trials of a visit" in texts["SEM, bands"]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from rtof_kin.data.stream_faults import FaultKind
+from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult, Grade
 from rtof_kin.reporting.headline import headline
 

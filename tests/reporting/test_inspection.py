@@ -13,8 +13,8 @@ import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
+from rtof_kin.core.checks import Verdict
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.core.plausibility import Verdict
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.c3d import write_c3d

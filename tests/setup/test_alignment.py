@@ -13,7 +13,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ViewError
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.inertial.headings import wrapped
 from rtof_kin.reconstruction import self_calibration

@@ -12,8 +12,7 @@ from assignment_support import walking_log
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import GRAVITY_WORLD
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.setup.sensor_motion import joined, sensor_motions
 
 

@@ -15,9 +15,13 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import Covariance, detector_error_table
-from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
-from rtof_kin.simulation.random_processes import episodes, ornstein_uhlenbeck
-from rtof_kin.simulation.self_occlusion import self_occluded
+from rtof_kin.simulation.detector_errors import (
+    DetectorErrors,
+    episodes,
+    ornstein_uhlenbeck,
+    self_occluded,
+    simulate_detections,
+)
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 Array = NDArray[np.float64]

@@ -14,6 +14,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.simulation import mocap
+from rtof_kin.simulation.mocap import map_motion
 from rtof_kin.simulation.mocap_families import (
     NAMES,
     PARENTS,
@@ -23,7 +24,6 @@ from rtof_kin.simulation.mocap_families import (
     recognise_unit,
     restored_offsets,
 )
-from rtof_kin.simulation.mocap_mapping import map_motion
 
 DATA = Path(__file__).parents[1] / "fixtures" / "mocap"
 WALK = DATA / "02_01_excerpt.bvh"  # at 30 Hz, its first frame an added T-pose

@@ -20,7 +20,7 @@ from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.sources import Sources
-from rtof_kin.simulation.raw_files import write_raw_files
+from rtof_kin.simulation.simulate import write_raw_files
 from rtof_kin.vision.keypoints import read_detector_keypoints
 
 

@@ -10,13 +10,11 @@ import planted
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import ImuCalibration
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.noise import ImuNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 
 SENSORS = ("L_LowArm", "R_LowArm", "L_UpLeg", "R_LowLeg")
 

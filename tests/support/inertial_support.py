@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 from benchmarks.held import exercise, held_then_moving
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.imu import ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu import ImuCalibration, ImuSequence
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import orientation_rate
 from rtof_kin.simulation.mocap import read_mocap
-from rtof_kin.simulation.noise import ImuNoise
-from rtof_kin.simulation.sensors import simulate_imus
+from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 
 Array = NDArray[np.float64]

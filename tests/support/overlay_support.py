@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.imu_stream import StreamFault
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import Provenance
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.formats.measurements_writer import write_measurements_npz
 from rtof_kin.formats.motion_writer import write_motion_npz
 

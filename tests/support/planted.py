@@ -18,8 +18,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuSequence
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.recording.recording import Recording

@@ -11,8 +11,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.measurements_npz import MEASUREMENTS
 from rtof_kin.formats.measurements_writer import write_measurements_npz

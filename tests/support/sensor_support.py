@@ -10,8 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.data.imu import GRAVITY_WORLD
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorStream
 
 UP = -GRAVITY_WORLD
 FINE = 20

@@ -20,8 +20,8 @@ from overlay_support import motion_with, number_of, numbered, read_film, upright
 from rtof_kin.body.skeleton import Motion, SkeletonModel  # noqa: E402
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError  # noqa: E402
 from rtof_kin.data.camera import Camera  # noqa: E402
+from rtof_kin.data.imu_stream import FaultKind, StreamFault  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
-from rtof_kin.data.stream_faults import FaultKind, StreamFault  # noqa: E402
 from rtof_kin.formats.measurements_npz import read_measurements_npz  # noqa: E402
 from rtof_kin.view.overlay import film_writer  # noqa: E402
 from rtof_kin.view.overlay.film import write_overlay  # noqa: E402

@@ -10,8 +10,7 @@ from overlay_support import motion_with, upright_camera
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.data.camera import Camera
-from rtof_kin.data.camera_turning import CameraTurning
+from rtof_kin.data.camera import Camera, CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 from rtof_kin.view.overlay.picture_view import ScaledView, virtual_view

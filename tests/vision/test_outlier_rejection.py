@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.data.stream_faults import FaultKind
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers

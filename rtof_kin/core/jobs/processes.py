@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
+from rtof_kin.core.environment import VARIABLES
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.jobs.engine import Ended, ended, usable_cores
 from rtof_kin.core.jobs.memory import available_memory, resident_memory, total_memory
-from rtof_kin.core.threads import VARIABLES
 
 _GB: Final = 1e9
 _POLL: Final = 1.0  # [s] between two looks at the memory

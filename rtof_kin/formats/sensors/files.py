@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.extensions import Extensions
+from rtof_kin.core.packages import Extensions
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture, xdf
 from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens

@@ -14,8 +14,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 
 _NO_ROTATION: Final = 0.02
 """Largest difference of M M^T from the identity; files with few digits reach 0.001."""

@@ -19,8 +19,7 @@ import numpy as np
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.packets import in_order, lost
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 from rtof_kin.formats.sensors.sensor_text import cells, read_table

@@ -19,8 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import UnknownNameError
-from rtof_kin.data.imu import GRAVITY_WORLD
-from rtof_kin.data.imu_calibration import ImuCalibration
+from rtof_kin.data.imu import GRAVITY_WORLD, ImuCalibration
 
 _LONGEST_GAP: Final = 0.1  # [s] between samples that is interpolated
 _REACH: Final = 0.08  # [s] of the impulse response to either side

@@ -17,10 +17,9 @@ import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import RtofError
-from rtof_kin.core.plausibility import Check
-from rtof_kin.data.imu_declaration import Declaration
-from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.inertial.physics import LAWS, check_log
 from rtof_kin.live.samples import FrameSample, ImuSample, Sample
 from rtof_kin.live.session.clock_map import Arrived

@@ -41,7 +41,7 @@ class ImuChannels:
         Args:
             stream: its name; of the sensor too, where labels name none.
             labels, units, types: of each channel; units and types may be empty.
-            declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+            declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
 
         Raises:
             SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an

@@ -180,7 +180,7 @@ class LslImuSource(_LslSource):
 
         Args:
             timeout_s: s that it has to answer.
-            declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+            declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
         """
         super().__init__(stream, timeout_s)
         self._declared = declared

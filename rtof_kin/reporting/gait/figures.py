@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.gait_reference import PERCENT, VARIABLES
-from rtof_kin.reporting.clinical_figures import SIDE_COLORS
+from rtof_kin.reporting.angle_names import SIDE_COLORS
 from rtof_kin.reporting.gait.result import ScoredGait
 
 _WIDTH: Final = 0.38  # of a bar

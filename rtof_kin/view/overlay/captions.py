@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
-from rtof_kin.data.stream_faults import StreamFault
 from rtof_kin.view.overlay.canvas import Box, Canvas, Stroke
 from rtof_kin.view.overlay.lettering import Lettering
 from rtof_kin.view.overlay.skeleton_drawing import BLACK, DETECTED, WHITE, SkeletonStyle

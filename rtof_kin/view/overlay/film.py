@@ -12,7 +12,7 @@ import numpy as np
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
 from rtof_kin.formats.motion_npz import MOTION, motion_folder, read_motion_npz
 from rtof_kin.view.overlay.angle_labels import angle_labels

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from rtof_kin.core.files.scanned_file import ScannedFile
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_npz import MeasurementsReader
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.view.provenance_colours import PALETTE
 from rtof_kin.view.scene.block_cache import BlockCache
 from rtof_kin.view.scene.block_content import BlockContent, block_content

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.view.provenance_colours import Rgb
 from rtof_kin.view.scene.block_content import BlockContent

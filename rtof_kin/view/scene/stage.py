@@ -9,7 +9,7 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
-from rtof_kin.data.measurements import Measurements
+from rtof_kin.data.keypoints import Measurements
 from rtof_kin.data.poses import PoseSequence
 
 WORLD: Final = "/world"

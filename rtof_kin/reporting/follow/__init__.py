@@ -1,1 +1,0 @@
-"""Visits of one person beside each other: sentences, files, figures and a page."""

@@ -1,0 +1,603 @@
+"""Visits of one person beside each other, as a document: what changed, why, and what to be careful about.
+
+``follow.csv`` has a row for each measure and visit, in the unit of the column ``unit``; ``follow.json`` the
+sentences, the settings and the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from markupsafe import Markup
+from scipy import stats
+
+from rtof_kin.clinical.comparison_change import LEVEL
+from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
+from rtof_kin.clinical.measurement_error import Sem
+from rtof_kin.clinical.visit_measures import Measure, Movement
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
+from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
+from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number
+from rtof_kin.reporting.visit_folders import Progress, read_visits
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+COLUMNS: Final = (
+    "measure",
+    "unit",
+    "visit",
+    "day",
+    "trials",
+    "value",
+    "sd",
+    "change",
+    "interval_low",
+    "interval_high",
+    "outcome",
+    "detectable",
+    "shown_in_4_of_5",
+    "p",
+    "p_holm",
+    "better",
+    "sem_bands",
+    "sem_repeats",
+    "sem_repeats_dof",
+    "sem_both",
+    "mdc95_bands",
+    "mdc95_repeats",
+    "mdc95_both",
+)
+_DIGITS: Final = {"deg": 1, "%": 1, "s": 2, "m": 2, "m/s": 2, "steps/min": 0}
+_MOST: Final = 3  # measures that are named in one line
+_PRINTED: Final = 14  # measures in the printed table, unless they are chosen
+_BY: Final = {"cycle": "gait cycles", "repetition": "repetitions", "range": "the whole recordings"}
+_REPEATS: Final = {"squat": "bends of the knees (squats or lunges)", "sit_to_stand": "rises from a seat"}
+_GRADES: Final = {Outcome.IMPROVED: "pass", Outcome.WORSE: "fail", Outcome.CHANGED: "warn"}
+_MARKS: Final = {Outcome.IMPROVED: "^", Outcome.WORSE: "v", Outcome.CHANGED: "D"}  # in figures
+_FIGURES: Final = {
+    "changed": "measures with a change",
+    "gait": "gait",
+    "range": "range of motion",
+    "mean": "mean angle",
+    "max": "largest angle",
+    "min": "smallest angle",
+}
+_OPEN: Final = 2  # figures of the page that are not folded
+_PANELS: Final = 4  # in a row of a figure
+_SHIFT: Final = 0.012  # of the axis of a figure, between the sides
+
+
+def follow(
+    folder: str | Path,
+    *,
+    baseline: str = "",
+    by: Movement | None = None,
+    kind: str = "",
+    measures: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> Document:
+    """Compare the visits of one person, which have a folder each.
+
+    Args:
+        folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more.
+        baseline: visit that the others are compared with; default: the first.
+        by, kind, measures: see `follow_up`.
+        progress: called with the number of trials read, and of all.
+
+    Raises:
+        FileFormatError: there are no two visits, or a file is damaged. UnknownNameError: of a visit or measure.
+    """
+    read = read_visits(folder, progress)
+    plan, first = read.plan, read.baseline
+    if baseline:
+        names = [visit.name for visit in read.visits]
+        first = indices_of("visit", [plan.names.get(baseline, baseline)], names)[0]
+    found = follow_up(
+        read.visits,
+        baseline=first,
+        by=by or plan.by,
+        kind=kind or plan.kind,
+        better=plan.better,
+        names=list(measures) or list(plan.measures),
+        shares=plan.shares,
+    )
+    return document(found, read.notes, all_printed=bool(measures))
+
+
+def document(found: FollowUp, notes: Sequence[str] = (), all_printed: bool = False) -> Document:
+    """Return a follow-up as a document.
+
+    Args:
+        notes: cautions about the input. all_printed: whether the terminal shows all measures.
+    """
+    headline, *others = _opening(found)
+    subject = found.visits[0].trials[0].setup.subject or "Follow-up"
+    figures = _figures(found)
+    return Document(
+        "follow",
+        f"{subject}: change over {len(found.visits)} visits",
+        headline,
+        others,
+        [*notes, *_cautions(found)],
+        bool(found.incomparable),
+        printed=_printed(found, all_printed),
+        sections=[
+            Section("changes", f"Changes from {found.visits[found.baseline].name}", [_NOTE, *_changes(found)]),
+            Section("figures", "Over the visits", [_shown(*one, k) for k, one in enumerate(figures.items())]),
+            Section(
+                "errors",
+                "Standard errors of measurement, and minimal detectable changes",
+                [_definitions(found), _errors(found)],
+            ),
+            Section("left-out", "Left out", [tuple(f"{k}: {v}" for k, v in found.left_out.items()) or "Nothing."]),
+        ],
+        figures=list(figures.values()),
+        tables={"follow.csv": table(found)},
+        facts=_facts(found),
+    )
+
+
+def name_of(measure: Measure) -> str:
+    """Return the name of a measure in words, e.g. 'right knee flexion, range'."""
+    text = label(measure.name)
+    if measure.unit == "deg":
+        angle, _, end = text.rpartition(" ")
+        return f"{angle}, {end}"
+    return text
+
+
+def value_text(measure: Measure, value: float, sign: bool = False) -> str:
+    """Return a value in its unit of output, without the unit; '' for NaN.
+
+    Args:
+        value: in the unit of computation.
+    """
+    return fixed(value * measure.scale, _DIGITS[measure.unit], sign)
+
+
+def _opening(found: FollowUp) -> list[str]:
+    """Return the first lines: what is not comparable, what is compared, and what changed."""
+    lines = []
+    if found.incomparable:
+        count = len(found.incomparable)
+        more = f"; and {count - 1} more, see the cautions" if count > 1 else ""
+        lines.append(
+            f"The visits may not be comparable: {found.incomparable[0].rstrip('.')}{more}. A change below "
+            "may come from that and not from the patient."
+        )
+    first, last = found.visits[found.baseline], found.visits[found.last]
+    over = _REPEATS.get(found.kind, _BY[found.by])
+    trials = ", ".join(f"{visit.name} ({len(visit.trials)})" for visit in found.visits)
+    lines.append(
+        f"{len(found.visits)} visits with their trials: {trials}. Changes are from {first.name} to each "
+        f"other visit; measured over {over}" + (f", as {found.why}." if found.why else ".")
+    )
+    lines += _verdicts(found, found.last, last.name)
+    for v, visit in enumerate(found.visits):
+        if v not in (found.baseline, found.last):
+            shown = [one for one in found.measures if one.changed(v)]
+            lines.append(f"{visit.name}: {_listed(shown, v) or 'no change is shown'}.")
+    return lines
+
+
+def _verdicts(found: FollowUp, visit: int, name: str) -> list[str]:
+    tested = [one for one in found.measures if one.outcome(visit) is not Outcome.NOT_TESTED]
+    if not tested:
+        return [f"{name}: nothing is tested ({found.measures[0].why_not or 'not observed'})."]
+    shown = [one for one in tested if one.changed(visit)]
+    level = f"{100 * LEVEL:.0f} % for all measures and visits together"
+    if not shown:
+        return [
+            f"{name}: none of {len(tested)} measures is shown to have changed ({level}). That is not the "
+            "same as unchanged: see what would have been detectable."
+        ]
+    count = len(shown)
+    return [f"{name}: {count} of {len(tested)} measures changed ({level}): {_listed(shown, visit)}."]
+
+
+def _listed(shown: Sequence[Followed], visit: int) -> str:
+    """The changes with the smallest p-values."""
+
+    def p(one: Followed) -> float:
+        change = one.changes[visit]
+        return 1.0 if change is None else change.p
+
+    named = [
+        f"{name_of(one.measure)} {one.outcome(visit)} "
+        f"({value_text(one.measure, change.difference, True)} {one.measure.unit})"
+        for one in sorted(shown, key=p)[:_MOST]
+        if (change := one.changes[visit]) is not None
+    ]
+    more = f" and {len(shown) - _MOST} more" if len(shown) > _MOST else ""
+    return "; ".join(named) + more
+
+
+def reasoning(one: Followed, visit: int) -> str:
+    """Return one sentence on why a measure has its outcome.
+
+    Args:
+        visit: index of the visit, not of the baseline.
+    """
+    change, outcome, unit = one.changes[visit], one.outcome(visit), one.measure.unit
+    if change is None:
+        return "Not observed, or not reliably, in this visit or in the baseline."
+    text = f"{value_text(one.measure, change.difference, True)} {unit}"
+    if outcome is Outcome.NOT_TESTED:
+        return f"{text}, not tested: {one.why_not}."
+    low, high = (value_text(one.measure, end, True) for end in change.interval)
+    text += f" with a 95 % interval of {low} to {high} {unit}"
+    if outcome is Outcome.NOT_SHOWN:
+        needed = f"{value_text(one.measure, change.detectable)} {unit}"
+        alone = value_text(one.measure, change.half_width(LEVEL))
+        mostly = value_text(one.measure, one.mostly(visit))
+        return (
+            f"{text}; smallest change that could be shown among all measures: {needed} (of this one alone "
+            f"{alone} {unit}), and a true change of {mostly} {unit} would be shown in 4 of 5 cases."
+        )
+    p = "< 0.001" if change.p_adjusted < 0.001 else f"= {change.p_adjusted:.3f}"
+    return f"{text}; p {p} among all measures and visits; {_direction(one, visit)}."
+
+
+def _direction(one: Followed, visit: int) -> str:
+    if one.better is None:
+        return "no direction is known or declared to be better"
+    if one.better == "zero" and not one.nearer_shown(visit):
+        return "nearer to zero is better, but it is not shown which of the two is nearer"
+    return "nearer to zero is better" if one.better == "zero" else f"{one.better} is better"
+
+
+def _cautions(found: FollowUp) -> list[str]:
+    """Return what to be careful about."""
+    lines = list(found.incomparable)
+    unknown = [v.name for v in found.visits if any(not one.setup.software for one in v.trials)]
+    if unknown:
+        lines.append(
+            f"Not known how all trials of {', '.join(unknown)} were recorded (no summary.json beside the "
+            "motion): whether these visits are comparable was not checked in full"
+        )
+    if found.repeated is Repeated.STRIDES:
+        lines.append(
+            "Each visit has one trial: the spread between its strides or repetitions is included, but not "
+            "how much the person varies from one trial to the next; record two trials or more at each visit"
+        )
+    elif found.repeated is Repeated.NOTHING:
+        lines.append(
+            "Nothing is repeated: how much the person varies from one trial to the next is not known and not "
+            "included; record two trials or more at each visit"
+        )
+    else:
+        if single := [visit.name for visit in found.visits if len(visit.trials) == 1]:
+            lines.append(f"One trial in {', '.join(single)}: its variation is taken from the visits with more trials")
+        lines.append(
+            "How much the person varies from one day to the next is not in the repeated trials of a day: a "
+            "change is one between these days"
+        )
+    if found.by == "cycle":
+        lines.append(
+            "Times, cadence and stance of gait have no bands: errors that all trials of a visit share are "
+            "not included there"
+        )
+    if not any(one.errors.bands.sem > 0 for one in found.measures):
+        lines.append(
+            "The motions have no bands: errors that all trials of a visit share (camera, mounting) are not included"
+        )
+    if found.by == "range":
+        lines.append("Ranges are those of the whole recordings: they differ if the person did something else")
+    if unequal := _unequal(found.measures):
+        lines.append(
+            f"Trials vary more in one visit than in another: {', '.join(unequal)}. One spread for all visits "
+            "is used, which is too small for that visit"
+        )
+    return lines
+
+
+def _unequal(followed: Sequence[Followed]) -> list[str]:
+    """Measures whose spread differs between visits, by Bartlett's test."""
+    out = []
+    for one in followed:
+        groups = [own.values for own in one.visits if own is not None and np.ptp(own.values) > 0]
+        if len(groups) > 1 and stats.bartlett(*groups).pvalue < LEVEL / len(followed):
+            out.append(name_of(one.measure))
+    return out
+
+
+def _definitions(found: FollowUp) -> dict[str, str]:
+    """Name of each standard error -> what it contains."""
+    shares = found.measures[0].errors.shares
+    divided = (
+        f"{100 * shares.visit:.0f} % of their variance counts as common to the trials of a visit, "
+        f"{100 * shares.trial:.0f} % as independent from trial to trial, and "
+        f"{100 * shares.all_visits:.0f} % as common to all visits, which cancels"
+    )
+    twice = "Errors that differ from trial to trial are taken out of the bands, by at most what trials show"
+    if not shares.trial:
+        twice = (
+            "Errors that differ from trial to trial are in the bands too, which do not say how large they "
+            "are: it is too large rather than too small"
+        )
+    unit = {"trials": "trial", "strides": "stride or repetition", "nothing": "value"}[found.repeated]
+    return {
+        "SEM, bands": "of a visit's value, by the bands of the reconstruction: errors of detector, sensors, camera, "
+        f"mounting and model, also those that all trials of a visit share; {divided}. Not the variation of the person.",
+        "SEM, repeats": f"of one {unit}, by the spread within visits (analysis of variance, with its degrees of "
+        "freedom): variation of the person, and errors that differ from trial to trial. Not errors that "
+        "all trials of a visit share.",
+        "SEM, both": f"of a visit's value, the mean over its trials: both of these. {twice}.",
+        "MDC95": "the change between two visits that errors of that SEM alone exceed in 5 % of cases, of this "
+        "measure by itself; 'detectable' is the same among all measures and visits.",
+    }
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+_NOTE: Final = Markup(
+    '<p class="note">Values &plusmn; one standard deviation. The outcome is that of a two-sided test at {:.0f} % for '
+    "all measures and visits together (Holm). <i>Not shown</i> is not <i>unchanged</i>: the last column says which "
+    "change could have been shown.</p>"
+).format(100 * LEVEL)
+_ERRORS: Final = (
+    "measure",
+    "SEM, bands",
+    "MDC95, bands",
+    "SEM, repeats (degrees of freedom)",
+    "MDC95, repeats",
+    "SEM, both",
+    "MDC95, both",
+)
+
+
+def _printed(found: FollowUp, all_of_them: bool) -> list[Table | str]:
+    """Table of the last visit against the baseline; those that changed first, then the smallest p-values."""
+    visit = found.last
+
+    def key(one: Followed) -> tuple[float, float]:
+        change = one.changes[visit]
+        return (2.0, 1.0) if change is None else (float(change.p != change.p), change.p)
+
+    ordered = sorted(found.measures, key=key)
+    shown = ordered if all_of_them else ordered[:_PRINTED]
+    rows = []
+    for one in shown:
+        change, measure, both = one.changes[visit], one.measure, one.errors.both
+        sizes = (math.nan, math.nan) if change is None else (change.difference, change.detectable)
+        rows.append(
+            (
+                f"{name_of(measure)} [{measure.unit}]",
+                *(value_text(measure, one.estimates[v]) for v in (found.baseline, visit)),
+                value_text(measure, sizes[0], True),
+                *(value_text(measure, value) for value in (sizes[1], both.sem, both.mdc95)),
+                _badge(one, visit),
+            )
+        )
+    columns = ("measure", "from", "to", "change", "detect-\nable", "SEM", "MDC95", "outcome")
+    return [
+        f"From {found.visits[found.baseline].name} to {found.visits[visit].name}:",
+        Table(columns, rows),
+        *(f"{name_of(one.measure)}: {reasoning(one, visit)}" for one in shown[:3]),
+        *([f"and {len(ordered) - len(shown)} more: -o OUT, or --measures"] if len(shown) < len(ordered) else []),
+    ]
+
+
+def table(found: FollowUp) -> Table:
+    """Return the row of each measure and visit, None for what there is not; see `COLUMNS`."""
+    return Table(COLUMNS, [_row(found, one, v) for one in found.measures for v in range(len(found.visits))])
+
+
+def _row(found: FollowUp, one: Followed, visit: int) -> list[Cell]:
+    here, change, scale = found.visits[visit], one.changes[visit], one.measure.scale
+    nan, own = math.nan, one.visits[visit]
+    figures = (
+        [nan] * 5 if change is None else [change.difference, *change.interval, change.detectable, one.mostly(visit)]
+    )
+    size, low, high, needed, mostly = (number(scale * value) for value in figures)
+    p = (nan, nan) if change is None else (change.p, change.p_adjusted)
+    errors = (one.errors.bands, one.errors.trials, one.errors.both)
+    return [
+        one.measure.name,
+        one.measure.unit,
+        here.name,
+        here.day.isoformat() if here.day else None,
+        0 if own is None else len(own.values),
+        number(scale * one.estimates[visit]),
+        number(scale * one.sigmas[visit]),
+        size,
+        low,
+        high,
+        None if visit == found.baseline else one.outcome(visit).value,
+        needed,
+        mostly,
+        *map(number, p),
+        one.better,
+        number(scale * errors[0].sem),
+        number(scale * errors[1].sem),
+        number(errors[1].dof),
+        number(scale * errors[2].sem),
+        *(number(scale * sem.mdc95) for sem in errors),
+    ]
+
+
+def _changes(found: FollowUp) -> list[Section]:
+    """A section for each visit but the baseline, the last one first and open, those without a change folded."""
+    order = [found.last, *(v for v in range(len(found.visits)) if v not in (found.baseline, found.last))]
+    out = []
+    for visit in order:
+        columns = ("measure", found.visits[found.baseline].name, found.visits[visit].name, "outcome", "why")
+        shown = [one for one in found.measures if one.changed(visit)]
+        shown.sort(key=lambda one: list(Outcome).index(one.outcome(visit)))
+        rest = [one for outcome in (Outcome.NOT_SHOWN, Outcome.NOT_TESTED) for one in found.of(outcome, visit)]
+        tables = [
+            Table(columns, [_change_cells(found, one, visit) for one in own], kind="differences")
+            for own in (shown, rest)
+        ]
+        parts: list[Any] = [tables[0] if shown else "No change is shown."]
+        if rest:
+            parts.append(Section("", f"{len(rest)} measures without a change that is shown", [tables[1]], folded=True))
+        out.append(Section("", f"Changes at {found.visits[visit].name}", parts, folded=visit != found.last))
+    return out
+
+
+def _change_cells(found: FollowUp, one: Followed, visit: int) -> tuple[Cell, ...]:
+    values = []
+    for v in (found.baseline, visit):
+        text, spread = (value_text(one.measure, x) for x in (one.estimates[v], one.sigmas[v]))
+        text += f" \u00b1 {spread}" if spread else ""
+        values.append(f"{text} {one.measure.unit}" if text else "")
+    return _title(one), *values, _badge(one, visit), reasoning(one, visit)
+
+
+def _badge(one: Followed, visit: int) -> Badge:
+    outcome = one.outcome(visit)
+    return Badge(outcome.value, _GRADES.get(outcome, "not-checked"))
+
+
+def _title(one: Followed) -> Markup:
+    positive = Markup(" <small>{}</small>").format(one.measure.positive) if one.measure.positive else ""
+    return Markup("{}{}").format(name_of(one.measure), positive)
+
+
+def _errors(found: FollowUp) -> Table:
+    def pair(one: Followed, error: Sem, more: str = "") -> tuple[str, str]:
+        sem, mdc = (value_text(one.measure, value) for value in (error.sem, error.mdc95))
+        return (f"{sem} {one.measure.unit}{more}", f"{mdc} {one.measure.unit}") if sem else ("", "")
+
+    rows = []
+    for one in found.measures:
+        errors = one.errors
+        dof = f" ({errors.trials.dof:.0f})" if errors.trials.sem > 0 else ""
+        rows.append((_title(one), *pair(one, errors.bands), *pair(one, errors.trials, dof), *pair(one, errors.both)))
+    return Table(_ERRORS, rows, kind="errors")
+
+
+def _facts(found: FollowUp) -> dict[str, Any]:
+    shares = found.measures[0].errors.shares
+    return {
+        "visits": [
+            {
+                "name": visit.name,
+                "day": visit.day.isoformat() if visit.day else None,
+                "trials": [one.name for one in visit.trials],
+            }
+            for visit in found.visits
+        ],
+        "baseline": found.visits[found.baseline].name,
+        "by": found.by,
+        "repetitions": found.kind,
+        "repeated": found.repeated.value,
+        "level": LEVEL,
+        "correction": "Holm, over all rows with a p",
+        "band_shares": {"all_visits": shares.all_visits, "visit": shares.visit, "trial": shares.trial},
+        "comparable": not found.incomparable,
+        "definitions": _definitions(found),
+        "measures": [_measure_facts(found, one) for one in found.measures],
+        "rows": table(found).records(),
+        "left_out": dict(found.left_out),
+    }
+
+
+def _measure_facts(found: FollowUp, one: Followed) -> dict[str, Any]:
+    scale, errors = one.measure.scale, one.errors
+    return {
+        "name": one.measure.name,
+        "unit": one.measure.unit,
+        "positive": one.measure.positive,
+        "better": one.better,
+        "why_not_tested": one.why_not,
+        "values": [None if own is None else [number(scale * value) for value in own.values] for own in one.visits],
+        "band_sd": [None if own is None else number(scale * own.band_sigma) for own in one.visits],
+        "errors": {
+            name: {
+                "sem": number(scale * error.sem),
+                "degrees_of_freedom": number(error.dof),
+                "mdc95": number(scale * error.mdc95),
+            }
+            for name, error in (("bands", errors.bands), ("repeats", errors.trials), ("both", errors.both))
+        },
+        "reasoning": {visit.name: reasoning(one, v) for v, visit in enumerate(found.visits) if v != found.baseline},
+    }
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def _figures(found: FollowUp) -> dict[str, Figure]:
+    """Title -> figure of what changed, of gait, and of each statistic of the angles."""
+    visits = range(len(found.visits))
+    changed = {side_and_name(one.measure.name)[1] for one in found.measures if any(map(one.changed, visits))}
+    both = [one for one in found.measures if side_and_name(one.measure.name)[1] in changed]
+    groups = {"changed": both} if both else {}
+    for one in found.measures:
+        kind = "gait" if one.measure.is_gait else one.measure.name.rpartition("_")[2]
+        groups.setdefault(kind, []).append(one)
+    out = {}
+    for kind, title in _FIGURES.items():
+        if kind in groups:
+            alt = f"{title} over the visits, with 95 % bands; the numbers are in the tables"
+            own = groups[kind]
+            out[title] = Figure(f"figures/{kind}", alt, lambda own=own, title=title: trajectories(found, own, title))  # type: ignore[misc]
+    return out
+
+
+def _shown(title: str, figure: Figure, place: int) -> Section:
+    return Section("", title[:1].upper() + title[1:], [figure], folded=place >= _OPEN)
+
+
+def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> Plot:
+    """Plot measures over visits, both sides in one panel."""
+    from matplotlib.figure import Figure as Plot
+
+    panels: dict[tuple[str, str], list[Followed]] = {}
+    for one in measures:
+        name = side_and_name(one.measure.name)[1]
+        panels.setdefault((name, one.measure.unit), []).append(one)
+    lines = math.ceil(len(panels) / _PANELS)
+    height = 0.9 + 2.2 * lines  # inches
+    figure = Plot(figsize=(13, height))
+    figure.subplots_adjust(0.045, 0.45 / height, 0.99, 1 - 0.75 / height, wspace=0.27, hspace=0.45)
+    grid = figure.subplots(lines, _PANELS, squeeze=False).ravel()
+    x, names = _days(found), [visit.name for visit in found.visits]
+    for ax, ((name, unit), own) in zip(grid, panels.items(), strict=False):
+        for one in own:
+            _plot(ax, found, one, x)
+        ax.set_title(name_of(replace(own[0].measure, name=name)), fontsize=9, loc="left")
+        ax.set_ylabel(f"[{unit}]", fontsize=8)
+        ax.grid(alpha=0.3)
+        ax.margins(x=0.08)
+        ax.set_xticks(x, names, fontsize=7, rotation=15)
+    for ax in grid[len(panels) :]:
+        ax.set_axis_off()
+    figure.suptitle(
+        f"{title[:1].upper()}{title[1:]} over visits with 95 % bands; dots: trials; blue: right, red: left; "
+        "large marks: change from the baseline (up: improved, down: worse, diamond: changed)",
+        fontsize=10,
+        y=1 - 0.1 / height,
+        va="top",
+    )
+    return figure
+
+
+def _days(found: FollowUp) -> Array:
+    """(V,) days of the visits, or their numbers where not all have days of their own."""
+    days = [visit.day.toordinal() for visit in found.visits if visit.day is not None]
+    if len(set(days)) < len(found.visits):
+        return np.arange(len(found.visits), dtype=float)
+    return np.array(days, dtype=float)
+
+
+def _plot(ax: Any, found: FollowUp, one: Followed, x: Array) -> None:
+    side = side_and_name(one.measure.name)[0]
+    color, scale = SIDE_COLORS[side], one.measure.scale
+    x = x + {"right": -1, "left": 1, "": 0}[side] * _SHIFT * float(np.ptp(x) or 1.0)
+    y, half = scale * one.estimates, scale * one.half_bands
+    ax.errorbar(x, y, yerr=np.nan_to_num(half), color=color, lw=1.2, capsize=2, label=side or None)
+    for visit, own in enumerate(one.visits):
+        if own is not None and len(own.values) > 1:
+            ax.plot(np.full(len(own.values), x[visit]), scale * own.values, ".", color=color, ms=4, alpha=0.5)
+        if mark := _MARKS.get(one.outcome(visit)) if visit != found.baseline else None:
+            ax.plot(x[visit], y[visit], mark, color=color, ms=9)
