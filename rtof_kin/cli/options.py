@@ -14,12 +14,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter, Token, convert
 
-T = TypeVar("T")
-NoneType: Final = type(None)
+from rtof_kin.core.errors import nearest
+
 Function = Callable[..., Any]
 
 
@@ -106,14 +107,16 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
     plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
-    extra = []
-    if inner is bool:
-        extra.append(Parameter(negative=None if default is True else (), show_default=False))
+    usual = Parameter()
+    if inner is bool and default is True:
+        usual = Parameter(show_default=False)
+    elif inner is bool:
+        usual = Parameter(negative=(), show_default=False)
     elif inner is float:
-        extra.append(Parameter(converter=_decimal, metavar="X"))
+        usual = Parameter(converter=_decimal, metavar="X")
     elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
-        extra.append(Parameter(converter=_listed, n_tokens=1, allow_leading_hyphen=False, metavar="NAMES"))
-    return Annotated[(plain, *extra, *([how] if how else []), *own)]  # type: ignore[return-value]
+        usual = Parameter(converter=_listed, n_tokens=1, metavar="NAMES")
+    return Annotated[plain, Parameter.combine(usual, how, *own)]
 
 
 def _is_optional(hint: Any) -> bool:
@@ -126,3 +129,34 @@ def _decimal(_: Any, tokens: Sequence[Token]) -> float:
         return float(text.replace(",", "."))
     except ValueError as error:
         raise ValueError(f"{text!r} is not a number, such as 1.72 (without its unit)") from error
+
+
+def _listed(hint: Any, tokens: Sequence[Token]) -> tuple[Any, ...]:
+    """Return the parts of texts that are separated by commas, each once; 'none' is an empty list."""
+    texts = [part.strip() for token in tokens for part in token.value.split(",")]
+    kind = get_args(next((one for one in (hint, *get_args(hint)) if get_origin(one) is tuple), hint))[0]
+    return tuple(dict.fromkeys(convert(kind, [text]) for text in texts if text and text != "none"))
+
+
+def _size(_: Any, tokens: Sequence[Token]) -> tuple[int, int]:
+    text = tokens[0].value
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise ValueError(f"{text!r} is not width x height, such as 1920x1080")
+    return int(width), int(height)
+
+
+# --- options of several commands: each has one name and one meaning -----------------------------------------------
+
+Output = Annotated[Path, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write")]
+File = Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="file to write")]
+Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote there")]
+Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")]
+Model = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE",
+        help="lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
+        "default), perfect",
+    ),
+]
