@@ -20,7 +20,7 @@ PLACES = {
     "live": (2.0, 1, "pose while\nthe person moves"),
     "view": (3.0, 1, "3D scene,\nskeleton on the video"),
     "protocols": (1.0, 1, "protocols and tables\nof papers, data sets"),
-    "batch": (4.0, 1, "many recordings,\nresumable; bundles"),
+    "batch": (4.0, 1, "many recordings,\nresumable"),
     "plan": (5.0, 1, "errors to expect,\nbefore recording"),
     "reporting": (2.75, 2, "audit, page,\nexport, study"),
     "reconstruction": (1.25, 3, "recording to motion:\nprepare, lift, SF², solve"),

@@ -61,6 +61,16 @@ def _export(options: argparse.Namespace) -> None:
         raise InvalidInputError("export: name one folder to write, as OUT or with -o OUT")
     output = options.output or options.folder
     formats = DEFAULT if options.to is None else [name.strip() for name in options.to.split(",")]
+    if "archive" in formats:
+        from rtof_kin.reporting.archive import write_result_archive
+
+        if len(formats) > 1:
+            raise InvalidInputError(
+                "--to archive: one ZIP file of everything; other formats go to a folder of their own"
+            )
+        write_result_archive(output, options.motion, options.recording, options.overwrite)
+        out.print(f"wrote {output}: recording, settings, versions and result, without names and video", soft_wrap=True)
+        return
     check_formats(formats)
     with MotionReader(motion_path(options.motion)) as reader, new_folder(output, URDF, options.overwrite) as folder:
         write_motion_files(folder, reader.source(), formats)
@@ -125,5 +135,9 @@ def _add_export(commands: Any) -> None:
     parser.add_argument(
         "--to",
         metavar="FORMATS",
-        help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh",
+        help="separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh. "
+        "archive: OUT is one ZIP file of recording, settings, versions and result, without names and video",
+    )
+    parser.add_argument(
+        "--recording", metavar="FOLDER", help="recording of MOTION for the archive; default: that of run, or the demo"
     )

@@ -94,17 +94,6 @@ def environment() -> dict[str, str]:
     }
 
 
-def differences(then: dict[str, str], now: dict[str, str]) -> list[str]:
-    """Return what differs between two environments, as 'numpy 2.1.0 -> 2.3.0'.
-
-    Args:
-        then, now: of `environment`.
-    """
-    names = [*then, *(name for name in now if name not in then)]
-    pairs = ((name, then.get(name, _UNKNOWN), now.get(name, _UNKNOWN)) for name in names)
-    return [f"{name} {before} -> {after}" for name, before, after in pairs if before != after]
-
-
 def package_version(name: str) -> str:
     """Return the version of an installed package, else that it is not installed."""
     try:

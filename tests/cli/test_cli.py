@@ -38,8 +38,6 @@ COMMANDS = (
     "live",
     "compare",
     "batch",
-    "bundle",
-    "reproduce",
 )
 MOCAP = Path(__file__).parents[1] / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 OWN = ("notes.txt", "report.html", "clinical/angles.csv")

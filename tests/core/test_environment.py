@@ -1,4 +1,4 @@
-"""What the last bits depend on: complete, without names, and compared by name."""
+"""What the last bits depend on: complete and without names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core import environment as module
-from rtof_kin.core.environment import differences, environment
+from rtof_kin.core.environment import environment
 from rtof_kin.core.files.compact import multiples
 from rtof_kin.core.numerics import c_compiler
 
@@ -41,12 +41,6 @@ def test_digest_of_the_source_follows_code_and_tables(tmp_path: Path, monkeypatc
         (tmp_path / name).write_text("x = 2\n")
         digests.append(module.source_digest.__wrapped__())
     assert len(set(digests)) == 4
-
-
-def test_differences_name_what_changed() -> None:
-    then, now = {"numpy": "2.1.0", "scipy": "1"}, {"numpy": "2.3.0", "scipy": "1", "torch": "2"}
-    assert differences(then, now) == ["numpy 2.1.0 -> 2.3.0", "torch unknown -> 2"]
-    assert differences(now, now) == []
 
 
 def test_evaluation_of_the_energy_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,6 @@ to read that folder. `test_fuzz_readers` damages each file of it in turn.
 from __future__ import annotations
 
 import functools
-import hashlib
 import importlib.util
 import io
 import pickle
@@ -25,12 +24,9 @@ import sensor_files
 import total_capture_support
 import xdf_file
 
-from rtof_kin.batch.bundle_file import Bundle, Run, read_bundle
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
-from rtof_kin.core.files.archive import write_archive
 from rtof_kin.core.files.arrays import read_csv, read_npz
-from rtof_kin.core.files.text import check_file
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.human36m import Human36M
@@ -259,37 +255,6 @@ def _take(path: Path) -> object:
     return planted.recording(planted.moving(SKELETON, 12)).save(path)
 
 
-_MEMBERS: Mapping[str, bytes] = {
-    "recordings/S01-1/recording.toml": b"schema_version = 1\n",
-    "results/1/motion.npz": b"PK",
-}
-
-
-def _manifest() -> bytes:
-    record = {"options": {"mode": "rtof", "frames": 50}, "environment": {"numpy": "2.1.0", "threads": "1"}}
-    run = Run("recordings/S01-1", "results/1", record)
-    sha256 = {name: hashlib.sha256(content).hexdigest() for name, content in _MEMBERS.items()}
-    return Bundle((run,), ("height",), ("title",), sha256).text().encode()
-
-
-def _bundle(path: Path, manifest: bytes) -> None:
-    seal = hashlib.sha256(manifest).hexdigest()
-    write_archive(path, {"manifest.json": manifest} | dict(_MEMBERS), seal, overwrite=True)
-
-
-def _unbundled(path: Path) -> Bundle:
-    with tempfile.TemporaryDirectory() as name:
-        return read_bundle(path, Path(name))
-
-
-def _forged(manifest: Path) -> Bundle:
-    """Read a bundle whose manifest is sealed, whatever it says."""
-    check_file(manifest, "a manifest")
-    path = manifest.parent / "forged" / "a.rtof"
-    _bundle(path, manifest.read_bytes())
-    return _unbundled(path)
-
-
 def _model(name: str) -> Callable[[], bytes]:
     return model_path(name).read_bytes
 
@@ -387,8 +352,6 @@ READERS = (
     given("point distribution", "a.npz", _model("detectors.npz"), lambda p: read_gaussian(p, detector_table())),
     given("URDF", "a.urdf", _model("skeleton.urdf"), SkeletonModel.from_urdf),
     written("recording", "take", _take, Recording.load),
-    written("bundle", "a.rtof", lambda p: _bundle(p, _manifest()), _unbundled),
-    given("manifest of a bundle", "manifest.json", lambda: _manifest(), _forged),
     # --- learning
     *_learning(),
     # --- inertial sensors
