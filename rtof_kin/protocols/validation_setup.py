@@ -21,7 +21,7 @@ from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import imus_of_log
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
@@ -49,7 +49,7 @@ def recording_of(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recordin
     """Return the recording of a take, and what was found, assumed or in doubt.
 
     Raises:
-        InvalidInputError: the take lacks what the mode needs. Errors of `make_recording`,
+        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`,
             `calibrate_by_pose`.
     """
     if setup.mode in _WITH_SENSORS and inputs.sensors is None:
@@ -82,7 +82,7 @@ def _of_images(take: Take, inputs: TakeInputs, setup: SetUp) -> tuple[Recording,
         sensors=(_sensors(inputs, folder),) if setup.mode in _WITH_SENSORS else (),
     )
     find_people(sources, settings, folder / "recording", _no_detector)
-    said = make_recording(sources, settings, folder / "recording", name=take.key)
+    said = write_recording(sources, settings, folder / "recording", name=take.key)
     notes = [*said.assumed, *said.doubtful]
     if inputs.height is None:  # init's remedy is an option of its own
         notes = [note for note in notes if "--height" not in note]

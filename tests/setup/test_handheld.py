@@ -20,7 +20,7 @@ from rtof_kin.inertial.camera_gyroscope import HELD
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.camera_prior import assumed_camera
 from rtof_kin.setup.handheld import filming_camera, turning_of_video
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.recording_text import Field
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.bearing_rotation import bearings, turn_between
@@ -114,7 +114,7 @@ def test_recording_of_a_handheld_video_is_stabilised_and_of_a_tripod_is_not(tmp_
         sources = Sources(tmp_path / f"{name}.mp4", tmp_path / f"{name}.npz")
         settings = SetupSettings(height=1.8)
         find_people(sources, settings, tmp_path / name, lambda _: PEOPLE)
-        findings = make_recording(sources, settings, tmp_path / name)
+        findings = write_recording(sources, settings, tmp_path / name)
         found[name] = Recording.load(tmp_path / name).video
         assert any("the camera turned by up to" in s for s in findings.found) == (name == "handheld")
     assert found["handheld"].camera.stabilised
