@@ -3,20 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-
-from rich.box import SIMPLE_HEAD
-from rich.table import Column, Table
+from typing import Any
 
 from rtof_kin.cli.terminal import command, out, print_files
-
-if TYPE_CHECKING:
-    from rtof_kin.clinical.comparison import AngleComparison, Comparison
-    from rtof_kin.clinical.comparison_alignment import Alignment
-
-_SHOWN = 12
-"""Angles in the printed table, unless they are chosen."""
 
 
 def add_commands(commands: Any) -> None:
@@ -56,99 +45,27 @@ def add_commands(commands: Any) -> None:
 
 
 def _compare(options: argparse.Namespace) -> None:
-    from rtof_kin.clinical.comparison_spm import compare_spm
-    from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.reporting.comparison.files import MARKER, write_comparison
-    from rtof_kin.reporting.comparison.sentences import cautions, opening
-    from rtof_kin.reporting.comparison.spm import spm_lines, write_spm
-
-    if options.output:
-        check_replaceable(options.output, MARKER, options.overwrite)
-    found, why = _compared(options)
-    mapped = compare_spm(found) if options.spm else None
-    for line in opening(found, why):
-        out.print(line, style="bold", soft_wrap=True)
-    for line in cautions(found):
-        out.print(f"caution: {line}", style="yellow", soft_wrap=True)
-    _print_angles(found, all_of_them=bool(options.angles))
-    for line in spm_lines(mapped) if mapped is not None else ():
-        out.print(line, soft_wrap=True)
-    if options.output:
-        with new_folder(options.output, MARKER, options.overwrite) as folder:
-            write_comparison(found, folder, why)
-            if mapped is not None:
-                write_spm(mapped, found, folder)
-        print_files(options.output)
-
-
-def _compared(options: argparse.Namespace) -> tuple[Comparison, str]:
-    """Comparison as the options ask for it, and why its axis was chosen."""
-    from rtof_kin.clinical.comparison import compare
-    from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.reporting.comparison.inputs import distinct, read_compared
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.reporting.comparison import compare
+    from rtof_kin.reporting.document import show, write
 
-    given = (name.strip() for name in (options.angles or "").split(","))
-    names = list(dict.fromkeys(filter(None, given)))
     if options.sides == (options.b is not None):
         raise InvalidInputError("compare: give two motions, or one with --sides")
-    shifted = options.align or options.shift is not None
-    if shifted and (options.sides or options.by not in (None, "time")):
-        raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
-    if options.sides:
-        kind = options.repetitions or ""
-        return compare_sides(read_compared(options.a), options.by, names=names, kind=kind)
-    a, b = read_compared(options.a), read_compared(options.b)
-    first, second = distinct(a, b, (options.a, options.b))
-    a, b = replace(a, name=first), replace(b, name=second)
-    clocks = agreement(a, b)
-    choice = choose_axis(a, b, clocks, "time" if shifted else options.by)
-    shift = _found_shift(clocks) if options.align else options.shift or 0.0
-    if choice.by != "time":
-        clocks = None
-    elif shift:
-        clocks = agreement(a, b, shift)
-    kind = options.repetitions or choice.kind
-    return compare(a, b, choice.by, names=names, shift=shift, alignment=clocks, kind=kind), choice.why
-
-
-def _found_shift(clocks: Alignment | None) -> float:
-    from rtof_kin.core.errors import InvalidInputError
-
-    if clocks is None:
-        raise InvalidInputError("compare: no common angle moves, so that --align finds no shift; give --shift")
-    return clocks.shift
-
-
-def _print_angles(found: Comparison, all_of_them: bool) -> None:
-    """Table of the largest differences; errors only where there are curves."""
-    from rtof_kin.reporting.angle_names import label
-    from rtof_kin.reporting.comparison.sentences import degrees, difference_text
-
-    shown = found.angles if all_of_them else found.angles[:_SHOWN]
-    curves = found.axis is not None
-    columns = ("B - A,\nmean", "B - A,\nrange") if curves else ("A,\nrange", "B,\nrange", "B - A,\nrange")
-    errors = ("RMSE", "MAE", "me-\ndian", "no\noffset") if curves else ()
-    headers = (*columns, *errors, "changed")
-    figures = [Column(header, justify="right", no_wrap=True) for header in headers]
-    table = Table(Column("angle [deg]"), *figures, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for one in shown:
-        changes = [difference_text(change) for change in one.changes]
-        if one.errors is None:
-            cells = [degrees(one.changes[0].a), degrees(one.changes[0].b), *changes]
-        else:
-            e = one.errors
-            cells = [*changes, *map(degrees, (e.rmse, e.mae, e.median, e.offset_removed))]
-        table.add_row(label(one.name), *cells, _verdict(one))
-    out.print(table)
-    if len(shown) < len(found.angles):
-        out.print(f"and {len(found.angles) - len(shown)} smaller ones: -o DIR, or --angles", soft_wrap=True)
-
-
-def _verdict(one: AngleComparison) -> str:
-    from rtof_kin.clinical.comparison_change import Verdict
-
-    changed = [change.measure for change in one.changes if change.verdict is Verdict.CHANGED]
-    if len(changed) > 1:
-        return "both"
-    return changed[0] if changed else {Verdict.NOT_TESTED: "not tested"}.get(one.verdict, "not shown")
+    if options.output:
+        check_replaceable(options.output, "comparison.json", options.overwrite)
+    given = (name.strip() for name in (options.angles or "").split(","))
+    document = compare(
+        options.a,
+        options.b,
+        by=options.by,
+        shift=options.shift,
+        align=options.align,
+        repetitions=options.repetitions or "",
+        angles=list(dict.fromkeys(filter(None, given))),
+        spm=options.spm,
+    )
+    show(document, out)
+    if options.output:
+        write(document, options.output, options.overwrite)
+        print_files(options.output)

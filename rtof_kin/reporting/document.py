@@ -138,6 +138,8 @@ class Document:
     """Name of a CSV file -> all of its rows."""
     facts: Mapping[str, Any] = field(default_factory=dict)
     """JSON data with units in the names, beside 'sentences' and 'cautions'."""
+    data: Mapping[str, Any] = field(default_factory=dict)
+    """Name of a further JSON file -> its data."""
     lead: Markup = Markup()  # noqa: RUF009
     """HTML below the sentences."""
     charts: Mapping[str, Any] | None = None
@@ -211,6 +213,9 @@ def write_files(document: Document, folder: Path) -> list[Path]:
     paths = [folder / f"{figure}.png" for figure in pictures]
     for name, table in document.tables.items():
         write_csv(folder / name, table)
+        paths.append(folder / name)
+    for name, data in document.data.items():
+        write_json(folder / name, data)
         paths.append(folder / name)
     if document.sections:
         paths.append(folder / f"{document.name}.html")

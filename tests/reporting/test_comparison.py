@@ -19,10 +19,8 @@ from rtof_kin.clinical.comparison import Compared, Comparison, compare
 from rtof_kin.clinical.comparison_axis import agreement
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.opensim_mot import write_mot
-from rtof_kin.reporting.comparison.files import COLUMNS, write_comparison
-from rtof_kin.reporting.comparison.inputs import distinct, read_compared
-from rtof_kin.reporting.comparison.page import page
-from rtof_kin.reporting.comparison.sentences import cautions, opening
+from rtof_kin.reporting.comparison import COLUMNS, distinct, document, read_compared
+from rtof_kin.reporting.document import page, write_files
 
 KNEE, HIP, ELBOW = "right_knee_flexion", "left_hip_flexion", "right_elbow_flexion"
 TIMES = np.arange(300) / 60
@@ -42,8 +40,12 @@ def planted_change() -> Comparison:
     return found_in_time(a, b)
 
 
+def opening(found: Comparison, why: str = "") -> list[str]:
+    return list(document(found, why).plain()["sentences"])
+
+
 def said(found: Comparison, why: str = "") -> str:
-    return " ".join([*opening(found, why), *cautions(found)])
+    return " ".join([*opening(found, why), *document(found, why).cautions])
 
 
 # --- sentences -----------------------------------------------------------------------------------
@@ -69,14 +71,14 @@ def test_not_shown_is_told_from_equal() -> None:
 
 def test_identical_motions_are_called_so_first() -> None:
     a = one("a", TIMES, COLUMNS_A, 2.0)
-    lines = opening(found_in_time(a, replace(a, name="b")), "")
+    lines = opening(found_in_time(a, replace(a, name="b")))
     assert lines[0].startswith("A and B are identical")
 
 
 def test_other_movement_is_doubted_first() -> None:
     other = {name: 30 + 20 * np.sin(np.pi * 1.7 * TIMES + k) for k, name in enumerate(COLUMNS_A)}
     found = found_in_time(one("a", TIMES, COLUMNS_A, 2.0), one("b", TIMES, other, 2.0))
-    assert opening(found, "")[0].startswith("The curves hardly agree")
+    assert opening(found)[0].startswith("The curves hardly agree")
 
 
 def test_a_better_shift_is_pointed_out_and_a_used_one_is_stated() -> None:
@@ -124,7 +126,7 @@ def test_range_alone_warns_of_other_movements() -> None:
 
 
 def test_table_and_json_have_the_same_numbers(planted_change: Comparison, tmp_path: Path) -> None:
-    write_comparison(planted_change, tmp_path, "why")
+    write_files(document(planted_change, "why"), tmp_path)
     rows = list(csv.DictReader(io.StringIO((tmp_path / "comparison.csv").read_text())))
     data = json.loads((tmp_path / "comparison.json").read_text())
     assert tuple(rows[0]) == COLUMNS
@@ -139,7 +141,7 @@ def test_table_and_json_have_the_same_numbers(planted_change: Comparison, tmp_pa
 
 def test_what_there_is_not_is_empty(tmp_path: Path) -> None:
     found = compare(one("a", TIMES, COLUMNS_A), one("b", TIMES, COLUMNS_B), "range")
-    write_comparison(found, tmp_path)
+    write_files(document(found), tmp_path)
     row = next(csv.DictReader(io.StringIO((tmp_path / "comparison.csv").read_text())))
     assert (row["rmse_deg"], row["p"], row["verdict"]) == ("", "", "not tested")
     assert json.loads((tmp_path / "comparison.json").read_text())["angles"][0]["rmse_deg"] is None
@@ -173,7 +175,7 @@ def test_outputs_motions_and_coordinates_are_read(tmp_path: Path) -> None:
 
 
 def test_page_is_well_formed_and_escaped(planted_change: Comparison) -> None:
-    html = page(planted_change)
+    html = page(document(planted_change))
     parsed = Page(html)
     assert parsed.wrong == []
     assert "<b>before</b>" not in html
@@ -183,7 +185,7 @@ def test_page_is_well_formed_and_escaped(planted_change: Comparison) -> None:
 
 
 def test_curves_are_those_of_the_motions(planted_change: Comparison) -> None:
-    data = plotted_data(page(planted_change))
+    data = plotted_data(page(document(planted_change)))
     overlay, difference = data["groups"][:2]
     assert overlay["name"] == "right knee flexion"
     assert [s["side"] for s in overlay["series"]] == ["A", "B"]
@@ -198,7 +200,7 @@ def test_curves_are_those_of_the_motions(planted_change: Comparison) -> None:
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_page_draws_in_a_browser_without_requests_at_any_width(planted_change: Comparison, tmp_path: Path) -> None:
     file = tmp_path / "comparison.html"
-    file.write_text(page(planted_change), encoding="utf-8")
+    file.write_text(page(document(planted_change)), encoding="utf-8")
     with BrowserPage(tmp_path / "profile", 1200, 900) as browser:
         browser.open(file.as_uri())
         browser.until("document.documentElement.dataset.state === 'ready'")
@@ -219,7 +221,7 @@ def test_page_draws_in_a_browser_without_requests_at_any_width(planted_change: C
 @pytest.mark.skipif(BROWSER is None, reason="no browser")
 def test_page_of_ranges_has_no_charts_and_no_error(tmp_path: Path) -> None:
     file = tmp_path / "ranges.html"
-    file.write_text(page(compare(one("a", TIMES, COLUMNS_A), one("b", TIMES, COLUMNS_B), "range")))
+    file.write_text(page(document(compare(one("a", TIMES, COLUMNS_A), one("b", TIMES, COLUMNS_B), "range"))))
     with BrowserPage(tmp_path / "profile", 800, 600) as browser:
         browser.open(file.as_uri())
         browser.until("document.documentElement.dataset.state === 'ready'")

@@ -1,0 +1,697 @@
+"""A comparison as a document: what against what, on which axis, what has changed, and what to be careful about.
+
+``comparison.csv`` has a row for each angle and measure, with units in the names of its columns and empty cells where
+there is no value; ``comparison.json`` the sentences, the settings and the same numbers; ``spm.json`` and ``spm.png``
+the statistical parametric mapping, on request.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from markupsafe import Markup
+
+from rtof_kin.clinical import comparison as clinical
+from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison, compared
+from rtof_kin.clinical.comparison_alignment import POOR, Alignment
+from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
+from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
+from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
+from rtof_kin.clinical.gait import PHASES
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.formats.motion_npz import MOTION, motion_path, read_motion_npz
+from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
+from rtof_kin.reporting.angle_names import label
+from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
+from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
+from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+COLUMNS: Final = (
+    "angle",
+    "positive",
+    "measure",
+    "verdict",
+    "a_deg",
+    "b_deg",
+    "difference_deg",
+    "difference_sd_deg",
+    "interval_low_deg",
+    "interval_high_deg",
+    "detectable_deg",
+    "p",
+    "p_holm",
+    "rmse_deg",
+    "mae_deg",
+    "median_absolute_error_deg",
+    "rmse_without_offset_deg",
+    "largest_deg",
+    "largest_at",
+    "correlation",
+    "outside_band_share",
+    "share",
+    "repeats_a",
+    "repeats_b",
+)
+_REPEATED: Final = {"squat": "bend of the knees (squat or lunge)", "sit_to_stand": "rise from a seat"}
+_MOST: Final = 3  # changes that are named
+_PRINTED: Final = 12  # angles in the printed table, unless they are chosen
+_LATE: Final = 0.04  # [s] a better shift than this is pointed out
+_BETTER: Final = 0.02  # if the agreement is better by this
+_SAME: Final = np.radians(0.005)
+_OFTEN: Final = 0.2  # share of the samples outside the band of the difference, of which 0.05 are expected
+_LISTED: Final = 6  # coordinates that a note lists
+_TENTHS: Final = 10  # packed numbers are tenths of a degree
+
+
+def compare(
+    a: str | Path,
+    b: str | Path | None = None,
+    *,
+    by: By | None = None,
+    shift: float | None = None,
+    align: bool = False,
+    repetitions: str = "",
+    angles: Sequence[str] = (),
+    spm: bool = False,
+) -> Document:
+    """Compare two motions, or the left (A) and right (B) side of one, angle by angle.
+
+    Args:
+        a, b: see `read_compared`; without b the sides of a are compared.
+        by: common axis; default: chosen from the data, and said.
+        shift: s, to add to the times of b. align: estimate it.
+        repetitions: what is repeated, 'squat' or 'sit_to_stand'. angles: to compare; fewer are tested more sharply.
+        spm: add statistical parametric mapping.
+
+    Raises:
+        FileFormatError: a file is missing or damaged. InvalidInputError: nothing can be compared.
+    """
+    shifted = align or shift is not None
+    if shifted and (b is None or by not in (None, "time")):
+        raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
+    if b is None:
+        found, why = compare_sides(read_compared(a), by, names=angles, kind=repetitions)
+    else:
+        first, second = read_compared(a), read_compared(b)
+        names = distinct(first, second, (a, b))
+        first, second = replace(first, name=names[0]), replace(second, name=names[1])
+        clocks = agreement(first, second)
+        choice = choose_axis(first, second, clocks, "time" if shifted else by)
+        if align and clocks is None:
+            raise InvalidInputError("compare: no common angle moves, so that --align finds no shift; give --shift")
+        added = clocks.shift if align and clocks is not None else shift or 0.0
+        if choice.by != "time":
+            clocks = None
+        elif added:
+            clocks = agreement(first, second, added)
+        kind, why = repetitions or choice.kind, choice.why
+        found = clinical.compare(first, second, choice.by, names=angles, shift=added, alignment=clocks, kind=kind)
+    return document(found, why, compare_spm(found) if spm else None, all_printed=bool(angles))
+
+
+def document(
+    found: Comparison, why: str = "", mapped: ComparisonSpm | None = None, all_printed: bool = False
+) -> Document:
+    """Return a comparison as a document.
+
+    Args:
+        why: of the choice of the axis; '' if it was asked for. mapped: its SPM.
+        all_printed: whether the terminal shows all angles.
+    """
+    headline, *others = _opening(found, why)
+    names = Markup('<p class="legend"><span class="key A"></span> A: {} <span class="key B"></span> B: {}</p>')
+    errors = [_error_cells(found, one) for one in found.angles if one.errors is not None]
+    no_axis = "The two have no common axis, so there are no curves: see the ranges above."
+    reasons: dict[str, list[str]] = {}
+    for name, reason in found.left_out.items():
+        reasons.setdefault(reason, []).append(label(name))
+    left_out = tuple(f"{reason}: {', '.join(own)}" for reason, own in reasons.items())
+    return Document(
+        "comparison",
+        f"{found.a.name} and {found.b.name}: comparison of joint angles",
+        headline,
+        others,
+        _cautions(found),
+        printed=[*_printed(found, all_printed), *(spm_lines(mapped) if mapped else ())],
+        sections=[
+            Section("differences", "Differences", [_ABOUT_DIFFERENCES, _differences(found)]),
+            Section(
+                "errors",
+                "Errors of the curves",
+                [_ABOUT_ERRORS, Table(_ERRORS, errors, kind="errors") if errors else no_axis],
+            ),
+            Section("curves", "Curves", [*([] if found.axis is not None else [no_axis]), _ABOUT_CURVES]),
+            Section("left-out", "Not compared", [left_out or "Every angle that is observed in either is compared."]),
+        ],
+        figures=[Figure("spm", "SPM{t} of each angle over the cycle", lambda: spm_figure(mapped, found))]
+        if mapped and mapped.angles
+        else [],
+        tables={"comparison.csv": table(found)},
+        facts=_facts(found),
+        data={"spm.json": _spm_facts(mapped)} if mapped else {},
+        lead=names.format(found.a.name, found.b.name),
+        charts=_charts(found),
+    )
+
+
+# --- what is compared ----------------------------------------------------------------------------
+
+
+def read_compared(path: str | Path) -> Compared:
+    """Read one side of a comparison.
+
+    Args:
+        path: output folder of reconstruct or run, a ``motion.npz``, or an OpenSim ``.mot`` or ``.sto``.
+
+    Raises:
+        FileFormatError: it is none of these, or damaged.
+    """
+    path = Path(path)
+    if path.suffix.lower() in SUFFIXES:
+        return _other_system(path)
+    file = motion_path(path)
+    recording, mode = "", ""
+    if (summary := file.parent / SUMMARY).is_file():
+        found = read_summary(summary)
+        recording, mode = found.recording, found.mode
+    found_motion = read_motion_npz(file)
+    mode = mode or found_motion.mode
+    named = path.resolve().parent if path.name == MOTION and not path.is_dir() else path.resolve()
+    name = named.name + (f" ({mode})" if mode else "")
+    return compared(name, found_motion.motion(), recording)
+
+
+def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:
+    """Return names of both that differ, with as many of their folders as tell them apart."""
+    if a.name != b.name:
+        return a.name, b.name
+    parts = [Path(path).resolve().parts[1:] for path in paths]
+    for count in range(1, max(map(len, parts)) + 1):
+        first, second = ("/".join(own[-count:]) for own in parts)
+        if first != second:
+            return first, second
+    return f"{a.name}, first", f"{b.name}, second"
+
+
+def _other_system(path: Path) -> Compared:
+    table = read_opensim_table(path)
+    try:
+        angles, others = opensim_angles(table)
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error)) from error
+    notes: tuple[str, ...] = ()
+    if others:
+        notes = (f"coordinates that are no clinical angle of this package: {some(others, _LISTED)}",)
+    return Compared(path.name, angles, other_system=True, own_export=bool(table.skeleton), notes=notes)
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def _opening(found: Comparison, why: str) -> list[str]:
+    """Return the first lines: identity, what against what, the axis, and the changes.
+
+    Args:
+        why: of the choice of the axis; '' if it was asked for.
+    """
+    lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
+    if _same_values(found) and not lines:
+        lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
+    clocks = found.alignment
+    if found.by == "time" and clocks is not None and not found.identical and not _agreement(clocks) >= POOR:
+        lines.append(
+            f"The curves hardly agree (agreement {_agreement(clocks):.2f} of 1): they may be different "
+            "movements, or their clocks may differ."
+        )
+    stated = any(np.isfinite(change.sigma) for one in found.angles for change in one.changes)
+    meaning = ", \u00b1 half of the 95 % interval of the angle alone" if stated else ""
+    lines.append(f"A is {found.a.name}, B is {found.b.name}; differences are B - A{meaning}.")
+    lines.append(_axis(found) + (f" Chosen because {why}." if why else ""))
+    return [*lines, *_changes(found)]
+
+
+def _cautions(found: Comparison) -> list[str]:
+    """Return what to be careful about."""
+    lines = [*_clock_cautions(found), *_band_cautions(found)]
+    a, b = found.a, found.b
+    if found.by == "range":
+        lines.append(
+            "Ranges are those of the whole recordings: they differ if the person did something else, and how "
+            "much they vary from one recording to the next is not known and not included"
+        )
+    for one in (a, b):
+        if one.other_system and not one.own_export:
+            lines.append(
+                f"The zero of {one.name} is that of its own model: a constant difference may be one of "
+                "definition; see the errors without offset and the ranges"
+            )
+    lines += _outside(found)
+    single = [letter for k, letter in enumerate("AB") if any(one.repeats[k] == 1 for one in found.angles)]
+    if found.by in ("cycle", "repetition") and single:
+        lines.append(
+            f"{' and '.join(single)} has angles with a single repeat, whose spread is taken from the other"
+            if len(single) == 1
+            else "Some angles have a single repeat in both: how much repeats vary is not included there"
+        )
+    little = [one.name for one in found.angles if one.share < 0.5]
+    if little:
+        what = "frames" if found.by in ("time", "range") else "repeats"
+        names = some([label(name) for name in little])
+        lines.append(f"Less than half of the {what} is observed and reliable in both: {names}")
+    noted = (a,) if a.notes == b.notes else (a, b)
+    if found.by == "cycle":
+        lines += [f"{one.name} is probably not walking: {one.not_gait}" for one in noted if one.not_gait]
+    if found.by == "cycle" or a.other_system or b.other_system:
+        lines += [f"{one.name}: {note}" for one in noted for note in one.notes]
+    return lines
+
+
+def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
+    """Return an angle in degrees; '' for NaN.
+
+    Args:
+        value: rad.
+    """
+    return fixed(float(np.degrees(value)), digits, sign)
+
+
+def change_text(one: AngleComparison, change: Change) -> str:
+    """Return a change in words, e.g. 'right knee flexion (mean) by -12.1 \u00b1 6.0 deg'."""
+    return f"{label(one.name)} ({change.measure}) by {difference_text(change)} deg"
+
+
+def difference_text(change: Change) -> str:
+    """Return a difference with half of its 95 % interval, degrees, as in the report, e.g. '-12.1 \u00b1 6.0'."""
+    half = change.interval[1] - change.difference
+    band = f" \u00b1 {degrees(half)}" if np.isfinite(half) else ""
+    return degrees(change.difference, True) + band
+
+
+def _same_values(found: Comparison) -> bool:
+    return all(one.errors is not None and abs(one.errors.largest) < _SAME for one in found.angles)
+
+
+def _agreement(clocks: Alignment) -> float:
+    """Agreement at the shift that is used, which is the zero of the clocks that were compared."""
+    return clocks.unshifted if np.isfinite(clocks.unshifted) else 0.0
+
+
+def _axis(found: Comparison) -> str:
+    if found.by == "time":
+        assert found.axis is not None
+        text = f"Compared at the same instants, {found.axis[0]:.2f} to {found.axis[-1]:.2f} s of A's clock"
+        if found.shift:
+            text += f", with B shifted by {found.shift:+.3f} s"
+        if found.alignment is not None and not found.identical:
+            text += f" (agreement of angular velocities {_agreement(found.alignment):.2f} of 1)"
+        shares = [f"{100 * find(one.share for one in found.angles):.0f}" for find in (min, max)]
+        span = " to ".join(dict.fromkeys(shares))
+        return f"{text}; {span} % of the frames, by angle, are observed and reliable in both."
+    if found.by == "range":
+        return "Compared by the ranges of motion of the whole recordings, without a common axis."
+    what = "gait cycle, heel strike to heel strike" if found.by == "cycle" else _REPEATED[found.kind]
+    times, each = ("stride", " on each side") if found.by == "cycle" else ("repetition", "")
+    counts = [max(one.repeats[i] for one in found.angles) for i in (0, 1)]
+    first, second = (f"{count} {times}" + ("s" if count != 1 else "") for count in counts)
+    return f"Compared over the {what}, at {len(PHASES)} phases; means over up to {first} of A and {second} of B{each}."
+
+
+def _changes(found: Comparison) -> list[str]:
+    tested = [one for one in found.angles if one.verdict is not Verdict.NOT_TESTED]
+    if not tested:
+        return [f"{len(found.angles)} angles are compared; none is tested, because nothing states its error."]
+    changed = found.changed
+    level = f"two-sided, {100 * LEVEL:.0f} % for all angles together"
+    if changed:
+        largest = sorted(changed, key=lambda one: -abs(one.largest.difference))[:_MOST]
+        names = "; ".join(change_text(one, one.largest) for one in largest)
+        which = "the largest: " if len(changed) > _MOST else ""
+        verb = "has" if len(changed) == 1 else "have"
+        return [f"{len(changed)} of {len(tested)} angles {verb} changed ({level}): {which}{names}."]
+    lines = [f"None of {len(tested)} angles is shown to have changed ({level})."]
+    if not _same_values(found):
+        sizes = [one.changes[0].detectable for one in tested if np.isfinite(one.changes[0].detectable)]
+        largest = sorted(tested, key=lambda one: -abs(one.changes[0].difference))[:_MOST]
+        names = "; ".join(change_text(one, one.changes[0]) for one in largest)
+        lines.append(f"The largest differences: {names}.")
+        span = " to ".join(degrees(size, digits=0) for size in (min(sizes), max(sizes)))
+        measure = tested[0].changes[0].measure
+        lines.append(
+            f"That is not the same as equal: a change of the {measure} below {span} deg, by angle, could be missed."
+        )
+    return lines
+
+
+def _clock_cautions(found: Comparison) -> list[str]:
+    clocks = found.alignment
+    if found.by != "time" or clocks is None or found.identical:
+        return []
+    lines = []
+    better = clocks.agreement > _agreement(clocks) + _BETTER and abs(clocks.shift) > _LATE
+    if better and clocks.poor:
+        lines.append(
+            f"No shift makes the curves agree (at most {clocks.agreement:.2f}, where B is shifted by "
+            f"{found.shift + clocks.shift:+.2f} s): different movements, or different people"
+        )
+    elif better:
+        lines.append(
+            f"The curves agree better ({clocks.agreement:.2f}) with B shifted by "
+            f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
+        )
+    if found.shift:
+        lines.append(_sharpness(clocks, found.shift))
+    return lines
+
+
+def _sharpness(clocks: Alignment, shift: float) -> str:
+    sd = f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else ""
+    text = f"The shift of B is {shift:+.3f}{sd or ' s'}"
+    if np.isfinite(clocks.rival):
+        text += f"; the second best is {shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
+    if clocks.ambiguous:
+        text += ", nearly as good, as in a periodic movement: check it by an event that both show"
+    return text
+
+
+def _band_cautions(found: Comparison) -> list[str]:
+    bands = [one.angles.sigma is not None for one in (found.a, found.b)]
+    lines = []
+    if not any(bands):
+        lines.append(
+            "Neither has bands: the errors of measurement are not included"
+            + (", only the spread between repeats" if found.by in ("cycle", "repetition") else "")
+        )
+    for letter, one, own in zip("AB", (found.a, found.b), bands, strict=True):
+        if not own and any(bands):
+            lines.append(
+                f"{letter} ({one.name}) has no bands and is taken as exact. Against an exact reference about "
+                "one comparison in five has a false 'changed' (docs/compare.md)"
+            )
+    same = found.a.recording != "" and found.a.recording == found.b.recording
+    sides = (found.a.name, found.b.name) == ("left", "right")
+    if all(bands) and same and not sides and not found.identical:
+        lines.append(
+            f"Both are of a recording called {found.a.recording!r}. If it is the same one, they share errors "
+            "(of video, sensors and mounting), which cancel: the standard deviations, as of independent "
+            "errors, are then too large rather than too small"
+        )
+    return lines
+
+
+def _outside(found: Comparison) -> list[str]:
+    """Angles whose curves differ by more than the stated errors for long."""
+    often = sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside)
+    if not often:
+        return []
+    names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
+    return [
+        "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
+        f"their means: {names}"
+    ]
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+_DIFFERENCES: Final = ("angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B")
+_ERRORS: Final = (
+    "angle",
+    "RMSE",
+    "MAE",
+    "median",
+    "without offset",
+    "largest",
+    "at",
+    "correlation",
+    "outside band",
+    "compared",
+)
+_ABOUT_DIFFERENCES: Final = Markup(
+    '<p class="note">Degrees. Mean angle, and range of motion, of A and B; their difference with the 95 % interval of '
+    "this angle alone (&plusmn; is half of it). The verdict is that of a two-sided test at {:.0f} % for all rows "
+    "together (Holm): a difference of the size <i>detectable</i> is called changed whatever the others show, and below "
+    "it a change could be missed.</p>"
+).format(100 * LEVEL)
+_ABOUT_ERRORS: Final = Markup(
+    '<p class="note">Degrees, of B - A over the samples that are observed and reliable in both: root mean square, mean '
+    "and median of the size, root mean square without the mean difference, and the largest.</p>"
+)
+_ABOUT_CURVES: Final = Markup(
+    '<p class="note">Bands are 95 % intervals, each of its motion\'s confidence and of the spread between repeats; '
+    "those of B - A as of independent errors. Gaps: not compared. Point at a curve to read its values.</p>"
+    '<div class="charts pairs" id="curve-charts"></div>'
+)
+
+
+def _printed(found: Comparison, all_of_them: bool) -> list[Table | str]:
+    """The largest differences; errors only where there are curves."""
+    shown = found.angles if all_of_them else found.angles[:_PRINTED]
+    curves = found.axis is not None
+    columns = ("B - A,\nmean", "B - A,\nrange") if curves else ("A,\nrange", "B,\nrange", "B - A,\nrange")
+    errors = ("RMSE", "MAE", "me-\ndian", "no\noffset") if curves else ()
+    rows = []
+    for one in shown:
+        cells = [difference_text(change) for change in one.changes]
+        if one.errors is None:
+            cells = [degrees(one.changes[0].a), degrees(one.changes[0].b), *cells]
+        else:
+            cells += map(degrees, (one.errors.rmse, one.errors.mae, one.errors.median, one.errors.offset_removed))
+        changed = [change.measure for change in one.changes if change.verdict is Verdict.CHANGED]
+        verdict = "not tested" if one.verdict is Verdict.NOT_TESTED else "not shown"
+        rows.append((label(one.name), *cells, "both" if len(changed) > 1 else changed[0] if changed else verdict))
+    left = len(found.angles) - len(shown)
+    return [
+        Table(("angle [deg]", *columns, *errors, "changed"), rows),
+        *([f"and {left} smaller ones: -o DIR, or --angles"] if left else []),
+    ]
+
+
+def table(found: Comparison) -> Table:
+    """Return the rows of all angles and measures, None for what there is not; see `COLUMNS`."""
+    return Table(COLUMNS, [_row(one, change) for one in found.angles for change in one.changes])
+
+
+def _row(one: AngleComparison, change: Change) -> list[Cell]:
+    nan, errors = math.nan, one.errors
+    sizes, others = (nan,) * 5, (nan, nan)
+    if errors is not None:
+        sizes = (errors.rmse, errors.mae, errors.median, errors.offset_removed, errors.largest)
+        others = (errors.at, errors.correlation)
+    figures = (change.a, change.b, change.difference, change.sigma, *change.interval, change.detectable)
+    return [
+        one.name,
+        one.positive,
+        change.measure,
+        change.verdict.value,
+        *(number(np.degrees(value)) for value in figures),
+        number(change.p),
+        number(change.p_adjusted),
+        *(number(np.degrees(value)) for value in sizes),
+        *map(number, others),
+        number(one.outside),
+        number(one.share),
+        *one.repeats,
+    ]
+
+
+def _differences(found: Comparison) -> Table:
+    rows = []
+    for one in found.angles:
+        name = Markup("{} <small>{}</small>").format(label(one.name), one.positive)
+        again = Markup('<span class="again">{}</span>').format(name)
+        rows += [(again if k else name, *_change_cells(change)) for k, change in enumerate(one.changes)]
+    return Table(_DIFFERENCES, rows, kind="differences")
+
+
+def _change_cells(change: Change) -> tuple[Cell, ...]:
+    size, *half = difference_text(change).partition(" ")
+    low, high = (degrees(end, True) for end in change.interval)
+    p = fixed(change.p_adjusted, 3)
+    return (
+        change.measure,
+        Markup("<b>{}</b>{}").format(size, "".join(half)),
+        Badge(change.verdict.value, "warn" if change.verdict is Verdict.CHANGED else "not-checked"),
+        f"{low} to {high}" if low else "",
+        degrees(change.detectable),
+        "< 0.001" if p == "0.000" else p,
+        degrees(change.a),
+        degrees(change.b),
+    )
+
+
+def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
+    errors = one.errors
+    assert errors is not None
+    share = f"{100 * one.share:.0f} %"
+    if found.by != "time":
+        share += f" ({one.repeats[0]} and {one.repeats[1]})"
+    return (
+        label(one.name),
+        *map(degrees, (errors.rmse, errors.mae, errors.median, errors.offset_removed)),
+        degrees(errors.largest, True),
+        f"{errors.at:.2f} s" if found.by == "time" else f"{100 * errors.at:.0f} %",
+        fixed(errors.correlation, 2),
+        f"{100 * one.outside:.0f} %" if one.outside == one.outside else "",
+        share,
+    )
+
+
+def _facts(found: Comparison) -> dict[str, Any]:
+    clocks = found.alignment
+    shifts = (
+        {}
+        if clocks is None
+        else {
+            "at_the_shift": clocks.unshifted,
+            "best": clocks.agreement,
+            "best_further_shift_s": clocks.shift,
+            "best_further_shift_sd_s": clocks.sigma,
+            "second_best_further_shift_s": clocks.rival,
+            "second_best": clocks.rival_agreement,
+        }
+    )
+    return {
+        "a": found.a.name,
+        "b": found.b.name,
+        "differences": "B - A",
+        "by": found.by,
+        "repetitions": found.kind,
+        "shift_of_b_s": found.shift,
+        "agreement": {name: number(value) for name, value in shifts.items()} or None,
+        "identical": found.identical,
+        "level": LEVEL,
+        "correction": "Holm, over all rows with a p",
+        "largest_at_is": "s" if found.by == "time" else "share of the cycle or repetition",
+        "angles": table(found).records(),
+        "not_compared": dict(found.left_out),
+    }
+
+
+def _charts(found: Comparison) -> Data:
+    """Each angle of A over B, and their difference, with 95 % bands; none without a common axis."""
+    if found.axis is None:
+        return {"x": [], "groups": [], "by": found.by}
+    shown = slice(None)
+    if found.by == "time":
+        shown = slice(None, None, max(shown_frames(found.axis).step, math.ceil(len(found.axis) / MOST_SAMPLES)))
+
+    def series(kind: str, values: Array, sigma: Array | None, count: int = 0) -> Data:
+        out: Data = {"side": kind, "y": packed(np.degrees(values[shown]), _TENTHS)}
+        if sigma is not None:
+            out["half"] = packed(BAND_95 * np.degrees(sigma[shown]), _TENTHS)
+        return out | ({"n": count} if count else {})
+
+    groups = []
+    for one in found.angles:
+        assert one.curves is not None
+        (a, b), (sigma_a, sigma_b), name = one.curves, one.sigmas, label(one.name)
+        counts = one.repeats if max(one.repeats) > 1 else (0, 0)
+        both = [series("A", a, sigma_a, counts[0]), series("B", b, sigma_b, counts[1])]
+        groups.append({"name": name, "positive": one.positive, "series": both})
+        groups.append({"name": f"{name}: B - A", "series": [series("difference", b - a, one.difference_sigma)]})
+    scale = 1.0 if found.by == "time" else 100.0
+    return {"x": [round(scale * float(x), 4) for x in found.axis[shown]], "groups": groups, "by": found.by}
+
+
+# --- statistical parametric mapping ---------------------------------------------------------------
+
+_DRAWN: Final = 12  # angles of the figure
+_PANELS: Final = 3
+
+
+def spm_lines(found: ComparisonSpm) -> list[str]:
+    """Return the clusters in words, and what to be careful about."""
+    count = len(found.angles)
+    lines = []
+    for one in found.angles:
+        for cluster in one.clusters:
+            band = {None: "no bands", True: "beyond the band of B - A", False: "within the band of B - A"}
+            p = "p < 0.001" if cluster.p < 0.001 else f"p = {cluster.p:.3f}"
+            lines.append(
+                f"{label(one.name)}: {100 * cluster.start:.0f} to {100 * cluster.stop:.0f} % of the cycle, "
+                f"{'B' if cluster.sign > 0 else 'A'} larger, {p}, {band[cluster.beyond_bands]}"
+            )
+    head = f"SPM{{t}} of {count} angles, each at level {found.level:.2g}: {len(lines) or 'no'} clusters"
+    if not count:
+        head = "SPM{t}: no angle can be tested"
+    caution = (
+        "SPM knows the spread between repeats alone: errors that last through a recording make clusters "
+        "too, so a cluster within the band of B - A is no change that was shown"
+    )
+    reasons: dict[str, list[str]] = {}
+    for name, why in found.not_tested.items():
+        reasons.setdefault(why, []).append(label(name))
+    missing = [f"SPM not computed: {why}: {', '.join(names)}" for why, names in reasons.items()]
+    return [head, *lines, *([caution] if lines else []), *missing]
+
+
+def _spm_facts(found: ComparisonSpm) -> dict[str, Any]:
+    return {
+        "differences": "B - A",
+        "level_of_each_angle": found.level,
+        "correction": "Bonferroni over angles",
+        "phases": found.phases.tolist(),
+        "sentences": spm_lines(found),
+        "angles": [_angle_facts(one) for one in found.angles],
+        "not_tested": found.not_tested,
+    }
+
+
+def _angle_facts(one: AngleSpm) -> dict[str, Any]:
+    return {
+        "angle": one.name,
+        "test": "paired" if one.paired else "two-sample, Welch",
+        "repeats": list(one.repeats),
+        "degrees_of_freedom": one.dof,
+        "threshold": one.threshold,
+        "t": list(map(number, one.t)),
+        "clusters": [
+            {
+                "start": c.start,
+                "stop": c.stop,
+                "p": c.p,
+                "larger": "B" if c.sign > 0 else "A",
+                "beyond_bands": c.beyond_bands,
+            }
+            for c in one.clusters
+        ],
+    }
+
+
+def spm_figure(found: ComparisonSpm, comparison: Comparison) -> Plot:
+    """Plot t over the cycle with threshold and clusters; angles with clusters first, a dozen at most."""
+    from matplotlib.figure import Figure as Plot
+
+    shown = sorted(found.angles, key=lambda one: (not one.clusters, -float(np.abs(one.t).max())))
+    shown = shown[:_DRAWN]
+    height = math.ceil(len(shown) / _PANELS)
+    figure = Plot(figsize=(12, 0.8 + 2.6 * height), layout="constrained")
+    axes = figure.subplots(height, _PANELS, sharex=True, squeeze=False).ravel()
+    x = 100 * found.phases
+    for ax, one in zip(axes, shown, strict=False):
+        ax.plot(x, one.t, color="0.15", lw=1.2)
+        for sign in (-1, 1):
+            ax.axhline(sign * one.threshold, color="#c0392b", lw=0.8, ls="--")
+        for cluster in one.clusters:
+            color = "#c0392b" if cluster.beyond_bands else "0.5"
+            ax.axvspan(100 * cluster.start, 100 * cluster.stop, color=color, alpha=0.3, lw=0)
+        ax.set_title(label(one.name), fontsize=9, loc="left")
+        ax.set_ylabel("SPM{t}, B - A", fontsize=8)
+        ax.grid(alpha=0.3)
+    for ax in axes[len(shown) :]:
+        ax.set_visible(False)
+    figure.suptitle(
+        f"{comparison.a.name} (A) and {comparison.b.name} (B) over the cycle [%]: dashed, threshold; "
+        "clusters: red beyond the band of B - A, grey not"
+    )
+    return figure
