@@ -16,14 +16,14 @@ COMMANDS: Final = {
     "record": {"run": "record", "detect": "record", "simulate": "record"},
     "reconstruct": {"reconstruct": "reconstruction", "batch": "batch"},
     "look": {"inspect": "inspection", "report": "reporting", "view": "view", "overlay": "view"},
-    "compare": {"compare": "compare", "study": "compare", "gait-reference": "gait"},
-    "plan": {"plan": "plan"},
+    "compare": {"compare": "compare", "study": "compare", "gait-reference": "compare"},
+    "plan": {"plan": "compare"},
     "connect": {"export": "export", "live": "live"},
     "develop": {"train": "training", "evaluate": "evaluation"},
 }
 """What a person wants -> command -> module that has it."""
-WITH_THREADS: Final = ("run", "reconstruct", "study", "plan")
-"""Commands with the option --threads, which counts from before the numerical libraries are loaded."""
+LIMITED: Final = ("run", "reconstruct", "study", "plan", "live")
+"""Commands that limit the threads of the numerical libraries, as --threads says, before these are loaded."""
 OLD_COMMANDS: Final = {
     "init": "run FILE... --only recording -o FOLDER",
     "join": "run FILE... --second FILE... -o OUT",
@@ -97,11 +97,11 @@ def dispatch(arguments: list[str]) -> int:
     from cyclopts import CycloptsError
 
     from rtof_kin.cli.terminal import log_handler
+    from rtof_kin.core.environment import limit_threads
     from rtof_kin.core.errors import InvalidInputError, RtofError, too_long
-    from rtof_kin.core.threads import limit_threads
 
     _check_names(arguments)
-    if arguments and arguments[0] in WITH_THREADS:
+    if arguments and arguments[0] in LIMITED:
         limit_threads(_threads(arguments))
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:

@@ -2,108 +2,100 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import shlex
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from cyclopts import Parameter
 from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.cli.terminal import command, out
-
-_FAILED = 1
-
-
-def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
-    parser = command(
-        commands,
-        "inspect",
-        _inspect,
-        "identify files and check their contents by physics",
-        "FILE is a sensor log or a folder of one, a recording, a motion, motion capture, markers, "
-        "cameras or a detector's keypoints. Every check is printed with its figure and limit; where a "
-        "declaration is wrong, the likely right one is named as the option to add. Of a recording with "
-        "calibrated sensors, those that are on another segment than declared are named, and --fix writes "
-        "the corrected recording. Exit code 1: a check does not hold.",
-    )
-    parser.add_argument("files", metavar="FILE", nargs="+", help="files or folders")
-    parser.add_argument(
-        "--declare",
-        metavar="FIELD=VALUE",
-        nargs="+",
-        default=[],
-        type=_declaration,
-        help="units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed",
-    )
-    parser.add_argument("--all", action="store_true", help="figures of every sensor and bone")
-    parser.add_argument(
-        "--fix",
-        action="store_true",
-        help="correct the segments of sensors that are elsewhere; of one recording, with -o",
-    )
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="new folder for --fix")
-    parser.add_argument("--plot", metavar="PNG", type=Path, help="draw what looks wrong; of one FILE")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier PNG")
-    parser.add_argument(
-        "--schema", action=_PrintSchema, nargs=0, help="print the path of the JSON Schema of recording.toml and exit"
-    )
+from rtof_kin.cli.options import Overwrite, command
+from rtof_kin.cli.terminal import out
+from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.files.folder import check_new_file, new_file
 
 
-class _PrintSchema(argparse.Action):
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+@command
+def inspect(
+    files: list[Path] | None = None,
+    /,
+    *,
+    declare: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FIELD=VALUE")] = None,
+    every: Annotated[bool, Parameter(name="--all")] = False,
+    fix: bool = False,
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="new folder for --fix")
+    ] = None,
+    plot: Annotated[Path | None, Parameter(metavar="PNG")] = None,
+    schema: bool = False,
+    overwrite: Overwrite = False,
+) -> int:
+    """Identify files and check their contents by physics.
+
+    FILES are sensor logs or folders of them, recordings, motions, motion capture, markers, cameras or a detector's
+    keypoints. Every check is printed with its figure and limit; where a declaration is wrong, the likely right one is
+    named as the option to add. Of a recording with calibrated sensors, those that are on another segment than declared
+    are named, and --fix writes the corrected recording. Exit code 1: a check does not hold.
+
+    Args:
+        files: files or folders
+        declare: units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed
+        every: figures of every sensor and bone
+        fix: correct the segments of sensors that are elsewhere; of one recording, with -o
+        plot: draw what looks wrong; of one FILE
+        schema: print the path of the JSON Schema of recording.toml and exit
+    """
+    from rtof_kin.reporting.inspection import inspect as examine
+
+    if schema:
         from rtof_kin.recording.schema import SCHEMA
 
         out.print(SCHEMA, soft_wrap=True)
-        parser.exit()
+        return 0
+    files = files or []
+    if not files:
+        raise InvalidInputError("inspect: name the files or folders to examine")
+    if plot is not None:
+        if len(files) > 1:
+            raise InvalidInputError(f"--plot draws one FILE, {len(files)} are named")
+        if plot.suffix.lower() != ".png":
+            raise InvalidInputError(f"--plot {plot}: give the picture a name that ends in .png")
+        check_new_file(plot, overwrite)
+    if fix != (output is not None) or (fix and len(files) > 1):
+        raise InvalidInputError("--fix corrects one recording and needs a new folder for it: --fix -o OUT")
+    declared = dict(map(_declaration, declare or []))
+    failed = False
+    for file in files:
+        found, corrected = _with_places(examine(file, **declared))
+        _print(found, every)
+        if output is not None:
+            _fix(found, corrected, output)
+        if plot is not None:
+            _draw(found, plot, overwrite)
+        failed |= bool(found.failed)
+    return int(failed)
 
 
-def _declaration(text: str) -> tuple[str, str]:
+def _declaration(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not (name and equals and value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not FIELD=VALUE, such as acceleration_unit=g")
-    return name, value
-
-
-def _inspect(options: argparse.Namespace) -> int:
-    from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.reporting.inspection import inspect
-
-    if options.plot is not None:
-        if len(options.files) > 1:
-            raise InvalidInputError(f"--plot draws one FILE, {len(options.files)} are named")
-        if options.plot.suffix.lower() != ".png":
-            raise InvalidInputError(f"--plot {options.plot}: give the picture a name that ends in .png")
-        check_new_file(options.plot, options.overwrite)
-    if options.fix != (options.out is not None) or (options.fix and len(options.files) > 1):
-        raise InvalidInputError("--fix corrects one recording and needs a new folder for it: --fix -o OUT")
-    declared: dict[str, Any] = dict(options.declare)
-    if "rate_hz" in declared:
-        declared["rate_hz"] = _number(declared["rate_hz"])
-    failed = False
-    for file in options.files:
-        found, corrected = _with_places(inspect(file, **declared))
-        _print(found, options.all)
-        if options.fix:
-            _fix(found, corrected, options.out)
-        if options.plot is not None:
-            _draw(found, options.plot, options.overwrite)
-        failed |= bool(found.failed)
-    return _FAILED if failed else 0
+        raise InvalidInputError(f"{text!r} is not FIELD=VALUE, such as acceleration_unit=g")
+    try:
+        return name, float(value) if name == "rate_hz" else value
+    except ValueError as error:
+        raise InvalidInputError(f"rate_hz: {value!r} is not a number of samples per second") from error
 
 
 def _with_places(found: Any) -> tuple[Any, Any]:
     """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
-    from dataclasses import replace
-
+    from rtof_kin.calibration.assignment import NAME
     from rtof_kin.core.checks import Check
-    from rtof_kin.core.errors import RtofError
+    from rtof_kin.reconstruction.checks.sensors import check_recording
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.assignment_check import NAME, check_recording
 
     if found.title != "recording" or found.log is None:
         return found, None
@@ -121,8 +113,6 @@ def _with_places(found: Any) -> tuple[Any, Any]:
 
 
 def _fix(found: Any, corrected: Any, target: Path) -> None:
-    from rtof_kin.core.errors import InvalidInputError
-
     if found.title != "recording":
         raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
     if corrected is None:
@@ -132,15 +122,6 @@ def _fix(found: Any, corrected: Any, target: Path) -> None:
     corrected.save(target)
     places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
     out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
-
-
-def _number(text: str) -> float:
-    from rtof_kin.core.errors import InvalidInputError
-
-    try:
-        return float(text)
-    except ValueError as error:
-        raise InvalidInputError(f"rate_hz: {text!r} is not a number of samples per second") from error
 
 
 def _print(found: Any, every: bool) -> None:
@@ -201,7 +182,6 @@ def _figure(check: Any, shown: list[Any], checks: Any) -> str:
 
 
 def _draw(found: Any, target: Path, overwrite: bool) -> None:
-    from rtof_kin.core.files.folder import new_file
     from rtof_kin.core.packages import optional
 
     canvas = optional("matplotlib.backends.backend_agg", "figures", "a picture")

@@ -13,13 +13,14 @@ import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import wraps
+from importlib import import_module
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from cyclopts import Group, Parameter, Token, convert
 
-from rtof_kin.core.errors import nearest
+from rtof_kin.core.environment import USUAL
 
 Function = Callable[..., Any]
 
@@ -29,13 +30,15 @@ class Fields:
 
     Args:
         names: of the fields, in the order of the help. renamed: field -> option, without dashes.
-        of: the class, where the parameter is annotated as a mapping; the command then gets the values that were
-            given alone. group: title in the help.
+        of: 'module:class', where the parameter is annotated as a mapping; the command then gets only the values that
+            were given. group: title in the help. defaults: field -> default, where it is not that of the class.
     """
 
-    def __init__(self, *names: str, of: type | None = None, group: str = "", **renamed: str):
+    def __init__(
+        self, *names: str, of: str = "", group: str = "", defaults: Mapping[str, Any] = {}, **renamed: str
+    ):
         self.options = {name: name for name in names} | renamed
-        self.of, self.group = of, group
+        self.of, self.group, self.defaults = of, group, defaults
 
 
 def command(function: Function) -> Function:
@@ -51,14 +54,14 @@ def command(function: Function) -> Function:
         if chosen is None:
             parameters.append(parameter.replace(annotation=_option(hint, parameter.default)))
             continue
-        filled[parameter.name] = chosen.of or get_args(hint)[0], chosen
+        filled[parameter.name] = _named(chosen.of) if chosen.of else get_args(hint)[0], chosen
         parameters += _options_of(*filled[parameter.name])
 
     @wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
         for name, (settings, chosen) in filled.items():
             given = {field: named.pop(field) for field in chosen.options if field in named}
-            named[name] = given if chosen.of else settings(**given)
+            named[name] = given if chosen.of else settings(**{**chosen.defaults, **given})
         return function(*arguments, **named)
 
     parameters.sort(key=lambda one: one.kind)
@@ -67,13 +70,19 @@ def command(function: Function) -> Function:
     return call
 
 
+def _named(path: str) -> type:
+    module, _, name = path.partition(":")
+    found: type = getattr(import_module(module), name)
+    return found
+
+
 def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
     """Yield the options of some fields of a dataclass."""
     hints, described = get_type_hints(settings, include_extras=True), descriptions(settings)
     known: Mapping[str, Field[Any]] = {field.name: field for field in fields(settings)}
     group = (Group(chosen.group),) if chosen.group else ()
     for name, option in chosen.options.items():
-        default = known[name].default
+        default = chosen.defaults.get(name, known[name].default)
         if default is MISSING and known[name].default_factory is not MISSING:
             default = known[name].default_factory()  # type: ignore[misc]
         required = default is MISSING
@@ -108,14 +117,17 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
     usual = Parameter()
-    if inner is bool and default is True:
-        usual = Parameter(show_default=False)
-    elif inner is bool:
-        usual = Parameter(negative=(), show_default=False)
+    if inner is bool:
+        usual = Parameter(negative=() if default is False else None, show_default=False)
     elif inner is float:
         usual = Parameter(converter=_decimal, metavar="X")
+    elif inner == tuple[int, int]:
+        usual = Parameter(converter=_size, n_tokens=1, metavar="WxH")
     elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
         usual = Parameter(converter=_listed, n_tokens=1, metavar="NAMES")
+    elif get_origin(inner) is Literal and any("_" in str(choice) for choice in get_args(inner)):
+        choices = [str(choice).replace("_", "-") for choice in get_args(inner)]
+        usual = Parameter(converter=lambda _, tokens: tokens[0].value.replace("-", "_"), choices=choices)
     return Annotated[plain, Parameter.combine(usual, how, *own)]
 
 
@@ -160,3 +172,36 @@ Model = Annotated[
         "default), perfect",
     ),
 ]
+ModelDir = Annotated[
+    Path | None,
+    Parameter(
+        metavar="DIR",
+        help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; "
+        "default: what is at hand, downloaded models, else MediaPipe",
+    ),
+]
+FetchModels = Annotated[
+    Literal["rtmpose", "mediapipe"] | None,
+    Parameter(
+        help="agree to download the detector's models once: rtmpose (26 points, 158 MB) or mediapipe (33 points, "
+        "10 MB); prints licence and checksums"
+    ),
+]
+Seconds = Annotated[float | None, Parameter(metavar="S", help="use as many seconds at most")]
+Seed = Annotated[int, Parameter(help="of everything drawn at random; the same seed, the same numbers")]
+Workers = Annotated[int | None, Parameter(metavar="N", help="processes; one per core if not given")]
+Threads = Annotated[
+    int | None,
+    Parameter(
+        metavar="N",
+        help="threads of numerical libraries (BLAS, OpenMP, torch); more than a few gain nothing, since matrices are "
+        f"small; default: OMP_NUM_THREADS, else {USUAL}",
+    ),
+]
+Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
+SOLVER: Final = Fields("frames", "space", "backend", "guards", "lift_with_sensors", group="Solver")
+"""Fields of `ReconstructionSettings` that are options."""
+Start = Annotated[float | None, Parameter(metavar="S", help="begin at this time")]
+Stop = Annotated[float | None, Parameter(metavar="S", help="end at this time")]
+Fps = Annotated[float, Parameter(metavar="HZ", help="poses per second of what is written or sent, at most")]
+Browser = Annotated[bool, Parameter(help="open the browser")]

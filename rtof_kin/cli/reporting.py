@@ -1,167 +1,200 @@
-"""The commands report and study: how reliable a motion is, and what each sensor contributes."""
+"""The command report: one page of a motion, and its analysis as tables."""
 
 from __future__ import annotations
 
-import argparse
-import logging
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.table import Table
+from cyclopts import Parameter
+from rich.table import Column, Table
 
-from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
-from rtof_kin.cli.terminal import add_model, add_output, command, decimal, job_progress, out, print_headline
+from rtof_kin.cli.options import Fields, Figures, Overwrite, command
+from rtof_kin.cli.terminal import out, print_files
+from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.core.files.text import write_text
+from rtof_kin.recording.session import Session
+from rtof_kin.reporting.analysis import AnalysisSettings, analyse
+
+if TYPE_CHECKING:
+    from rtof_kin.clinical.analysis import MotionAnalysis
 
 
-def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
-    _add_report(commands)
-    _add_study(commands)
+@command
+def report(
+    motion: Path,
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=("--output", "-o"), metavar="FILE", help="page to write; default: report.html beside the motion"),
+    ] = None,
+    analysis: Annotated[
+        AnalysisSettings, Fields("sex", "repetitions", "from_standing", "height", weight_kg="weight", group="Analysis")
+    ],
+    tables: Annotated[Path | None, Parameter(name="--analysis", metavar="FOLDER", group="Analysis")] = None,
+    gait_reference: Annotated[Path | None, Parameter(metavar="FILE", group="Analysis")] = None,
+    figures: Figures = True,
+    session: Annotated[Session, Fields("subject", "operator", "date", "place", "protocol", group="Labels")],
+    overwrite: Overwrite = False,
+) -> None:
+    """One page of a reconstructed motion that opens in any browser.
 
+    MOTION is the output of reconstruct or run. The page begins with a summary; ranges of motion, curves, an animated
+    skeleton, gait, torques, quality, the items to report of a study with inertial sensors and the audit follow. It
+    reads on a phone and on paper, and needs no network. Labels replace those of the recording.
 
-# --- what they do --------------------------------------------------------------------------------
+    With --analysis, FOLDER gets the angles as CSV with a table of their names, signs and zeros, ranges of motion, gait
+    cycles, torques where a body mass is known, figures, and notes on what could not be computed and why. An unobserved
+    angle is an empty cell.
 
-
-def _report(options: argparse.Namespace) -> None:
-    from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.core.files.text import write_text
+    Args:
+        motion: output folder of reconstruct or run
+        tables: write the analysis as tables and figures into this folder too, and print it
+        gait_reference: score the gait against this file of rtof-kin gait-reference: GPS, its profile (MAP) and GDI;
+            with --analysis the scores are written into FOLDER/gait_scores
+    """
     from rtof_kin.formats.motion_npz import motion_folder
-    from rtof_kin.recording.session import Session
-    from rtof_kin.reporting.page import PAGE, report
+    from rtof_kin.reporting.page import PAGE
+    from rtof_kin.reporting.page import report as page
 
-    folder = motion_folder(options.motion)
-    path = Path(options.output or folder / PAGE)
-    check_new_file(path, options.overwrite)
-    session = Session(**{field.name: getattr(options, field.name) for field in fields(Session)})
-    write_text(path, report(folder, session, options.weight, options.sex), options.overwrite)
+    folder = motion_folder(motion)
+    path = output or folder / PAGE
+    check_new_file(path, overwrite)
+    if tables is not None:
+        from rtof_kin.clinical.files import MARKER
+
+        check_replaceable(tables, MARKER, overwrite)
+    write_text(path, page(folder, session, analysis.weight_kg, analysis.sex), overwrite)
     out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
+    if tables is not None:
+        _print_analysis(analyse(motion, tables, analysis, figures=figures, overwrite=overwrite))
+        print_files(tables)
+    if gait_reference is not None:
+        _print_gait_scores(motion, gait_reference, analysis.from_standing, tables, figures, overwrite)
 
 
-def _study(options: argparse.Namespace) -> None:
-    use_threads(options)
-    from lifting.predict import Lifter
-    from rtof_kin.core.jobs import open_runs
-    from rtof_kin.core.packages import can_draw
-    from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.sensor_study.files import remove_results, unused_removed, write_study
-    from rtof_kin.reporting.sensor_study.sentences import sentences
-    from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
-
-    folder, recording = Path(options.output), Recording.load(options.recording)
-    camera = recording.keypoints is not None
-    settings = settings_of(options, "rtof" if camera else "imu")
-    greedy = {"greedy": True, "ranked": False}.get(options.path)
-    lifter = Lifter.load(options.model) if camera else None
-    identity = identity_of(recording, lifter, settings, options.seconds)
-    runs = open_runs(folder, identity, options.overwrite, None, {})
-    remove_results(folder)
-    sensors = len(recording.imus.names) if recording.imus is not None else 0
-    out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
-    with job_progress("study") as update, _quiet(), unused_removed(folder):
-        study = study_sensors(
-            recording,
-            greedy=greedy,
-            lifter=lifter,
-            settings=settings,
-            longest=options.seconds,
-            folder=runs,
-            workers=options.workers,
-            progress=update,
-        )
-    print_headline(study.verdict, "all sensors: ")
-    written = []
-    if not options.no_figures and can_draw():
-        from rtof_kin.reporting.sensor_study.figures import write_study_figures
-
-        written += write_study_figures(study, folder / "figures")
-    written += write_study(study, folder)
-    _print_way_down(study)
-    for sentence in sentences(study):
-        out.print(sentence, soft_wrap=True)
-    out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
+def _print_analysis(analysis: MotionAnalysis) -> None:
+    _print_ranges(analysis)
+    out.print(f"pelvis: {analysis.travel.text}", soft_wrap=True)
+    if analysis.gait.is_gait:
+        _print_gait(analysis.gait)
+        out.print(f"gait: from {analysis.gait.rests_on}", soft_wrap=True)
+    else:
+        out.print(f"gait: {analysis.gait.why_not}", soft_wrap=True)
+    if analysis.repetitions is not None:
+        _print_repetitions(analysis.repetitions)
+    for part, notes in analysis.notes.items():
+        for note in notes:
+            out.print(f"{part}: {note}", soft_wrap=True)
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence warnings, which are the same at every run."""
-    logger = logging.getLogger("rtof_kin")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
+def _print_ranges(analysis: Any) -> None:
+    from rtof_kin.data.confidence import BAND_95
+
+    columns = ("low", "high", "range", "\u00b1 95 %", "deg/s", "trusted")
+    table = Table(Column("angle [deg]", no_wrap=True), *columns)
+    shown = [row for row in analysis.ranges if row.known_share > 0 and not row.about_vertical]
+    for row in shown:
+        half = math.nan if row.is_uncertain else BAND_95 * row.range_sigma
+        figures = map(math.degrees, (row.low, row.high, row.range, half, row.peak_velocity))
+        cells = ["" if math.isnan(v) else f"{v:.0f}" for v in figures]
+        cells[2] = f">= {cells[2]}" if row.is_uncertain else cells[2]
+        table.add_row(row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %")
+    out.print(table)
+    for row in shown:
+        if row.is_uncertain:
+            out.print(f"{row.name}: {row.text}", soft_wrap=True)
 
 
-def _print_way_down(study: Any) -> None:
-    what = "error" if study.has_truth else "difference"
-    table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
-    for before, found in zip((study.path[0], *study.path), study.path, strict=False):
-        gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
-        kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
-        table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
+def _print_gait(gait: Any) -> None:
+    digits = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+    table = Table(Column("gait", no_wrap=True), *gait.summary, "symmetry")
+    for name in next(iter(gait.summary.values())):
+        cells = [_spread(*measures[name]) for measures in gait.summary.values()]
+        symmetry = f"{100 * gait.symmetry[name]:+.1f} %" if name in gait.symmetry else ""
+        label = f"{name.replace('_', ' ')} {digits.get(name, '')}"
+        table.add_row(label, *cells, symmetry)
     out.print(table)
 
 
-# --- their arguments -----------------------------------------------------------------------------
+def _spread(mean: float, spread: float, strides: int) -> str:
+    return f"{mean:.3g}" + (f" \u00b1 {spread:.2g}" if strides > 1 else "") + f" ({strides})"
 
 
-def _add_report(commands: Any) -> None:
-    parser = command(
-        commands,
-        "report",
-        _report,
-        "one page of a reconstructed motion that opens in any browser",
-        "MOTION is the output of reconstruct or run. The page begins with a summary; ranges of motion, "
-        "curves, an animated skeleton, gait, torques, quality, the items to report of a study with inertial "
-        "sensors and the audit follow. It reads on a phone and on paper, and needs no network.",
-    )
-    parser.add_argument("motion", metavar="MOTION", help="output folder of reconstruct or run")
-    add_output(parser, "", "file to write; default: report.html beside the motion")
-    labels = {
-        "subject": "name or code of the subject",
-        "operator": "operator",
-        "date": "day of the recording, as 2026-01-31",
-        "place": "place",
-        "protocol": "protocol",
-    }
-    for name, what in labels.items():
-        parser.add_argument(f"--{name}", default="", help=f"{what}; overrides the recording")
-    parser.add_argument("--weight", type=decimal, metavar="KG", help="body mass, for torques; overrides the recording")
-    parser.add_argument("--sex", choices=["male", "female"], help="of the tables of body mass")
+def _print_repetitions(found: Any) -> None:
+    columns = ("down [s]", "below [s]", "up [s]", "depth [m]", "right knee [deg]", "left knee [deg]")
+    table = Table(Column(found.kind.replace("_", " "), no_wrap=True), *columns)
+    for number, r in enumerate(found.repetitions, start=1):
+        knees = [math.degrees(r.knee_flexion[side]) for side in ("right", "left")]
+        figures = (r.descent_time, r.bottom_time, r.ascent_time, r.depth)
+        cells = [f"{v:.2f}" for v in figures] + [f"{v:.0f}" for v in knees]
+        table.add_row(str(number), *("" if cell == "nan" else cell for cell in cells))
+    out.print(table)
 
 
-def _add_study(commands: Any) -> None:
-    parser = command(
-        commands,
-        "study",
-        _study,
-        "contribution of each sensor of a recording, angle by angle",
-        "Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, "
-        "the one with the smallest effect removed first. OUT gets a table, figures, and sentences on what "
-        "the sensors contribute to each angle. Without a truth in the recording, the table has the "
-        "difference from the full set, which is no error.",
-    )
-    parser.add_argument("recording", metavar="RECORDING", help="folder of the recording")
-    add_output(parser, None, "folder for results and every run: the same command resumes there after an interruption")
-    parser.add_argument(
-        "--path",
-        choices=["greedy", "ranked"],
-        help="greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, "
-        "with fewer runs; default: greedy up to eight sensors",
-    )
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=120.0,
-        metavar="S",
-        help="of a longer recording, study as many seconds: those with the most movement",
-    )
-    parser.add_argument("--workers", type=int, metavar="N", help="processes; one per core if not given")
-    add_model(parser)
-    add_solver_options(parser)
-    parser.add_argument("--no-figures", action="store_true", help="do not draw figures")
+def _print_gait_scores(
+    motion: Path, reference_file: Path, from_standing: bool, tables: Path | None, figures: bool, overwrite: bool
+) -> None:
+    """Print a person's gait against that of healthy people, and write it where there is a folder for tables."""
+    from rtof_kin.core.files.folder import new_folder
+    from rtof_kin.core.packages import can_draw
+    from rtof_kin.data.gait_reference import STANDING_ZERO
+    from rtof_kin.formats.gait_reference_json import read_gait_reference
+    from rtof_kin.formats.motion_npz import motion_folder
+    from rtof_kin.reporting.gait.files import MARKER, write_gait_scores
+    from rtof_kin.reporting.gait.inputs import read_cycles
+    from rtof_kin.reporting.gait.result import score_gait
+    from rtof_kin.reporting.gait.sentences import cautions, opening
+
+    reference = read_gait_reference(reference_file)
+    cycles, _ = read_cycles(motion, from_standing or reference.zero == STANDING_ZERO)
+    found = score_gait(motion_folder(motion).resolve().name, cycles, reference)
+    for sentence in opening(found):
+        out.print(sentence, style="bold", soft_wrap=True)
+    for sentence in cautions(found):
+        out.print(f"caution: {sentence}", style="yellow", soft_wrap=True)
+    if found.scores is not None:
+        _print_profile(found)
+    if tables is None:
+        return
+    with new_folder(tables / "gait_scores", MARKER, overwrite) as folder:
+        write_gait_scores(found, folder)
+        if found.scores is not None and figures and can_draw():
+            from rtof_kin.reporting.figures import save_figures
+            from rtof_kin.reporting.gait.figures import gait_figure
+
+            save_figures({"gait_scores": gait_figure(found)}, folder)
+    print_files(tables / "gait_scores")
+
+
+def _print_profile(found: ScoredGait) -> None:
+    """Bars of the Movement Analysis Profile, with bands and the reference's median."""
+    from rtof_kin.reporting.angle_names import label
+    from rtof_kin.reporting.gait.files import rows
+
+    scores = list(rows(found))
+    largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
+    first = Column("MAP [deg]", no_wrap=True)
+    sides = [Column(name, no_wrap=True) for name in ("right", "", "left", "")]
+    table = Table(first, *sides, "people", title="95 % bands in brackets; people: median of the reference")
+    for name in dict.fromkeys(row["score"] for row in scores):
+        own = {row["side"]: row for row in scores if row["score"] == name}
+        cells = []
+        for side in ("right", "left"):
+            value = own[side]["value_deg"]
+            bar = "" if value is None else "\u2588" * max(1, round(_BAR * value / max(largest, 1e-9)))
+            cells += [_cell(own[side]), bar]
+        median = own["right"]["reference_median_deg"]
+        shown = "GPS" if name == "gps" else label(name)
+        table.add_row(shown, *cells, "" if median is None else f"{median:.1f}")
+    out.print(table)
+
+
+def _cell(row: dict[str, Any]) -> str:
+    if row["value_deg"] is None:
+        return "-"
+    band = ""
+    if math.isfinite(row["noise_deg"]) and row["noise_deg"] > 0:
+        band = f" ({row['low_deg']:.0f}-{row['high_deg']:.0f})"
+    return f"{row['value_deg']:.1f}{band}"

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from rtof_kin.calibration.file import read_self_calibration_toml
 from rtof_kin.core.choices import Mode

@@ -1,0 +1,219 @@
+"""The commands reconstruct and batch: recordings to motions."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from rtof_kin.cli.options import SOLVER, Fields, Output, Overwrite, Paper, Threads, Workers, command
+from rtof_kin.cli.terminal import (
+    STYLES,
+    ended_by_signals,
+    err,
+    job_progress,
+    out,
+    print_calibration,
+    print_headline,
+    print_scores,
+    print_sections,
+    print_summary,
+    progress,
+    warnings_in_summary,
+    with_zero_motion,
+)
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.audit import audit, calibration_results
+from rtof_kin.reporting.audit_results import AuditResult
+from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.setup.run import ReconstructionTask, reconstruct_folder
+from rtof_kin.solve.cartesian.settings import CartesianSettings
+
+
+def solver_settings(
+    settings: ReconstructionSettings, paper: bool, mode: str | None = None, calibrate_only: bool = False
+) -> ReconstructionSettings:
+    """Return the settings that the options choose.
+
+    Raises:
+        InvalidInputError: options contradict each other.
+    """
+    if paper and settings.space == "joint":
+        raise InvalidInputError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
+    if mode in ("lift", "sf2") and (paper or settings.space or settings.backend):
+        raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
+    if (paper or settings.space == "cartesian") and (mode == "imu" or calibrate_only):
+        what = "calibration" if calibrate_only else "mode imu"
+        named = "--paper" if paper else "--space cartesian"
+        raise InvalidInputError(f"{what} is solved in joint space; leave out {named}")
+    return settings.with_fragment(CartesianSettings.paper(settings.backend or "ipopt")) if paper else settings
+
+
+@command
+def reconstruct(
+    recording: Path,
+    /,
+    *,
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; with --calibrate-only a file")
+    ] = None,
+    task: Annotated[ReconstructionTask, Fields("mode", "model", "calibrate", "calibration", "figures")],
+    calibrate_only: bool = False,
+    calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    verbose: bool = False,
+    settings: Annotated[ReconstructionSettings, SOLVER],
+    paper: Paper = False,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Reconstruct the motion of a recording.
+
+    RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; docs/recording.md describes
+    it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
+    recordings up to two minutes figures. Longer ones are reconstructed in parts, in bounded memory.
+
+    With --calibrate-only the delay of the video, the mounting of the sensors, bone lengths and landmark offsets of the
+    detector are estimated, without a pose of calibration: each quantity is printed with its standard deviation, and
+    OUT, by default calibration.toml, is a file for --calibration.
+
+    Args:
+        recording: folder of the recording
+        calibrate_only: estimate the calibration, write it, and stop
+        calibrated: with --calibrate-only: also write the calibrated recording to this folder
+        verbose: print every calibrated quantity too
+    """
+    settings = solver_settings(settings, paper, task.mode, calibrate_only)
+    if calibrate_only:
+        _calibrate(recording, output or Path("calibration.toml"), calibrated, task, settings, overwrite)
+        return
+    if output is None:
+        raise InvalidInputError("required: --output (rtof-kin reconstruct --help has all options)")
+    found = reconstruct_and_print(recording, output, task, settings, overwrite, verbose)
+    if found.stage_metrics:
+        print_scores((with_zero_motion(found.first.recording) if found.parts == 1 else {}) | found.stage_metrics)
+
+
+def reconstruct_and_print(
+    recording: Path | Recording,
+    output: Path,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    overwrite: bool,
+    verbose: bool = False,
+) -> ReconstructionStatistics:
+    """Reconstruct, export and print the summary."""
+    with progress() as update, warnings_in_summary():
+        found = reconstruct_folder(
+            recording, output, overwrite, task=task, settings=settings, progress=update
+        )
+    verdict = headline(audit(found))
+    print_summary(found, verdict, output)
+    print_sections(verdict)
+    shares = {k: v for k, v in found.provenance_shares.items() if v > 0}
+    by = ", ".join(f"{k.replace('_', ' ').replace('imu', 'IMU')} {100 * v:.1f} %" for k, v in shares.items())
+    out.print(f"joints observed by: {by}", soft_wrap=True)
+    calibration = found.first.calibration
+    if calibration is not None and verbose:
+        print_calibration(calibration)
+    elif calibration is not None:
+        count = len(calibration.quantities)
+        out.print(f"self-calibration: {count} quantities; --verbose prints them", soft_wrap=True)
+    return found
+
+
+def _calibrate(
+    folder: Path,
+    output: Path,
+    calibrated: Path | None,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    overwrite: bool,
+) -> None:
+    from rtof_kin.calibration.file import write_self_calibration_toml
+    from rtof_kin.reconstruction.consistency_checks import consistency_warnings
+    from rtof_kin.reconstruction.self_calibration import calibrate_recording
+    from rtof_kin.recording.index import INDEX
+
+    if calibrated is not None:
+        check_replaceable(calibrated, INDEX, overwrite)
+    check_new_file(output, overwrite)
+    recording = Recording.load(folder)
+    with progress() as update:
+        found = calibrate_recording(recording, lifter=task.lifter(), settings=settings, progress=update)
+    doubts = (AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found))
+    print_headline(headline((*doubts, *calibration_results(found))))
+    print_calibration(found)
+    write_self_calibration_toml(output, found, overwrite)
+    out.print(f"wrote {output}", soft_wrap=True)
+    if calibrated is not None:
+        found.apply(recording).save(calibrated, overwrite)
+        out.print(f"wrote {calibrated}", soft_wrap=True)
+
+
+@command
+def batch(
+    source: Path,
+    /,
+    *,
+    output: Output,
+    chain: str = "reconstruct,report",
+    workers: Workers = None,
+    memory_per_job: Annotated[float, Parameter(metavar="GB")] = 2.0,
+    engine: Literal["processes", "ray"] = "processes",
+    address: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
+    shard: Annotated[str, Parameter(metavar="I/N")] = "1/1",
+    overwrite: Overwrite = False,
+) -> int:
+    """A chain of commands on many recordings, with one table and index.
+
+    SOURCE is a folder, below which every recording is taken, or a CSV file that lists recordings. Each gets a folder in
+    OUT; OUT/batch.csv has a line for each and OUT/index.html links the reports, the worst verdict first. The same
+    command goes on after it was stopped or killed: what is done and made from the same is kept, what failed is tried
+    again. docs/batch.md has more. Exit code 1: a recording failed.
+
+    Args:
+        source: folder, or manifest.csv
+        chain: commands separated by commas, each with its options, as 'reconstruct --calibrate, report --weight 70'
+        memory_per_job: none is started while less is available; 0: not looked at
+        engine: processes of this machine, or a Ray cluster (extra: cluster)
+        address: of the Ray cluster; default: RAY_ADDRESS, else this machine
+        shard: only this one of N parts, for arrays of jobs, as 3/10
+    """
+    import rtof_kin
+    from rtof_kin.batch.chain import read_chain
+    from rtof_kin.batch.index import INDEX_PAGE
+    from rtof_kin.batch.recordings import Shard, find_recordings
+    from rtof_kin.batch.rows import ERROR, WORST_FIRST
+    from rtof_kin.batch.run import TABLE, Batch, check_chain, run_batch
+    from rtof_kin.batch.work import process  # noqa: F401  # what workers do is loaded before they start
+    from rtof_kin.cli import check, command_names, dispatch
+    from rtof_kin.core.jobs import Engine, Processes, RayCluster
+
+    if address is not None and engine != "ray":
+        raise InvalidInputError("--address is of a Ray cluster; add --engine ray")
+    memory = memory_per_job * 1e9
+    machines: Engine = RayCluster(address, workers, memory) if engine == "ray" else Processes(workers, memory)
+    steps = read_chain(chain, command_names() - {"batch"})
+    entries = find_recordings(source, output)
+    work = Batch(source, entries, steps, output, rtof_kin.__version__, Shard.of(shard))
+    check_chain(work, check)
+    try:
+        with ended_by_signals(), job_progress("recordings") as update:
+            rows = run_batch(work, dispatch, machines, overwrite, update)
+    except KeyboardInterrupt:
+        err.print("stopped; what is done is kept, and the same command goes on from here", style="bold")
+        raise
+    counts = Counter(row.verdict for row in rows)
+    for verdict in WORST_FIRST:
+        if counts[verdict]:
+            out.print(f"{counts[verdict]:6} {verdict}", style=STYLES.get(verdict, ""))
+    out.print(f"wrote {output / TABLE} and {output / INDEX_PAGE}", soft_wrap=True)
+    if counts[ERROR]:
+        err.print(f"{counts[ERROR]} failed; the same command tries them again", style="bold red", soft_wrap=True)
+    return 1 if counts[ERROR] else 0
