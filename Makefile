@@ -58,18 +58,18 @@ sbom: $(STAMP)
 
 # Solvers side by side: time, energy, gradient, frames per second. About ten minutes.
 bench: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.solvers
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks solvers
 
 # Accuracy and speed on six seconds of the demo, within wide bounds. Under a minute.
 bench-smoke: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.smoke
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks smoke
 
 # Accuracy on test motions; CORPUS is the folder of free motion that benchmarks/README.md describes.
 harness: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.harness --corpus $(CORPUS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks harness --corpus $(CORPUS)
 
 accuracy: $(STAMP)
-	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks.accuracy --corpus $(CORPUS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m benchmarks accuracy --corpus $(CORPUS)
 
 # Pictures of README and docs, with the package as it is; needs a Chromium. About ten minutes.
 pictures: $(STAMP)

@@ -1,6 +1,6 @@
 """Which sensor is on which segment: share right and calibration of the stated probabilities.
 
-``python -m benchmarks.assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks assignment --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Recordings of 10 to 60 s join motions of the test split's people, and the same on the rig that nothing learned
 from (`rerigged`); realistic 2D of one camera, lifted without sensors. 4, 8, 10 and 13 sensors with arbitrary
 mountings and headings have 13 segments to choose from, or those that have one are told. Exchanges are planted
@@ -26,6 +26,7 @@ from benchmarks.calibration.sessions import joined
 from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.assignment import assign_sensors, check_assignment
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
@@ -33,8 +34,6 @@ from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.assignment import assign_sensors
-from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import SimulationSettings, low_passed, simulate, standard_cameras
 
@@ -319,7 +318,7 @@ def _real(rows: list[dict[str, Any]]) -> list[str]:
 
 def main() -> int:
     """Run and write."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.assignment", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks assignment", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--real", type=Path, help="folder of real sensor recordings")
     parser.add_argument("--subset", choices=("test", "validation"), default="test")

@@ -1,6 +1,6 @@
 """Accuracy of calibrating sensors by a pose and by the movement after it.
 
-``python -m benchmarks.calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
+``python -m benchmarks calibration_by_pose --corpus DIR`` with DIR the folder of free motion (README.md).
 A motion of each validation subject of split.toml, up to 12 s, after two seconds of a pose that is held as
 it should be, or with joints turned so that segments are off by 5, 10 or 15 degrees in the mean.
 Eight sensors with soft tissue and accelerometer noise. The numbers are angles between segments by their
@@ -30,8 +30,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.pose_calibration import calibrate_by_pose
-from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations
+from rtof_kin.inertial.pose_calibration import POSES, calibrate_by_pose, facing_of, pose_rotations
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import LIMB_SENSORS
@@ -132,14 +131,14 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.calibration_by_pose", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks calibration_by_pose", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "calibration_by_pose.json")
     options = parser.parse_args(arguments)
     clips = list({clip.subject: clip for clip in pieces(options.corpus, "validation")}.values())
     jobs = [(clip, pose, error) for clip in clips for pose in POSES for error in POSE_ERRORS_DEG]
     rows = [row for job in track(jobs, "poses") for row in by_pose(*job)]
-    command = "python -m benchmarks.calibration_by_pose --corpus DIR"
+    command = "python -m benchmarks calibration_by_pose --corpus DIR"
     result = {"command": command, "seed": SEED, "rows": rows}
     write_results(options.out, result, table(rows))
     print(table(rows))

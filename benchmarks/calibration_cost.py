@@ -1,4 +1,4 @@
-"""What calibrating a recording from itself costs: ``python -m benchmarks.calibration_cost``.
+"""What calibrating a recording from itself costs: ``python -m benchmarks calibration_cost``.
 
 Runs ``rtof-kin reconstruct models/demo --no-figures`` with and without ``--calibrate``, in turns and in
 processes of their own on one core, and divides their CPU seconds among the stages. Of several runs the
@@ -157,7 +157,7 @@ def table(found: dict[str, dict[bool, dict[str, float]]]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration_cost",
+        prog="python -m benchmarks calibration_cost",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

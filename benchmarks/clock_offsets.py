@@ -1,6 +1,6 @@
 """What `find_offset` makes of clocks that are right, off or drifting, and of sensors of another take.
 
-``python -m benchmarks.clock_offsets --corpus DIR`` with DIR the folder of free motion (README.md here).
+``python -m benchmarks clock_offsets --corpus DIR`` with DIR the folder of free motion (README.md here).
 8 s of the benchmark's motions from two cameras, detections of `DetectorErrors`, 1 to 3 frames late.
 """
 
@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import SENSOR_SETS, middle, recorded, test_clips, write_results
-from rtof_kin.reconstruction.clock_offset import find_offset
 from rtof_kin.reconstruction.job import Job
+from rtof_kin.reconstruction.self_calibration import find_offset
 from rtof_kin.recording.recording import Recording
 
 PLANTED = {
@@ -68,7 +68,7 @@ def rows(recordings: list[Recording]) -> list[dict[str, float | str | bool]]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.clock_offsets", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks clock_offsets", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "clock_offsets.json")
     options = parser.parse_args(arguments)

@@ -1,6 +1,6 @@
 """How well clocks and headings of sensors are found from a video, and what is said where they are not.
 
-``python -m benchmarks.clocks_headings --corpus DIR`` with DIR the folder of free motion (README.md here).
+``python -m benchmarks clocks_headings --corpus DIR`` with DIR the folder of free motion (README.md here).
 The test people of split.toml, three of them also on another rig (rerigged.py). Each has a session of about
 12 minutes: all own motions one after the other, with pauses and turns between, among motions of people
 that train, on his skeleton. Sensors of 100, 60 or 120 Hz measure all of it, each with a heading and mounting
@@ -33,6 +33,7 @@ from benchmarks.harness import SENSOR_SETS, split, write_results
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.alignment import align_sensors
 from rtof_kin.calibration.clocks import find_clock
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -42,9 +43,9 @@ from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.headings import wrapped
+from rtof_kin.inertial.likelihood import wrapped
 from rtof_kin.reconstruction.lift import lift
-from rtof_kin.setup.alignment import align_sensors
+from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.simulation.detector_errors import DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
@@ -295,7 +296,7 @@ def clock_row(rng: Generator, own: Session, video: Video, known: bool, log: Sens
 
 def heading_rows(own: Session, video: Video, log: SensorLog, clock: dict[str, Any]) -> list[dict[str, Any]]:
     """What is found of headings and mountings, with the clock that was found."""
-    found = align_sensors(video.poses, video.keypoints, log, own.joints, own.skeleton)
+    found = align_sensors(video.poses, video.keypoints, log, own.joints, own.skeleton, calibrate_recording)
     delay = 0.0 if found.delay is None else float(found.delay.value[0])
     clock["refined_ms"] = clock["error_ms"] + 1e3 * delay
     truth, rows = own.calibration, []
@@ -430,7 +431,7 @@ def _heading_lines(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.clocks_headings",
+        prog="python -m benchmarks clocks_headings",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,6 +1,6 @@
 """Clocks and headings of real sensors, beside a video simulated from their own motion.
 
-``python -m benchmarks.clocks_real --data DIR`` with DIR the folder of the trials of
+``python -m benchmarks clocks_real --data DIR`` with DIR the folder of the trials of
 examples/sensor_trials.toml (see README.md here). No recording at hand has a video and sensors of one motion,
 so the motion is that of the real sensors, calibrated by the N-pose at their start; segments without a sensor
 follow their parents and the pelvis stays in place. A camera films `SECONDS` of it with realistic 2D. The
@@ -96,7 +96,7 @@ def _poses(imus: BoneImuSequence, skeleton: SkeletonModel) -> PoseSequence:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.clocks_real",
+        prog="python -m benchmarks clocks_real",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

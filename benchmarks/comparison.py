@@ -1,4 +1,4 @@
-"""False alarms and power of ``rtof-kin compare``: ``python -m benchmarks.comparison --corpus DIR``.
+"""False alarms and power of ``rtof-kin compare``: ``python -m benchmarks comparison --corpus DIR``.
 
 The benchmark's motions of held-out people and rigs, `SECONDS` from the middle of each, recorded twice with
 other errors, cameras and mountings (8 sensors and none, realistic 2D): the two results must not differ, nor
@@ -179,7 +179,7 @@ def power(found: Sequence[Outcome]) -> Table:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.comparison",
+        prog="python -m benchmarks comparison",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,6 +1,6 @@
 """Cost of a run with the solver compiled for this processor, for any processor, and interpreted.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.compiler > benchmarks/results/compiler.md
+    OMP_NUM_THREADS=1 python -m benchmarks compiler > benchmarks/results/compiler.md
 
 Each run is a process of its own with `rtof-kin reconstruct models/demo`: once with an empty cache of compiled
 code, and twice with the cache filled.

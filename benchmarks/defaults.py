@@ -1,6 +1,6 @@
 """Is every default better on than off?
 
-``python -m benchmarks.defaults --corpus DIR`` reconstructs the harness' motions with each default and
+``python -m benchmarks defaults --corpus DIR`` reconstructs the harness' motions with each default and
 without it, realistic 2D, by people and rigs that are held out. A default deserves its place where on is
 better than off in the mean and in nine of ten recordings, for each of root-relative and absolute error and
 flexion, where changes of less than one per cent are none. A pair of cases (`SWITCHES`) differs in one thing;
@@ -46,7 +46,7 @@ Row = dict[str, Any]
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 HEAD = """# Defaults, on less off
 
-`python -m benchmarks.defaults`: realistic 2D, eight sensors where not said otherwise, as given where not said
+`python -m benchmarks defaults`: realistic 2D, eight sensors where not said otherwise, as given where not said
 otherwise. Negative: on is better. *better*: of the recordings whose figure changes by more than one per cent,
 those in which it falls. *off*: a figure grows in the mean, or falls in less than nine of ten.
 
@@ -238,7 +238,7 @@ def tables(rows: Sequence[Row]) -> list[Table]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.defaults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks defaults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--only", default=",".join([*SWITCHES, "guards"]), help="switches, and 'guards'")

@@ -1,6 +1,6 @@
 """Distance of a detector's points from the skeleton's joints, mapped plainly and by the fitted adapter.
 
-``python -m benchmarks.detectors --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks detectors --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Motion of the validation subjects of split.toml, on the shipped skeleton with bone lengths varied by 5 %
 and each detector's points by 1 cm, seen from 4 m all around with f = 1250 px. *exact*: projections.
 *noisy*: each coordinate off by a constant (6 px) and from frame to frame (5 px). *gaps*: noisy, and a
@@ -166,7 +166,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.detectors", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks detectors", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "detectors.json")
     options = parser.parse_args(arguments)
@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     clips = list(read_corpus(options.corpus, split["validation"], output_rate_hz=RATE_HZ))
     rows = measure(clips, LandmarkRegression.default())
     result = {
-        "command": "python -m benchmarks.detectors --corpus DIR",
+        "command": "python -m benchmarks detectors --corpus DIR",
         "seed": SEED,
         "clips": [clip.name for clip in clips],
         "rows": rows,

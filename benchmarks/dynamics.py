@@ -1,6 +1,6 @@
 """Standard deviations of joint torques and of the external force, against the errors of held-out people.
 
-``python -m benchmarks.dynamics --corpus DIR`` with DIR the folder of free motion (README.md). Each motion of
+``python -m benchmarks dynamics --corpus DIR`` with DIR the folder of free motion (README.md). Each motion of
 the people and rigs that nothing was learned from is recorded by one of the benchmark's four cameras
 (realistic 2D) with 0, 8 and 10 sensors and reconstructed. Torques, with no foot's load, and the external
 wrench are computed of the reconstruction and of the truth with the same body (75 kg), so that only the
@@ -228,7 +228,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks dynamics", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="print the constants of the validation people")
@@ -249,7 +249,7 @@ def main(arguments: list[str] | None = None) -> int:
     motions, people = (len({one.about[key] for one in found}) for key in ("motion", "subject"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     text = (
-        f"`python -m benchmarks.dynamics {words}`: {motions} motions of {people} people, "
+        f"`python -m benchmarks dynamics {words}`: {motions} motions of {people} people, "
         f"{KG:g} kg, root mean squares over frames and axes.\n\n{table(rows)}"
     )
     harness.write_results(options.out, {"command": words, "rows": rows}, text)

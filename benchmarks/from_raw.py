@@ -1,6 +1,6 @@
 """From raw files to a motion: what it costs that nothing is calibrated, synchronised or named.
 
-``python -m benchmarks.from_raw --corpus DIR``: recordings of 20 s of held-out people and rigs, 30 images a
+``python -m benchmarks from_raw --corpus DIR``: recordings of 20 s of held-out people and rigs, 30 images a
 second with a simulated detector's 33 points, eight sensors at 60 Hz and none. *given* has the true camera,
 bones, clock, segments, and the sensors' usual errors of mounting and heading; *given, usual bones* has the
 person's height instead of the bones, as *raw* does: rigs put the root elsewhere (up to 10 cm), which is
@@ -35,7 +35,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.init import SetupSettings, find_people, write_recording, read_findings
+from rtof_kin.setup.init import SetupSettings, find_people, read_findings, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.detector_errors import simulate_detections
 from rtof_kin.simulation.mocap import MocapClip
@@ -178,7 +178,7 @@ def report(rows: Sequence[Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.from_raw", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks from_raw", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--cameras", type=int, default=1, choices=range(1, 5))
     out = harness.HERE / "results" / "from_raw.json"

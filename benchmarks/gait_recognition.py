@@ -1,4 +1,4 @@
-"""Recognition of walking: ``python -m benchmarks.gait_recognition --corpus DIR``.
+"""Recognition of walking: ``python -m benchmarks gait_recognition --corpus DIR``.
 
 DIR is the folder of free motion (see README.md here). Every motion of the people of split.toml is judged by
 `rtof_kin.clinical.gait_recognition`, once with its feet and once by its ankles alone, as in recordings
@@ -118,7 +118,7 @@ def outcome(row: dict[str, Any]) -> str:
 def tables(rows: Sequence[dict[str, Any]]) -> str:
     """Confusion tables by part and feet, and the motions that are judged against their description."""
     columns = ("gait", "too few strides", "no gait")
-    lines = ["# Recognition of walking", "", "Made by `python -m benchmarks.gait_recognition --corpus DIR`."]
+    lines = ["# Recognition of walking", "", "Made by `python -m benchmarks gait_recognition --corpus DIR`."]
     for part, about in PARTS.items():
         lines += ["", f"## {part.title()}: {about}", ""]
         lines += [f"| | motions | {' | '.join(columns)} | strides found | of walking |", "|---" * 7 + "|"]

@@ -1,6 +1,6 @@
 """A camera that is held by hand and turns, beside the same recording from a tripod.
 
-``python -m benchmarks.handheld --corpus DIR`` films motions of held-out people and rigs with a camera that
+``python -m benchmarks handheld --corpus DIR`` films motions of held-out people and rigs with a camera that
 pans and shakes by up to 20 degrees about its optical centre: detections are simulated as that camera sees the
 person, who leaves its image at times, with the errors of a real detector (realistic 2D), 8 sensors and none,
 as given. Its turning is known exactly, with the errors of an estimate, or estimated from a rendered
@@ -88,7 +88,7 @@ LONG_CASES = {
 """On sessions of 20 s with sensors."""
 HEAD = f"""# Handheld camera
 
-`python -m benchmarks.handheld`: pan of 18 deg and shake of up to 4 deg at 1 to 3 Hz, realistic 2D, held-out
+`python -m benchmarks handheld`: pan of 18 deg and shake of up to 4 deg at 1 to 3 Hz, realistic 2D, held-out
 people and rigs, as given. *errors of an estimate*: heading drifts by 1 deg in 20 s, white noise of
 {np.degrees(NOISE):.2f} deg per axis. *hand moves*: standard deviation per axis, at {HAND_HZ} Hz.
 *in view*: points that were detected. *rr change*: mean over recordings of the change against the tripod, and
@@ -220,7 +220,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> list[Table]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.handheld", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks handheld", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--motions", help="names, with commas; default: all of the benchmark")

@@ -1,6 +1,6 @@
 """The benchmark everything is measured by: test motions x cameras x kinds of 2D, as JSON and tables.
 
-``python -m benchmarks.harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks harness --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Split and motions come from split.toml, which holds out rigs as well as people; cameras and noise from
 `rtof_kin.simulation.simulate`; seeds are fixed. Every number is pooled over frames of all motions and
 cameras; the interval beside a root-relative error is the 95 % bootstrap over motions, the unit that is
@@ -308,7 +308,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = in_order(rows, ("keypoints", "motion", "camera", "mode"))
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
     result = {
-        "command": f"python -m benchmarks.harness {words}",
+        "command": f"python -m benchmarks harness {words}",
         "split_sha256": hashlib.sha256((HERE / "split.toml").read_bytes()).hexdigest(),
         "rows": rows,
     }
@@ -324,7 +324,7 @@ def _rounded(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.harness", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks harness", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--keypoints", default=",".join(KEYPOINTS), help="kinds of 2D")

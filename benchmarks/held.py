@@ -10,7 +10,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.poses import pose_rotations, turned_to
+from rtof_kin.inertial.pose_calibration import pose_rotations, turned_to
 
 HELD, MOVING = 2.0, 1.5
 

@@ -1,6 +1,6 @@
 """Accuracy of inertial sensors alone: mode ``imu`` on the benchmark's motions, with 8, 10, 13 sensors.
 
-``python -m benchmarks.inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
+``python -m benchmarks inertial_only --corpus DIR`` with the harness' motions; ``--subset validation``
 takes those to tune on. *exact* sensors have no errors; *realistic* ones are as the harness has them:
 misaligned by 2 degrees per axis, slipping and wobbling with the soft tissue, noisy. Motions are
 reconstructed whole: a walk of four seconds drifts little. Drift is the error of the root's horizontal
@@ -160,7 +160,7 @@ def motions(corpus: Path, subset: str) -> list[MocapClip]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.inertial_only", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks inertial_only", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", choices=("test", "validation"), default="test")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)

@@ -1,6 +1,6 @@
 """Lifts of the newest frames: errors and stated errors by the number k of later frames that are there.
 
-``python -m benchmarks.lifter_lookahead --corpus DIR`` gives the harness's motions (people and rigs of no
+``python -m benchmarks lifter_lookahead --corpus DIR`` gives the harness's motions (people and rigs of no
 training, see split.toml; realistic 2D, cameras taking turns) with 0, 8 and 10 sensors to `StreamingLifter`,
 frame by frame. Beside it: the last frame repeated, as `Lifter.predict` does, and poses without the mirrored
 scene. It writes results/lifter_lookahead.json and .md. Four minutes of one core.
@@ -223,7 +223,7 @@ def text_of(rows: list[Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, write and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.lifter_lookahead", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks lifter_lookahead", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--lifter", help="checkpoint; the shipped one where not given")
     parser.add_argument("--motions", help="only these, separated by commas")

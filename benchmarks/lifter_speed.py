@@ -1,6 +1,6 @@
 """Speed of the lifter on one thread: a long recording at once, and frame by frame.
 
-``python -m benchmarks.lifter_speed`` repeats the demo recording (60 Hz, 21 landmarks, 8 sensors) and
+``python -m benchmarks lifter_speed`` repeats the demo recording (60 Hz, 21 landmarks, 8 sensors) and
 writes results/lifter_speed.json and .md. Other programs slow all of this down, so the time on the clock and
 that of the processor are given, of pushes also the median of the best 50 in a row, and the speed of one
 matrix product.
@@ -173,7 +173,7 @@ def markdown(result: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Measure, write and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.lifter_speed", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks lifter_speed", description=__doc__)
     parser.add_argument("--lifter", type=Path, help="the shipped one if not given")
     parser.add_argument("--frames", type=int, default=6000, help="of the recording")
     parser.add_argument("--pushes", type=int, default=1500, help="frames pushed one by one")
@@ -184,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
     lifter = Lifter.load(options.lifter)
     given = sys.argv[1:] if arguments is None else arguments
     result = {
-        "command": " ".join(["OMP_NUM_THREADS=1 python -m benchmarks.lifter_speed", *given]),
+        "command": " ".join(["OMP_NUM_THREADS=1 python -m benchmarks lifter_speed", *given]),
         "host": host(),
         "channels": lifter.description.network.channels,
         "receptive_field": lifter.receptive_field(),

@@ -1,6 +1,6 @@
 """Makes a recording of any length from the demo, to measure memory and time.
 
-    python -m benchmarks.long_recording OUT --minutes 60
+    python -m benchmarks long_recording OUT --minutes 60
 
 The person of the demo goes through its motion to and fro, with half a second of slowing down at either end,
 before the demo's camera and with eight sensors at 60 Hz. Keypoints and sensors are exact but for noise that

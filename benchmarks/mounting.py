@@ -1,6 +1,6 @@
 """How often faults of a sensor setup are found and named, and how often good setups are accused.
 
-``python -m benchmarks.mounting --corpus DIR`` with DIR the folder of free motion (see README.md here).
+``python -m benchmarks mounting --corpus DIR`` with DIR the folder of free motion (see README.md here).
 Motion of the validation subjects of split.toml (``--subset train``: of all that train), in pieces of 4 to
 12 s. Sensors are simulated with soft tissue and accelerometer noise; each is misaligned by about 10
 degrees. One fault is planted at a time, as if it was made before a calibration in an N-pose; which
@@ -28,8 +28,7 @@ from benchmarks.harness import SENSOR_SETS, write_results
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuCalibration
-from rtof_kin.inertial.pose_calibration import usual_lever
-from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.inertial.pose_calibration import pose_rotations, usual_lever
 from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
@@ -225,7 +224,7 @@ def table(summary: list[dict[str, Any]]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.mounting", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks mounting", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--subset", choices=("validation", "train"), default="validation")
     parser.add_argument("--most", type=int, default=100, help="so many pieces, evenly drawn")
@@ -237,7 +236,7 @@ def main(arguments: list[str] | None = None) -> int:
     summary = summarised(rows)
     chosen = f"--subset {options.subset} --most {options.most}"
     result = {
-        "command": f"python -m benchmarks.mounting --corpus DIR {chosen}",
+        "command": f"python -m benchmarks mounting --corpus DIR {chosen}",
         "seed": SEED,
         "least_ratio": LEAST_RATIO,
         "summary": summary,

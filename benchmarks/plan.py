@@ -1,6 +1,6 @@
 """Errors that a plan expects, against those that held-out people get.
 
-``python -m benchmarks.plan --corpus DIR [--split test]`` with DIR the folder of free motion (README.md).
+``python -m benchmarks plan --corpus DIR [--split test]`` with DIR the folder of free motion (README.md).
 *The same movement*: each motion of the people and rigs that nothing was learned from is planned on the
 package's own body, and recorded of the person with the person's own body, by one of the benchmark's four
 cameras, with 0, 4, 8 and 10 sensors. *Gait from the library*: the library's gait, of other people, is planned
@@ -203,7 +203,7 @@ def pooled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--split", choices=("test", "validation"), default="test")
@@ -217,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
         for found in track(pool.map(run, chosen), total=len(chosen), description="motions x sensors"):
             rows += found
     words = " ".join(sys.argv[1:]).replace(str(options.corpus), "DIR")
-    text = f"`python -m benchmarks.plan {words}`\n\n{table(rows)}"
+    text = f"`python -m benchmarks plan {words}`\n\n{table(rows)}"
     harness.write_results(options.out, {"command": words, "rows": pooled(rows)}, text)
     print(text)
     return 0

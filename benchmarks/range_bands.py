@@ -1,4 +1,4 @@
-"""Coverage of the bands of ranges of motion: ``python -m benchmarks.range_bands --corpus DIR``.
+"""Coverage of the bands of ranges of motion: ``python -m benchmarks range_bands --corpus DIR``.
 
 The benchmark's motions of held-out people and rigs (or those of the validation people, ``--subset
 validation``), realistic 2D of one of four cameras, which take turns, with 8 sensors and without. The range of
@@ -141,7 +141,7 @@ def report(rows: Sequence[Row], recordings: Sequence[Row], subset: str) -> str:
     lines = [
         "# Bands of ranges of motion",
         "",
-        f"Made by `python -m benchmarks.range_bands --corpus DIR --subset {subset}`: "
+        f"Made by `python -m benchmarks range_bands --corpus DIR --subset {subset}`: "
         f"{len(recordings)} recordings, realistic 2D of one of four cameras each. Ranges are those that a "
         "report compares; (all): every one with a band. Truth and estimate are of the same frames. The "
         "stated size is the median of a normal error of that standard deviation.",

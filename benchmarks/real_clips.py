@@ -1,6 +1,6 @@
 """One camera alone, without sensors, on real clips with four: lift, and rto with joints and with raw points.
 
-``python -m benchmarks.real_clips --data DIR`` with DIR the folder of ``pose2sim_demo`` (OpenPose BODY_25B,
+``python -m benchmarks real_clips --data DIR`` with DIR the folder of ``pose2sim_demo`` (OpenPose BODY_25B,
 BSD-3) and ``caliscope_4cam`` (MediaPipe, BSD-2; the person sits, few pictures have the legs). The reference
 is the robust triangulation of the detector's own points from all four cameras, whose poses are adjusted
 first, so that no definition of a joint stands between: a mode's body predicts these points in the four
@@ -256,12 +256,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.real_clips", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks real_clips", description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "real_clips.json")
     options = parser.parse_args(arguments)
     rows = [row for name, clip in clips(options.data) for row in measure(name, clip)]
-    result = {"command": "python -m benchmarks.real_clips --data DIR", "rows": rows}
+    result = {"command": "python -m benchmarks real_clips --data DIR", "rows": rows}
     write_results(options.out, result, table(rows))
     print(table(rows))
     return 0

@@ -1,6 +1,6 @@
 """Tilt of real cameras, found from the person before them as `rtof-kin init` assumes a camera.
 
-``python -m benchmarks.real_tilts --data DIR``: the clips of two people that `real_clips` has, of four
+``python -m benchmarks real_tilts --data DIR``: the clips of two people that `real_clips` has, of four
 calibrated cameras each, one camera at a time without sensors. The camera is assumed level, 1.2 m over the
 floor, with a focal length 10 % too short. (Two cameras of the third clip lie on their sides, and its person
 sits.)
@@ -22,7 +22,7 @@ from rtof_kin.calibration.camera_estimate import pitch_and_roll
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.camera_prior import HEIGHT, SIGMA_HEIGHT, SIGMA_PITCH_DEG, SIGMA_ROLL_DEG
+from rtof_kin.setup.camera import HEIGHT, SIGMA_HEIGHT, SIGMA_PITCH_DEG, SIGMA_ROLL_DEG
 
 _PEOPLE = ("child", "adult")
 _UNSURE = CameraUncertainty(
@@ -54,7 +54,7 @@ def rows(data: Path) -> list[list[str]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.real_tilts", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks real_tilts", description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
     parser.add_argument("--out", type=Path, default=harness.HERE / "results" / "real_tilts.md")
     options = parser.parse_args(arguments)

@@ -1,6 +1,6 @@
 """Cost, storage and limits of batches of 10^4 and 10^6 recordings, computed from measured numbers.
 
-    python -m benchmarks.scale [--measured OUT/batch.csv] [--jobs 10000] [--minutes 1 10]
+    python -m benchmarks scale [--measured OUT/batch.csv] [--jobs 10000] [--minutes 1 10]
 
 Measured are: what the commands cost per recording and per recorded minute (a batch on cuts of the demo, or
 the table of a batch of yours); what the driver costs per recording (a batch of as many recordings whose
@@ -171,7 +171,7 @@ def report(cost: Cost, driver: Driver, tables: list[TableCost], options: argpars
     lines = [
         "# Batches of 10^4 and 10^6 recordings",
         "",
-        f"Made by `python -m benchmarks.scale` ({options.source}), chain `{CHAIN}`, on {machine}.",
+        f"Made by `python -m benchmarks scale` ({options.source}), chain `{CHAIN}`, on {machine}.",
         "",
         *measured(cost, driver, tables),
         *computed(cost, driver, options),

@@ -1,6 +1,6 @@
 """Calibration that goes on while a person moves, beside calibration from a whole recording.
 
-``python -m benchmarks.sequential_calibration --corpus DIR`` joins motions of one held-out person (or rig),
+``python -m benchmarks sequential_calibration --corpus DIR`` joins motions of one held-out person (or rig),
 again and again where they are short, to 60 s; realistic 2D, 8 sensors. One window of 50 frames in each second
 is passed to `SequentialCalibration`, with states that the batch solver finds for it with what is applied by
 then: a stand-in for the online estimator. Estimates after 10, 30 and 60 s, and of `calibrate` from all
@@ -92,7 +92,7 @@ Truths = dict[str, dict[str, Array]]
 """Kind -> item -> what a perfect calibration finds."""
 HEAD = """# Calibration that goes on while a person moves
 
-`python -m benchmarks.sequential_calibration`: see the module. *stated*: mean deviation at 60 s.
+`python -m benchmarks sequential_calibration`: see the module. *stated*: mean deviation at 60 s.
 *better / worse*: recordings whose figure changes by more than one per cent.
 
 """
@@ -366,7 +366,7 @@ def tables(rows: list[Row]) -> list[Table]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.sequential_calibration",
+        prog="python -m benchmarks sequential_calibration",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

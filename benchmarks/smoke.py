@@ -1,6 +1,6 @@
 """Two benchmarks of the shipped demo, short: accuracy and speed of the solvers, within wide bounds.
 
-``python -m benchmarks.smoke`` (`make bench-smoke`) reconstructs the first six seconds in three ways and
+``python -m benchmarks smoke`` (`make bench-smoke`) reconstructs the first six seconds in three ways and
 fails where a figure is not finite or outside of its bounds. These catch what is broken; what is a little
 worse is for `benchmarks.unchanged` and the harness.
 """

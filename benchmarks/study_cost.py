@@ -1,6 +1,6 @@
 """Time of a sensor study of the demo: processor and clock, number of reconstructions.
 
-``python -m benchmarks.study_cost`` measures the code of this checkout; ``--version NAME=DIR`` (several, in
+``python -m benchmarks study_cost`` measures the code of this checkout; ``--version NAME=DIR`` (several, in
 turn) that of others, each a checkout. Writes results/study_cost.json and .md. Other programs slow it down,
 also its processor time, so that only times of one call are to be compared.
 """

@@ -4,7 +4,7 @@ It is NOT Total Capture. That is handed out by its authors for research only; he
 bodies of its five subjects' proportions, and the IMUs, cameras and detections are simulated. What is
 measured on it shows that files are read correctly and a protocol runs, not the accuracy on the dataset.
 
-``python -m benchmarks.total_capture_standin --corpus DIR --out FOLDER`` with DIR as in README.md here.
+``python -m benchmarks total_capture_standin --corpus DIR --out FOLDER`` with DIR as in README.md here.
 Subjects S1, S2 and S3 move as training subjects of split.toml do, but for the three test takes, which are
 of its test subjects, as everything of S4 and S5 is.
 """
@@ -235,7 +235,7 @@ def write_dataset(
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.total_capture_standin",
+        prog="python -m benchmarks total_capture_standin",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,6 +1,6 @@
 """Two cameras against one: realistic 2D, held-out people and rigs, cameras 60 to 90 degrees apart.
 
-``python -m benchmarks.two_cameras --corpus DIR``. Of the second camera, heading, position and clock are
+``python -m benchmarks two_cameras --corpus DIR``. Of the second camera, heading, position and clock are
 unknown, its tilt is 3 to 5 degrees off, and the focal lengths of both are 5 to 10 % off; the first camera's
 orientation, which is that of the world, is known. `rtof_kin.setup.second_camera` finds the rest from the
 person. *Calibrated* cameras are as a calibration gives them, with the errors of real ones.
@@ -183,7 +183,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.two_cameras", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks two_cameras", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--seconds", type=float, default=8.0, help="of each motion")
     parser.add_argument("--motions", help="only these, separated by commas")
@@ -193,7 +193,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = [middle(clip, options.seconds) for clip in test_clips(options.corpus)]
     wanted = options.motions.split(",") if options.motions else [clip.name for clip in chosen]
     rows: list[dict[str, Any]] = []
-    command = f"python -m benchmarks.two_cameras --corpus DIR --seconds {options.seconds:g}"
+    command = f"python -m benchmarks two_cameras --corpus DIR --seconds {options.seconds:g}"
     command += f" --motions {options.motions}" if options.motions else ""
     for clip in chosen:
         if clip.name in wanted and clip.poses.times[-1] >= SHORTEST:

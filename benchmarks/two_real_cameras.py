@@ -1,6 +1,6 @@
 """One real camera against two, without sensors, on the clips of ``benchmarks.real_clips``.
 
-``python -m benchmarks.two_real_cameras --data DIR``. The reference is the triangulation of the points
+``python -m benchmarks two_real_cameras --data DIR``. The reference is the triangulation of the points
 that were detected, from all four cameras. Every camera is the first one once; the second is the next of the
 four with a direction of view 50 to 130 degrees away, as it is calibrated, or found from the person with its
 heading, position and clock unknown (`rtof_kin.setup.second_camera`).
@@ -118,7 +118,7 @@ def tables(rows: Sequence[dict[str, Any]]) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.two_real_cameras", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks two_real_cameras", description=__doc__)
     parser.add_argument("--data", type=Path, required=True, help="folder of the clips")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "two_real_cameras.json")
     options = parser.parse_args(arguments)
@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, clip in clips(options.data):
         rows += measure(name, clip)
         print(name, len(rows), file=sys.stderr, flush=True)
-        result = {"command": "python -m benchmarks.two_real_cameras --data DIR", "rows": rows}
+        result = {"command": "python -m benchmarks two_real_cameras --data DIR", "rows": rows}
         write_results(options.out, result, tables(rows))
     print(tables(rows))
     return 0

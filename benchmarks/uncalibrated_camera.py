@@ -1,6 +1,6 @@
 """A camera that is not calibrated: what is found of it, and what it costs.
 
-``python -m benchmarks.uncalibrated_camera --corpus DIR``: recordings of 20 s of held-out people and rigs,
+``python -m benchmarks uncalibrated_camera --corpus DIR``: recordings of 20 s of held-out people and rigs,
 30 images a second, realistic 2D, eight sensors and none. Focal length (10 %), pitch and roll (5 degrees
 each) are wrong by that much, with drawn signs; the camera's height by 1.5 cm, k1 by 0.02 and the person's
 height by 1 % (standard deviations). Each recording is reconstructed with the true camera, with the wrong
@@ -242,7 +242,7 @@ def _table(heads: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.uncalibrated_camera", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks uncalibrated_camera", description=__doc__)
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--fit", action="store_true", help="print the evidence in recordings of training subjects")
     parser.add_argument("--cameras", type=int, default=2, choices=range(1, 5))

@@ -1,6 +1,6 @@
 """Which dependencies have wheels, by extra, Python version and platform.
 
-    python -m benchmarks.wheel_availability > benchmarks/results/wheel_availability.md
+    python -m benchmarks wheel_availability > benchmarks/results/wheel_availability.md
 
 Reads the index of each direct dependency once (`packaging` is needed), and looks for a wheel of any version
 that pyproject.toml allows.

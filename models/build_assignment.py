@@ -2,7 +2,7 @@
 
 ``python -m models.build_assignment CORPUS`` with CORPUS as in benchmarks/README.md. Sensors are simulated on
 the training subjects' motion, at varied places and speeds and mirrored. Score tables of single sensors and of
-pairs (`rtof_kin.setup.motion_score`) are trained so that the true assignment has a larger score than those
+pairs (`rtof_kin.calibration.motion_score`) are trained so that the true assignment has a larger score than those
 that differ from it by one move or exchange, or by exchanged sides. The validation subjects tell when to stop
 and set the temperature.
 """
@@ -21,11 +21,11 @@ import torch
 from torch import Tensor, nn
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.motion_score import pair_features, single_features
+from rtof_kin.calibration.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.setup.motion_features import pair_features, single_features
-from rtof_kin.setup.sensor_motion import RATE_HZ, SensorMotions, joined, sensor_motions
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.noise import ImuNoise, simulate_imus
 from rtof_kin.simulation.simulate import low_passed

@@ -1,9 +1,10 @@
-"""Fixtures of many tests: shipped skeletons, a motion, a camera, an empty cache of compiled code."""
+"""Fixtures of many tests: shipped skeletons, a motion, a camera; one cache of compiled code for all tests."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import planted
 import pytest
@@ -11,8 +12,15 @@ import pytest
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 
-os.environ.setdefault("RTOF_KIN_COMPILE", "never")
-"""Compiling takes longer than the tests; the fixture `compile_cache` turns it on."""
+CACHE = "RTOF_KIN_CACHE"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """All processes of the session share one cache of compiled code, empty at its start."""
+    if not hasattr(config, "workerinput") and CACHE not in os.environ:
+        folder = TemporaryDirectory(prefix="rtof_kin_tests_")
+        config.add_cleanup(folder.cleanup)
+        os.environ[CACHE] = folder.name
 
 
 @pytest.fixture(scope="session")
@@ -41,8 +49,7 @@ def camera() -> Camera:
 
 @pytest.fixture
 def compile_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache of compiled functions, not created yet; compilation is turned on."""
+    """An empty cache of compiled functions, not created yet."""
     folder = tmp_path / "cache"
-    monkeypatch.setenv("RTOF_KIN_CACHE", str(folder))
-    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
+    monkeypatch.setenv(CACHE, str(folder))
     return folder

@@ -1,1 +1,1 @@
-"""Accuracy of the joint-space solver; ``python -m benchmarks.accuracy``."""
+"""Accuracy of the joint-space solver; ``python -m benchmarks accuracy``."""

@@ -1,6 +1,6 @@
 """How accurate the joint-space solver is: by sensors, under faults, and without its ingredients.
 
-``python -m benchmarks.accuracy --corpus DIR`` with the harness' motions, cameras and noise. Tables:
+``python -m benchmarks accuracy --corpus DIR`` with the harness' motions, cameras and noise. Tables:
 
 * sensors: 0, 4, 8 and 10 IMUs x kinds of 2D, four cameras a motion; and on which motions the solver is
   worse than its own start, SF2.
@@ -124,7 +124,7 @@ def _command(arguments: Sequence[str], options: argparse.Namespace) -> str:
     places = {str(options.corpus): "DIR", str(options.out): "FOLDER", options.lifter: "FILE"}
     parts = [option.partition("=") for option in arguments]
     words = [places.get(a, a) + equals + places.get(b, b) for a, equals, b in parts]
-    return " ".join(["python -m benchmarks.accuracy", *words])
+    return " ".join(["python -m benchmarks accuracy", *words])
 
 
 def _names(text: str) -> list[str]:
@@ -133,7 +133,7 @@ def _names(text: str) -> list[str]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.accuracy", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks accuracy", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--tables", default=list(TABLES), type=_names, help="separated by commas")

@@ -1,1 +1,1 @@
-"""Estimates and gain of self-calibration: ``python -m benchmarks.calibration``."""
+"""Estimates and gain of self-calibration: ``python -m benchmarks calibration``."""

@@ -1,4 +1,4 @@
-"""What calibrating a recording from itself gains: ``python -m benchmarks.calibration --corpus DIR``.
+"""What calibrating a recording from itself gains: ``python -m benchmarks calibration --corpus DIR``.
 
 Three rows for the benchmark's 4 s motions and for sessions of 20 s that join motions of one person
 (`sessions`), each with 8 and 10 sensors and independent errors of 2D (`KeypointNoise`):
@@ -129,7 +129,7 @@ def table(found: Sequence[Row]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration",
+        prog="python -m benchmarks calibration",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

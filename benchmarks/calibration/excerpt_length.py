@@ -1,6 +1,6 @@
 """How much of a recording a calibration needs.
 
-``python -m benchmarks.calibration.excerpt_length --corpus DIR``:
+``python -m benchmarks calibration.excerpt_length --corpus DIR``:
 recordings of 20 and 60 s of the validation people and their rigs, by different cameras, with planted errors
 (`planting`), each calibrated with every `CalibrationPriors.most_seconds` of `--settings` and reconstructed
 with the result. Those of 60 s are motions of one person over and over with other errors of the 2D; where a
@@ -197,7 +197,7 @@ def _with_error(values: Array) -> list[str]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.excerpt_length",
+        prog="python -m benchmarks calibration.excerpt_length",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

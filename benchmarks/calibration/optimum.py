@@ -1,6 +1,6 @@
 """Energies at the estimated and at the true calibration.
 
-``python -m benchmarks.calibration.optimum --corpus DIR``
+``python -m benchmarks calibration.optimum --corpus DIR``
 
 With all errors of `planting.ERRORS`, the unknowns are estimated from zero and from their true values. Where
 both give the same result, the initial guess is not the cause of remaining errors, and the energies show
@@ -93,7 +93,7 @@ def report(rows: list[Row]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.optimum",
+        prog="python -m benchmarks calibration.optimum",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -1,6 +1,6 @@
 """Planted errors and what a calibration from the recording recovers of them.
 
-``python -m benchmarks.calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s
+``python -m benchmarks calibration.planted --corpus DIR [--subset validation]``: in recordings of 20 s
 with independent errors of 2D (`KeypointNoise`) and 8 sensors every error of `planting.ERRORS` alone, besides
 what is usually wrong, and all of them together, at the sizes of docs/calibration.md and at three times those,
 with a floor that is
@@ -119,7 +119,7 @@ def measured(options: argparse.Namespace) -> list[Row]:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.calibration.planted",
+        prog="python -m benchmarks calibration.planted",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

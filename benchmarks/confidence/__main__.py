@@ -1,4 +1,4 @@
-"""Whether the confidence is honest: ``python -m benchmarks.confidence --corpus DIR``.
+"""Whether the confidence is honest: ``python -m benchmarks confidence --corpus DIR``.
 
 The benchmark's motions of held-out people and rigs x 4 cameras with realistic 2D and 0, 4, 8 and 10 sensors,
 and with white and perfect 2D and 8; every fourth frame. ``--fit`` fits the inflation instead, on other people
@@ -30,7 +30,7 @@ from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
 
 HEAD = """\
 # Inflation of the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
-# Made by: python -m benchmarks.confidence --corpus DIR --fit{more}
+# Made by: python -m benchmarks confidence --corpus DIR --fit{more}
 # from {count} recordings of {people} people with the simulated detector, half of them re-posed on another
 # rig with their own neutral posture, see benchmarks/confidence/motions.py.
 
@@ -108,7 +108,7 @@ def _rounded(value: Any) -> Any:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.confidence",
+        prog="python -m benchmarks confidence",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

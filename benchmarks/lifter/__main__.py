@@ -1,6 +1,6 @@
 """How accurate a lifter is: by placement, action, joint; torso; calibration; learning curves.
 
-``python -m benchmarks.lifter --corpus DIR [--lifter FILE ...]`` with the harness' motions, seen from four
+``python -m benchmarks lifter --corpus DIR [--lifter FILE ...]`` with the harness' motions, seen from four
 placements that no lifter was trained with, in perfect and realistic 2D, and with sensors where the lifter
 takes any. Further lifters (a causal one, the baseline) become further rows. Curves are those beside the
 lifters, and those named, such as of other seeds. Rows are written as they come: an interrupted run goes
@@ -118,7 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _command(options: argparse.Namespace, names: Sequence[str]) -> str:
     """The command without the places of one machine."""
-    words = ["python -m benchmarks.lifter --corpus DIR"]
+    words = ["python -m benchmarks lifter --corpus DIR"]
     words += ["--lifter", *(f"'{name}'" for name in names)] if options.lifter else []
     words += ["--curves FILE ..."] if options.curves else []
     words += [f"--subset {options.subset}"] if options.subset != "test" else []
@@ -143,7 +143,7 @@ def _sources() -> str:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.lifter", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks lifter", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--lifter", nargs="+", metavar="FILE", help="checkpoints; the shipped one where not given")

@@ -1,4 +1,4 @@
-"""The estimator of live streams, measured: ``python -m benchmarks.online STUDY --corpus DIR``.
+"""The estimator of live streams, measured: ``python -m benchmarks online STUDY --corpus DIR``.
 
 * accuracy: error at lags from 0 to 1 s on the harness's motions, beside batch and a frame-by-frame baseline.
 * speed: milliseconds a frame and memory over ten minutes on one core.
@@ -49,7 +49,7 @@ def _draw(study: str, rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _command(words: list[str], options: argparse.Namespace) -> str:
-    return "python -m benchmarks.online " + " ".join(words).replace(str(options.corpus), "DIR")
+    return "python -m benchmarks online " + " ".join(words).replace(str(options.corpus), "DIR")
 
 
 def _rounded(value: Any) -> Any:
@@ -58,7 +58,7 @@ def _rounded(value: Any) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks online", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("study", choices=tuple(STUDIES))
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")

@@ -1,6 +1,6 @@
 """Planted faults: how many are named in the first line, and whether bands cover those that are not.
 
-``python -m benchmarks.planted --corpus DIR [DIR]`` with the folder of free motion and the second collection
+``python -m benchmarks planted --corpus DIR [DIR]`` with the folder of free motion and the second collection
 (see README.md): right recordings of people whom nothing was fitted on, then the first ``--motions`` of them
 with every fault of `FAULTS` in every size. Judged is the line that a user reads first. Rows are written as
 they come: an interrupted run resumes where it stopped.
@@ -72,7 +72,7 @@ def collected(
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.planted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks planted", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, nargs="+", help="folders of motion")
     parser.add_argument("--faults", nargs="+", choices=[*RIGHT, *FAULTS, *GROSS], help="only these", metavar="NAME")
@@ -97,7 +97,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = collected(chosen, known, names, options.motions, options.calibrate, kept, options.workers)
     people = len({scene.clip.subject for scene in chosen})
     how = (
-        f"`python -m benchmarks.planted`: {len(chosen)} recordings of {people} people whom nothing was "
+        f"`python -m benchmarks planted`: {len(chosen)} recordings of {people} people whom nothing was "
         f"fitted on, {min(options.motions, len(chosen))} of them with faults; {options.sensors} "
         "sensors in turn."
     )

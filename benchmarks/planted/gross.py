@@ -17,8 +17,8 @@ from benchmarks.planted.faults import Fault, with_imus
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.reconstruction.camera_checks import UNVERIFIED
-from rtof_kin.reconstruction.image_checks import exchanged_axes, exchanged_sides, mirrored, upside_down
+from rtof_kin.reconstruction.checks.camera import UNVERIFIED
+from rtof_kin.reconstruction.checks.image import exchanged_axes, exchanged_sides, mirrored, upside_down
 from rtof_kin.recording.recording import Recording
 
 Plant = Callable[[Recording], Recording]

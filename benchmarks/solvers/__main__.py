@@ -1,6 +1,6 @@
 """Solvers side by side on the same fragments, start and energy, and how fast the package's own are.
 
-``python -m benchmarks.solvers``: the demo recording, N = 50, from SF2's poses. Every answer is scored by
+``python -m benchmarks solvers``: the demo recording, N = 50, from SF2's poses. Every answer is scored by
 the package's energy and gradient, whoever found it. Set OMP_NUM_THREADS=1; a machine that is busy with
 other work shows longer times. ``--quick`` looks at little of everything, in a minute.
 """
@@ -44,7 +44,7 @@ def everything(effort: Effort, notify: Notify) -> dict[str, Any]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.solvers", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks solvers", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="little of everything")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "solvers.json")
     options = parser.parse_args(arguments)
@@ -64,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         "N": N,
         "seconds": perf_counter() - began,
     }
-    command = "python -m benchmarks.solvers" + (" --quick" if options.quick else "")
+    command = "python -m benchmarks solvers" + (" --quick" if options.quick else "")
     result = {"command": command, "machine": machine, "effort": asdict(effort), **measured}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
 """Detection of bad frames by stated standard deviations and verdicts.
 
-``python -m benchmarks.verdicts --corpus DIR [--detector-errors FILE]``: the benchmark's people and
+``python -m benchmarks verdicts --corpus DIR [--detector-errors FILE]``: the benchmark's people and
 motions on other rigs, unchanged and with one planted fault, realistic 2D and 2D drawn from a model
 fitted to a real detector, 0, 4, 8 and 10 sensors. Numbers are written as they come: an interrupted run
 resumes where it stopped.
@@ -72,7 +72,7 @@ def _rounded(text: str) -> float:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.verdicts", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m benchmarks verdicts", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--corpus", type=Path, required=True, help="folder of free motion")
     parser.add_argument("--detector-errors", type=Path, help="Python file, sampler of real 2D errors")
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> int:
     rows = collected(work, kept, options.workers)
     people = len({job.clip.subject for job in work})
     how = (
-        f"`python -m benchmarks.verdicts`: {len(clips)} motions of {people} people whom the confidence "
+        f"`python -m benchmarks verdicts`: {len(clips)} motions of {people} people whom the confidence "
         f"was not fitted on, {len(work)} recordings, half of them with a planted fault; 2D "
         f"{' and '.join(kinds)}; 0, 4, 8 and 10 sensors, calibrated from themselves."
     )

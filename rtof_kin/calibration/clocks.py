@@ -13,8 +13,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.clock_scan import APART, SIGMA_LEAST, Scan
-from rtof_kin.calibration.turning import STEP, Turning, image_turning, sensor_turning
+from rtof_kin.calibration.clock_scan import APART, SIGMA_LEAST, STEP, Scan, Turning, image_turning, sensor_turning
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import CalibrationError

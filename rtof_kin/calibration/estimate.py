@@ -15,11 +15,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration import sensor_unknowns as sensing
-from rtof_kin.calibration import vision_unknowns as seeing
-from rtof_kin.calibration.clock_check import check_clocks
+from rtof_kin.calibration.bone_images import check_clocks
 from rtof_kin.calibration.excerpt import Excerpt, Slice
-from rtof_kin.calibration.posture_unknown import Posture
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import (
     BONE_GROUPS,
@@ -31,7 +28,21 @@ from rtof_kin.calibration.result import (
     place_swing,
 )
 from rtof_kin.calibration.shared_fragments import Shared, SharedFragments, Weights
-from rtof_kin.calibration.unknowns import Bones, Unknown
+from rtof_kin.calibration.unknowns import (
+    Ankles,
+    Bones,
+    Delay,
+    Focal,
+    Heading,
+    ImageBias,
+    LeverArm,
+    Mounting,
+    Places,
+    Posture,
+    Sampled,
+    Tilt,
+    Unknown,
+)
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
@@ -156,19 +167,19 @@ def _check_long_enough(slices: Sequence[Slice], priors: CalibrationPriors) -> No
         )
 
 
-def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Sampled) -> list[Unknown]:
+def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> list[Unknown]:
     """The unknowns, in the order in which they correct the observations."""
     data, skeleton = excerpt.data[0], excerpt.slices[0].recording.skeleton
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
-        found.append(sensing.Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
+        found.append(Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
     if p.sigma_heading is not None:
-        found.append(sensing.Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
+        found.append(Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
     if p.sigma_swing is not None:
         axes = np.array([bone_axis(skeleton, joint) for joint in data.sensors])
-        found.append(sensing.Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
+        found.append(Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
     if p.sigma_lever_arm is not None:
-        found.append(sensing.LeverArm(data.sensors, p.sigma_lever_arm))
+        found.append(LeverArm(data.sensors, p.sigma_lever_arm))
     if p.sigma_size is not None:
         names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
         groups = bone_groups(skeleton, names)
@@ -176,7 +187,7 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Samp
     if p.sigma_image_bias is not None:
         tall = _height_px(excerpt.slices)
         sigma_px = p.sigma_image_bias * tall / _USUAL_HEIGHT_PX * data.points.sizes
-        found.append(seeing.ImageBias(data.names, sigma_px))
+        found.append(ImageBias(data.names, sigma_px))
     if p.sigma_place is not None:
         slopes = excerpt.joined(
             [
@@ -185,13 +196,13 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: sensing.Samp
                 for start in [part.guess.poses]
             ]
         )
-        found.append(seeing.Places(data.names, p.sigma_place, slopes))
+        found.append(Places(data.names, p.sigma_place, slopes))
     if p.sigma_focal is not None:
-        found.append(seeing.Focal(p.sigma_focal))
+        found.append(Focal(p.sigma_focal))
     if p.sigma_tilt is not None:
-        found.append(seeing.Tilt(p.sigma_tilt))
+        found.append(Tilt(p.sigma_tilt))
     if p.sigma_ankle_height is not None and data.rows["w_floor"].any():
-        found.append(seeing.Ankles(p.sigma_ankle_height))
+        found.append(Ankles(p.sigma_ankle_height))
     if not found and p.sigma_posture is None:
         raise CalibrationError("nothing is left open: give at least one standard deviation")
     posture = () if p.sigma_posture is None else (Posture.of(data.space.names, p.sigma_posture),)

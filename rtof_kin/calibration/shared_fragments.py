@@ -26,10 +26,8 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.optimize import minimize_scalar
 
 from rtof_kin.calibration.excerpt import Excerpt
-from rtof_kin.calibration.fragment_profile import ProfiledFragment
-from rtof_kin.calibration.learned_prior import learned_precision
+from rtof_kin.calibration.fragment_profile import ProfiledFragment, UnknownsHessian, finished
 from rtof_kin.calibration.residuals import CalibrationObservations
-from rtof_kin.calibration.schur_complement import UnknownsHessian, finished
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
@@ -303,3 +301,46 @@ def _doubt(column: int, found: float, least: float, grid: Array, energies: Array
 def _precision(unknowns: Sequence[Unknown]) -> Array:
     """(G, G) of all kinds' priors."""
     return np.asarray(np.linalg.inv(block_diag(*(u.covariance for u in unknowns))))
+
+
+_LEARNING_ROUNDS: Final = 30
+_STEADY: Final = 1e-3
+_LEAST_SHARE: Final = 0.05
+"""Smallest share of a prior's variance."""
+_TINY: Final = 1e-9
+"""Added to sums of squares, so that unobserved estimates have a ratio of 1."""
+
+
+def learned_precision(
+    given: Array, information: Array, slope: Array, y: Array, shrinking: Sequence[slice], overcount: float
+) -> Array:
+    """Return the precision (G, G) of the prior that matches the size of the estimates.
+
+    With information D and precision P the estimate is A times the truth plus noise, A = (P + D)^-1 D; if
+    autocorrelated errors make D k times too large, its covariance is A P^-1 A^T + k A (P + D)^-1. The prior's variance
+    of each kind is multiplied, by 0.05 to 1, until its estimates are of that size (by moments; Morris 1983).
+
+    Args:
+        given: (G, G) precision before. information: (G, G) the data's Hessian at y.
+        slope: (G,) gradient of the data's energy at y (G,). shrinking: columns of the kinds that may shrink.
+    """
+    shares, precision = np.ones(len(shrinking)), given
+    for _ in range(_LEARNING_ROUNDS if shrinking else 0):
+        inverse = np.linalg.inv(information + precision)
+        estimate = y - inverse @ (slope + precision @ y)
+        A = inverse @ information
+        expected = np.diag(A @ np.linalg.inv(precision) @ A.T + overcount * A @ inverse)
+        before = shares
+        ratios = [_size(given, estimate**2, own) / _size(given, expected, own) for own in shrinking]
+        shares = (before * ratios).clip(_LEAST_SHARE, 1.0)
+        precision = given.copy()
+        for share, own in zip(shares, shrinking, strict=True):
+            precision[own, own] /= share
+        if np.all(np.abs(shares - before) < _STEADY):
+            break
+    return precision
+
+
+def _size(given: Array, squares: Array, own: slice) -> float:
+    """Sum of squares of one kind, in variances of its prior."""
+    return float(np.diag(given)[own] @ squares[own]) + _TINY

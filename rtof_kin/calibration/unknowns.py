@@ -21,14 +21,18 @@ zero without an error; their prior is normal about zero.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final, Self
 
 import numpy as np
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.neutral_posture import JOINTS
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
+from rtof_kin.core import quaternions as quat
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.solve.joint_space.observations import Attached
 
@@ -190,3 +194,298 @@ def each(own: Array) -> Array:
     items = np.arange(K)
     out[:, items, :, items] = np.moveaxis(own, 1, 0)
     return out.reshape(N, K, i, K * w)
+
+
+Sampled = Callable[[Array], tuple[Array, Array, Array, Array]]
+"""Times (T,) -> quaternions (T, S, 4) and their weights (T, S), accelerations, their weights."""
+
+
+@dataclass(frozen=True)
+class Delay(Unknown):
+    """Delay of the video, and its rate where the clocks differ."""
+
+    sigma: float
+    """[s]"""
+    sigma_drift: float | None
+    """[s/s]; None for equal clocks."""
+    sampled: Sampled
+    """The sensors at any times."""
+    name = "delay"
+    searched = True
+    items = ("video",)
+
+    @property
+    def covariance(self) -> Array:
+        """(1, 1), or (2, 2) with the clocks' drift."""
+        return np.diag(np.square([v for v in (self.sigma, self.sigma_drift) if v is not None]))
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Sample the sensors at the corrected times of the video."""
+        times = given.times
+        q, w, a, w_a = self.sampled(times - powers_of_time(times, times, len(y)) @ y)
+        return replace(given.changed(quat_sensor=q, w_sensor=w), a_world=a, w_acceleration=w_a)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives by time; those of accelerations after a low-pass, as they are mostly noise."""
+        rate, R = at.given.rate_hz, at.R_measured
+        known = at.given.rows["w_sensor"][at.index] > 0
+        steps = so3.log(np.swapaxes(R[:-1], -1, -2) @ R[1:]) * rate
+        steps = steps * (known[1:] & known[:-1])[..., None]
+        turning = np.concatenate([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]])
+        powers = powers_of_time(at.times, at.given.times, len(y))
+        return Changes(
+            turns=-turning[..., None] * powers[:, None, None],
+            accelerations=-at.given.jerk_world[at.index][1:-1, ..., None] * powers[1:-1, None, None],
+        )
+
+
+@dataclass(frozen=True)
+class Heading(Unknown):
+    """Rotation of each sensor's reference about the vertical, and its rate."""
+
+    items: tuple[str, ...]
+    sigma: float
+    """[rad]"""
+    sigma_drift: float | None
+    """[rad/s]; None for constant headings."""
+    name = "heading"
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k), sensor after sensor."""
+        own = [v for v in (self.sigma, self.sigma_drift) if v is not None]
+        return np.diag(np.square(np.tile(own, len(self.items))))
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Rotate orientations and accelerations."""
+        own = y.reshape(len(self.items), -1)
+        angle = powers_of_time(given.times, given.times, own.shape[1]) @ own.T
+        zero = np.zeros_like(angle)
+        turn = np.stack([np.cos(angle / 2), zero, zero, np.sin(angle / 2)], axis=-1)
+        a = so3.about_axis("z", angle) @ given.a_world[..., None]
+        q = quat.multiply(turn, given.rows["quat_sensor"])
+        return replace(given.changed(quat_sensor=q), a_world=a[..., 0])
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives by rotations about world's z."""
+        powers = powers_of_time(at.times, at.given.times, len(y) // len(self.items))
+        a = at.a_world
+        across = np.stack([-a[..., 1], a[..., 0], np.zeros_like(a[..., 0])], axis=-1)
+        return Changes(
+            turns=each(at.R_measured[..., 2, :, None] * powers[:, None, None]),
+            accelerations=each(across[..., None] * powers[1:-1, None, None]),
+        )
+
+
+@dataclass(frozen=True)
+class Mounting(Unknown):
+    """Rotation of each sensor's segment from its measured orientation."""
+
+    items: tuple[str, ...]
+    axes: Array
+    """(S, 3) directions of the bones in their segments; 0 for none."""
+    sigma_swing: float
+    """[rad] about axes across the bone."""
+    sigma_twist: float
+    """[rad] about the bone."""
+    name = "mounting"
+
+    @property
+    def covariance(self) -> Array:
+        """(3S, 3S), swing and twist of sensor after sensor."""
+        out = np.eye(3 * len(self.items)) * self.sigma_swing**2
+        for s, axis in enumerate(self.axes):
+            own = slice(3 * s, 3 * s + 3)
+            out[own, own] += (self.sigma_twist**2 - self.sigma_swing**2) * np.outer(axis, axis)
+        return out
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Rotate orientations in their segments."""
+        q = quat.multiply(given.rows["quat_sensor"], quat.exp(y.reshape(-1, 3)))
+        return given.changed(quat_sensor=q)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives in the segment's axes."""
+        turn = quat.right_jacobian(y.reshape(-1, 3))
+        return Changes(turns=each(np.broadcast_to(turn, (len(at.times), *turn.shape))))
+
+
+@dataclass(frozen=True)
+class LeverArm(Isotropic):
+    """Error of each sensor's position in its segment."""
+
+    items: tuple[str, ...]
+    sigma: float
+    """[m] per axis."""
+    name = "lever arm"
+    width = 3
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Add to the lever arms."""
+        return given.known(levers=given.constant["levers"] + y.reshape(-1, 3).T)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives along the segments' axes."""
+        return Changes(sensors=each(at.R[:, list(at.joints.sensors)]))
+
+
+_LEAST_SHARE: Final = 0.25
+"""Constant part of the errors, per sigma of a bias's prior, below which there is no bias."""
+_CLOSED_PX: Final = 1e-3
+"""[px] Prior of a bias where there is none."""
+
+
+@dataclass(frozen=True)
+class ImageBias(Unknown):
+    """Constant error of a detector's landmarks in the image."""
+
+    items: tuple[str, ...]
+    sigma_px: Array
+    """(L,) px per axis."""
+    name = "image bias"
+    shrinks = True
+
+    def limited(self, constant_px: float) -> Self:
+        """Return the biases limited by the constant part of the errors; white errors have none."""
+        limited = np.minimum(self.sigma_px, constant_px)
+        biased = constant_px > _LEAST_SHARE * self.sigma_px
+        return replace(self, sigma_px=np.where(biased, limited, _CLOSED_PX))
+
+    @property
+    def covariance(self) -> Array:
+        """(2L, 2L), landmark after landmark."""
+        return np.diag(np.repeat(self.sigma_px, 2) ** 2)
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Subtract the biases."""
+        return given.changed(uv_px=given.rows["uv_px"] - y.reshape(-1, 2))
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives by each landmark's own bias."""
+        return Changes(image=-each(np.broadcast_to(np.eye(2), (len(at.times), len(self.items), 2, 2))))
+
+
+@dataclass(frozen=True)
+class Places(Isotropic):
+    """Error of the position of each landmark in its segment, linearised at the initial guess."""
+
+    items: tuple[str, ...]
+    sigma: float
+    """[m] per axis."""
+    slopes: Array
+    """(T, L, 2, 3) px per m along the segments' axes (`ImagePoints.slopes`)."""
+    name = "place"
+    width = 3
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Move the landmarks in the image."""
+        shift = np.einsum("tlij,lj->tli", self.slopes, y.reshape(-1, 3))
+        return given.changed(uv_px=given.rows["uv_px"] - shift)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives along the segments' axes."""
+        return Changes(image=-each(self.slopes[at.index]))
+
+
+@dataclass(frozen=True)
+class Focal(Isotropic):
+    """Relative error of the focal length."""
+
+    sigma: float
+    """[1]"""
+    name = "focal length"
+    items = ("camera",)
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Scale the focal length."""
+        K = np.array(given.constant["K"])
+        K[:2, :2] *= 1 + y[0]
+        return given.known(K=K)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives away from the principal point."""
+        from_centre = at.image_by_point[0] - at.given.constant["K"][:2, 2]
+        return Changes(image=-from_centre[..., None] / (1 + y[0]))
+
+
+@dataclass(frozen=True)
+class Tilt(Isotropic):
+    """Error of the camera's orientation, about its centre."""
+
+    sigma: float
+    """[rad] about each axis."""
+    name = "camera tilt"
+    items = ("camera",)
+    width = 3
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Rotate the camera."""
+        turn, known = so3.exp(y), given.constant
+        return given.known(R_camera_world=turn @ known["R_camera_world"], t_camera_world=turn @ known["t_camera_world"])
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives of the landmarks rotating the other way about the camera."""
+        R = at.given.constant["R_camera_world"]
+        camera = at.landmarks @ R.T + at.given.constant["t_camera_world"]
+        return Changes(points=-R.T @ so3.skew(camera) @ quat.right_jacobian(-y))
+
+
+@dataclass(frozen=True)
+class Ankles(Isotropic):
+    """Error of the ankles' height over the floor; people and shoes differ, and heels leave the floor."""
+
+    sigma: float
+    """[m]"""
+    name = "ankle height"
+    nuisance = True
+    items = ("feet",)
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Raise the floor."""
+        return given.known(floor=given.constant["floor"] + y)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:  # noqa: ARG002
+        """Derivatives, equal for both feet in all frames."""
+        return Changes(feet=-np.ones((len(at.times), len(at.joints.feet), 1, 1)))
+
+
+@dataclass(frozen=True)
+class Posture(Isotropic):
+    """Rotation of the prior's mean of each joint in its parent's axes."""
+
+    items: tuple[str, ...]
+    places: tuple[int, ...]
+    """Of these joints among those of the pose prior in the problem."""
+    sigma: float
+    """[rad] per axis."""
+    name = "posture"
+    width = 3
+
+    @classmethod
+    def of(cls, turning: Sequence[str], sigma: float) -> Self:
+        """Return the posture of the joints of a `NeutralPosture` that turn.
+
+        Args:
+            turning: joints of the problem, root first (`StateSpace.names`). sigma: rad per axis.
+        """
+        items = tuple(joint for joint in JOINTS if joint in turning[1:])
+        return cls(items, tuple(turning.index(joint) - 1 for joint in items), sigma)
+
+    def correct(self, given: CalibrationObservations, y: Array) -> CalibrationObservations:
+        """Rotate the means."""
+        mean = np.array(given.constant["quat_mean"])
+        own = list(self.places)
+        mean[:, own] = quat.multiply(quat.exp(y.reshape(-1, 3)), mean[:, own].T).T
+        return given.known(quat_mean=mean)
+
+    def changes(self, at: CalibrationResiduals, y: Array) -> Changes:
+        """Derivatives of the joints' rotation vectors from the means; the means are at y."""
+        own, y = list(self.places), y.reshape(-1, 3)
+        R_mean = so3.from_quat_wxyz(at.given.constant["quat_mean"].T[own])
+        left = quat.right_jacobian(-y)  # exp(y + d) is exp(left d) exp(y)
+        r = at.from_means[:, own]
+        turned = -quat.right_jacobian_inverse(-r) @ np.swapaxes(R_mean, -1, -2) @ left
+        out = np.zeros((len(r), at.from_means.shape[1], 3, len(own), 3))
+        items = np.arange(len(own))
+        out[:, own, :, items] = np.moveaxis(turned, 1, 0)
+        return Changes(posture=out.reshape(len(r), 1, 3 * at.from_means.shape[1], -1))

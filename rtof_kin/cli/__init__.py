@@ -10,6 +10,8 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclopts import App, CycloptsError
 
 COMMANDS: Final = {
@@ -105,7 +107,7 @@ def dispatch(arguments: list[str]) -> int:
         limit_threads(_threads(arguments))
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:
-        return int(app(bool(arguments))(arguments) or 0)
+        return int(app(arguments)(arguments) or 0)
     except CycloptsError as error:
         raise InvalidInputError(_sentence(error, arguments)) from error
     except OSError as error:
@@ -131,7 +133,7 @@ def check(arguments: list[str]) -> None:
     if {"--help", "-h", "--version"} & {*arguments}:
         raise InvalidInputError("asks for help only")
     try:
-        app(True).parse_args(arguments)
+        app(arguments).parse_args(arguments)
     except CycloptsError as error:
         raise InvalidInputError(_sentence(error, arguments)) from error
 
@@ -141,11 +143,11 @@ def command_names() -> set[str]:
     return {name for commands in COMMANDS.values() for name in commands}
 
 
-def app(summaries: bool = False) -> App:
+def app(arguments: Sequence[str] = ()) -> App:
     """Return the application; a command's module is imported when the command is used.
 
     Args:
-        summaries: leave the help of each command to its own docstring, which its use imports.
+        arguments: that it is for; without the name of a command the summary of each is at hand.
     """
     from cyclopts import App, Group, Parameter
 
@@ -155,8 +157,7 @@ def app(summaries: bool = False) -> App:
     whole = App(
         name="rtof-kin",
         help="Human motion from one camera and a handful of IMUs. Everything stays on this machine. Start with: "
-        "rtof-kin run --demo",
-        help_epilogue="Each command explains itself: rtof-kin reconstruct --help",
+        "rtof-kin run --demo. Each command explains itself: rtof-kin reconstruct --help",
         help_format="plaintext",
         version=lambda: f"rtof-kin {rtof_kin.__version__}",
         version_flags="--version",
@@ -168,12 +169,16 @@ def app(summaries: bool = False) -> App:
         print_error=False,
         suppress_keyboard_interrupt=False,
     )
+    for flag in ("--help", "--version"):
+        whole[flag].group = Group("options", sort_key=len(COMMANDS))
+    named = bool(arguments) and arguments[0] in command_names()
     for number, (purpose, commands) in enumerate(COMMANDS.items()):
         group = Group(purpose, sort_key=number)
-        for name, module in commands.items():
+        for order, (name, module) in enumerate(commands.items()):
             function = name.replace("-", "_")
-            summary = None if summaries else _summary(module, function)
-            whole.command(f"rtof_kin.cli.{module}:{function}", name=name, group=group, help=summary)
+            summary = None if named else _summary(module, function)
+            path = f"rtof_kin.cli.{module}:{function}"
+            whole.command(path, name=name, group=group, help=summary, sort_key=order)
     return whole
 
 
@@ -203,8 +208,10 @@ def _check_names(arguments: list[str]) -> None:
 
 def _threads(arguments: list[str]) -> int | None:
     """Return the number after --threads, as far as it is one."""
+    from itertools import pairwise
+
     words = [part for word in arguments for part in word.split("=", 1)]
-    texts = [value for name, value in zip(words, words[1:], strict=False) if name == "--threads"]
+    texts = [value for name, value in pairwise(words) if name == "--threads"]
     return int(texts[-1]) if texts and texts[-1].lstrip("-").isdigit() else None
 
 

@@ -28,6 +28,7 @@ from rtof_kin.cli.options import (
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
 from rtof_kin.clinical.repetitions import Kind
+from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -165,6 +166,7 @@ def study(
     from rtof_kin.reporting.sensor_study.sentences import sentences
     from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
+    limit_threads(threads)
     source = Recording.load(recording)
     camera = source.keypoints is not None
     settings = solver_settings(settings, paper, "rtof" if camera else "imu")
@@ -288,7 +290,7 @@ def _from_recordings(source: Path, licence: str, origin: str, strides: int, from
     import rtof_kin
     from rtof_kin.clinical.gait_reference import build_reference
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
-    from rtof_kin.reporting.gait.inputs import find_people
+    from rtof_kin.reporting.gait import find_people
 
     found = find_people(source, from_standing)
     for place, reason in found.left_out.items():
@@ -382,6 +384,7 @@ def plan(
     from rtof_kin.plan.sentences import advice, cautions, headline
     from rtof_kin.plan.sources import planned
 
+    limit_threads(threads)
     if movements:
         table = Table("movement", "what it is")
         for name, movement in MOVEMENTS.items():
@@ -396,14 +399,7 @@ def plan(
     with progress() as update:
         protocol, setup = planned(str(what), lifter, update)
         found = predict(
-            protocol,
-            setup,
-            draws=draws,
-            seed=seed,
-            lifter=lifter,
-            search=search,
-            workers=workers,
-            progress=update,
+            protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=workers, progress=update
         )
     out.print(headline(found), style="bold", soft_wrap=True)
     for sentence in cautions(found):

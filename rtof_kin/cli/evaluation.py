@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -254,64 +253,68 @@ def _refuse_if_nothing(outcome: Any) -> None:
         raise RtofError(f"nothing could be measured; first of all: {next(iter(outcome.failed.values()))}")
 
 
-def _angles_of_set(
-    dataset: str,
-    /,
-    *,
-    settings: Annotated[
-        dict[str, Any],
-        Fields(
-            "root",
-            "takes",
-            "mode",
-            "keypoints",
-            "calibrate",
-            "align",
-            "seconds",
-            lifter="model",
-            models="model-dir",
-            size_px="size",
-            of="rtof_kin.protocols.validation:ValidationProtocol",
-        ),
-    ],
-    uncalibrated: bool = False,
-    heights: Annotated[Path | None, Parameter(metavar="CSV")] = None,
-    only_list: Annotated[bool, Parameter(name="--list")] = False,
-    output: Output = Path("out/validation"),
-    workers: Workers = None,
-    overwrite: Overwrite = False,
-) -> int:
-    """Errors of joint angles on a public data set.
+def _angles_of(dataset: str) -> Callable[..., int]:
+    """Return the command that evaluates one set with a reference of joint angles."""
 
-    The set is unpacked below ROOT (layouts: docs/validate.md). Every take is set up, reconstructed and compared with
-    the set's own reference; the table has RMSE, mean and median absolute error and RMSE without offset by joint angle
-    and movement, beside published values of the same metric. Goes on where it was stopped. Exit code 1: a take failed.
+    @command
+    def measured(
+        *,
+        settings: Annotated[
+            dict[str, Any],
+            Fields(
+                "root",
+                "takes",
+                "mode",
+                "keypoints",
+                "calibrate",
+                "align",
+                "seconds",
+                lifter="model",
+                models="model-dir",
+                size_px="size",
+                of="rtof_kin.protocols.validation:ValidationProtocol",
+            ),
+        ],
+        uncalibrated: bool = False,
+        heights: Annotated[Path | None, Parameter(metavar="CSV")] = None,
+        only_list: Annotated[bool, Parameter(name="--list")] = False,
+        output: Output = Path("out/validation"),
+        workers: Workers = None,
+        overwrite: Overwrite = False,
+    ) -> int:
+        """Errors of joint angles on a public data set.
 
-    Args:
-        uncalibrated: without the set's calibration of the cameras, as of a phone that was put anywhere
-        heights: columns subject,height_m, where the set has no heights
-        only_list: print the takes and their classes, and stop
-    """
-    from rtof_kin.protocols.validation import CAMERAS, ValidationProtocol, run
-    from rtof_kin.protocols.validation_tables import write_validation
+        The set is unpacked below ROOT (layouts: docs/validate.md). Every take is set up, reconstructed and compared with
+        the set's own reference; the table has RMSE, mean and median absolute error and RMSE without offset by joint angle
+        and movement, beside published values of the same metric. Goes on where it was stopped. Exit code 1: a take failed.
 
-    settings |= {"camera": CAMERAS[uncalibrated]} | ({"heights": _heights(heights)} if heights else {})
-    protocol = ValidationProtocol(dataset, **settings)
-    if only_list:
-        for take in protocol.chosen():
-            out.print(f"{take.key}  {take.kind}", soft_wrap=True, highlight=False)
-        return 0
-    with job_progress() as update:
-        found = run(protocol, output, overwrite=overwrite, workers=workers, progress=update)
-    first, tables, written = write_validation(output, protocol, found)
-    alarming = found.outcome.failed or "NOT ACC" in first or "IN DOUBT" in first
-    out.print(first, style="bold red" if alarming else "bold", soft_wrap=True)
-    if not found.outcome.done:
-        reason = next(iter(found.outcome.failed.values()), "")
-        raise RtofError(f"no take could be measured; first of all: {reason}")
-    print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
-    return int(bool(found.outcome.failed))
+        Args:
+            uncalibrated: without the set's calibration of the cameras, as of a phone that was put anywhere
+            heights: columns subject,height_m, where the set has no heights
+            only_list: print the takes and their classes, and stop
+        """
+        from rtof_kin.protocols.validation import CAMERAS, ValidationProtocol, run
+        from rtof_kin.protocols.validation_tables import write_validation
+
+        settings |= {"camera": CAMERAS[uncalibrated]} | ({"heights": _heights(heights)} if heights else {})
+        protocol = ValidationProtocol(dataset, **settings)
+        if only_list:
+            for take in protocol.chosen():
+                out.print(f"{take.key}  {take.kind}", soft_wrap=True, highlight=False)
+            return 0
+        with job_progress() as update:
+            found = run(protocol, output, overwrite=overwrite, workers=workers, progress=update)
+        first, tables, written = write_validation(output, protocol, found)
+        alarming = found.outcome.failed or "NOT ACC" in first or "IN DOUBT" in first
+        out.print(first, style="bold red" if alarming else "bold", soft_wrap=True)
+        if not found.outcome.done:
+            reason = next(iter(found.outcome.failed.values()), "")
+            raise RtofError(f"no take could be measured; first of all: {reason}")
+        print_tables(tables)
+        out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
+        return int(bool(found.outcome.failed))
+
+    return measured
 
 
 def _heights(path: Path) -> dict[str, float]:
@@ -330,4 +333,4 @@ def _heights(path: Path) -> dict[str, float]:
 
 
 for _name in ("opencap", "vidimu", "movi", "gaitex"):
-    evaluate.command(command(partial(_angles_of_set, _name)), name=_name)
+    evaluate.command(_angles_of(_name), name=_name)

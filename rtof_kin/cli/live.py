@@ -62,8 +62,7 @@ def live(
     imus: Annotated[list[str] | None, Parameter(metavar="SOURCE")] = None,
     map: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     output: Annotated[
-        Path | None,
-        Parameter(name=("--output", "-o"), metavar="FOLDER", help="record everything into a new folder"),
+        Path | None, Parameter(name=("--output", "-o"), metavar="FOLDER", help="record everything into a new folder")
     ] = None,
     send: Annotated[list[str] | None, Parameter(metavar="OUTPUT")] = None,
     browser: bool = False,
@@ -153,9 +152,7 @@ def live(
             servers = _served(sinks, take, browser)
             landmarks = _points_of(streams.sources[0]) if camera else ()
             settings = replace(
-                settings,
-                video_latency_s=_latency(streams.sources[0]),
-                refined=refinement_priors(refine),
+                settings, video_latency_s=_latency(streams.sources[0]), refined=refinement_priors(refine)
             )
             err.print("preparing the estimator", soft_wrap=True)
             estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
@@ -283,8 +280,7 @@ def _print_summary(summary: SessionSummary, output: Path | None) -> None:
     elif output is not None:
         line(
             "recorded",
-            f"nothing that is a recording; what came is in {output}, and rtof-kin live "
-            f"--finish {output} tries again",
+            f"nothing that is a recording; what came is in {output}, and rtof-kin live --finish {output} tries again",
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
@@ -34,9 +35,7 @@ class Fields:
             were given. group: title in the help. defaults: field -> default, where it is not that of the class.
     """
 
-    def __init__(
-        self, *names: str, of: str = "", group: str = "", defaults: Mapping[str, Any] = {}, **renamed: str
-    ):
+    def __init__(self, *names: str, of: str = "", group: str = "", defaults: Mapping[str, Any] = {}, **renamed: str):
         self.options = {name: name for name in names} | renamed
         self.of, self.group, self.defaults = of, group, defaults
 
@@ -67,6 +66,8 @@ def command(function: Function) -> Function:
     parameters.sort(key=lambda one: one.kind)
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in parameters}
+    text = inspect.cleandoc(function.__doc__ or "")
+    call.__doc__ = re.sub(r"(?<=\S)\n(?: {8,}|(?=\S))", " ", text)  # paragraphs in one line, for any width
     return call
 
 
@@ -103,7 +104,7 @@ def descriptions(settings: type) -> dict[str, str]:
     for field, text in zip(node.body, node.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
             assert isinstance(text.value, ast.Constant)
-            found[field.target.id] = " ".join(str(text.value.value).split()).removesuffix(".")
+            found[field.target.id] = " ".join(str(text.value.value).replace("`", "").split()).removesuffix(".")
     return found
 
 
@@ -116,7 +117,7 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
     plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
-    usual = Parameter()
+    usual = Parameter(show_default=False) if default in ((), "") else Parameter()
     if inner is bool:
         usual = Parameter(negative=() if default is False else None, show_default=False)
     elif inner is float:
@@ -124,7 +125,7 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     elif inner == tuple[int, int]:
         usual = Parameter(converter=_size, n_tokens=1, metavar="WxH")
     elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
-        usual = Parameter(converter=_listed, n_tokens=1, metavar="NAMES")
+        usual = Parameter.combine(usual, Parameter(converter=_listed, n_tokens=1, metavar="NAMES"))
     elif get_origin(inner) is Literal and any("_" in str(choice) for choice in get_args(inner)):
         choices = [str(choice).replace("_", "-") for choice in get_args(inner)]
         usual = Parameter(converter=lambda _, tokens: tokens[0].value.replace("-", "_"), choices=choices)

@@ -24,6 +24,7 @@ from rtof_kin.cli.terminal import (
     warnings_in_summary,
     with_zero_motion,
 )
+from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -61,7 +62,8 @@ def reconstruct(
     /,
     *,
     output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; with --calibrate-only a file")
+        Path | None,
+        Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; with --calibrate-only a file"),
     ] = None,
     task: Annotated[ReconstructionTask, Fields("mode", "model", "calibrate", "calibration", "figures")],
     calibrate_only: bool = False,
@@ -88,6 +90,7 @@ def reconstruct(
         calibrated: with --calibrate-only: also write the calibrated recording to this folder
         verbose: print every calibrated quantity too
     """
+    limit_threads(threads)
     settings = solver_settings(settings, paper, task.mode, calibrate_only)
     if calibrate_only:
         _calibrate(recording, output or Path("calibration.toml"), calibrated, task, settings, overwrite)
@@ -109,9 +112,7 @@ def reconstruct_and_print(
 ) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
     with progress() as update, warnings_in_summary():
-        found = reconstruct_folder(
-            recording, output, overwrite, task=task, settings=settings, progress=update
-        )
+        found = reconstruct_folder(recording, output, overwrite, task=task, settings=settings, progress=update)
     verdict = headline(audit(found))
     print_summary(found, verdict, output)
     print_sections(verdict)
@@ -135,9 +136,8 @@ def _calibrate(
     settings: ReconstructionSettings,
     overwrite: bool,
 ) -> None:
-    from rtof_kin.calibration.file import write_self_calibration_toml
-    from rtof_kin.reconstruction.consistency_checks import consistency_warnings
-    from rtof_kin.reconstruction.self_calibration import calibrate_recording
+    from rtof_kin.calibration.result import write_self_calibration_toml
+    from rtof_kin.reconstruction.self_calibration import calibrate_recording, consistency_warnings
     from rtof_kin.recording.index import INDEX
 
     if calibrated is not None:

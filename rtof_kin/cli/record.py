@@ -34,6 +34,7 @@ from rtof_kin.cli.terminal import (
     warnings_in_summary,
     with_zero_motion,
 )
+from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -65,8 +66,16 @@ def run(
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height", "pose", "person", "camera_name", "phone_log", "keep_video", "model_dir", rate_hz="rate",
-            size_px="size", group="Recording",
+            "height",
+            "pose",
+            "person",
+            "camera_name",
+            "phone_log",
+            "keep_video",
+            "model_dir",
+            rate_hz="rate",
+            size_px="size",
+            group="Recording",
         ),
     ],
     fetch_models: FetchModels = None,
@@ -101,6 +110,7 @@ def run(
             mounting, headings and bones are used as they were found
         seconds: of the demo, use as many seconds at most
     """
+    limit_threads(threads)
     settings = solver_settings(settings, paper)
     task = replace(task, calibrate=not demo if calibrate is None else calibrate)
     if demo:
@@ -121,21 +131,17 @@ def run(
         return
     with progress() as update, warnings_in_summary(), warnings_in_summary(_OF_KEYPOINTS):
         done = run_steps(
-            files,
-            output,
-            setup,
-            settings,
-            task=task,
-            second=second,
-            analysis=analysis,
-            progress=update,
-            **how,
+            files, output, setup, settings, task=task, second=second, analysis=analysis, progress=update, **how
         )
     _print_run(done, time.monotonic() - began)
 
 
 def _demo(
-    output: Path, files: bool, task: ReconstructionTask, settings: ReconstructionSettings, seconds: float | None,
+    output: Path,
+    files: bool,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    seconds: float | None,
     overwrite: bool,
 ) -> None:
     """Reconstruct the demo, with and without sensors, or write its files to practise on."""
@@ -284,8 +290,7 @@ def detect(
 
 def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
     from rtof_kin.formats.camera_motion_npz import write_camera_motion
-    from rtof_kin.setup.camera_prior import assumed_camera
-    from rtof_kin.setup.handheld import turning_of_video
+    from rtof_kin.setup.camera import assumed_camera, turning_of_video
     from rtof_kin.setup.recording_text import Field
     from rtof_kin.vision.lens_prior import lens_prior
     from rtof_kin.vision.video_metadata import read_video_metadata

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +28,7 @@ def report(
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=("--output", "-o"), metavar="FILE", help="page to write; default: report.html beside the motion"),
+        Parameter(name=("--output", "-o"), metavar="FILE", help="page; default: report.html beside the motion"),
     ] = None,
     analysis: Annotated[
         AnalysisSettings, Fields("sex", "repetitions", "from_standing", "height", weight_kg="weight", group="Analysis")
@@ -55,6 +56,8 @@ def report(
             with --analysis the scores are written into FOLDER/gait_scores
     """
     from rtof_kin.formats.motion_npz import motion_folder
+    from rtof_kin.reporting.document import show, write
+    from rtof_kin.reporting.gait import score_motion
     from rtof_kin.reporting.page import PAGE
     from rtof_kin.reporting.page import report as page
 
@@ -71,7 +74,10 @@ def report(
         _print_analysis(analyse(motion, tables, analysis, figures=figures, overwrite=overwrite))
         print_files(tables)
     if gait_reference is not None:
-        _print_gait_scores(motion, gait_reference, analysis.from_standing, tables, figures, overwrite)
+        document = score_motion(motion, gait_reference, analysis.from_standing)
+        show(document, out)
+        if tables is not None:
+            write(document if figures else replace(document, figures=()), tables / "gait_scores", overwrite)
 
 
 def _print_analysis(analysis: MotionAnalysis) -> None:
@@ -131,70 +137,3 @@ def _print_repetitions(found: Any) -> None:
         cells = [f"{v:.2f}" for v in figures] + [f"{v:.0f}" for v in knees]
         table.add_row(str(number), *("" if cell == "nan" else cell for cell in cells))
     out.print(table)
-
-
-def _print_gait_scores(
-    motion: Path, reference_file: Path, from_standing: bool, tables: Path | None, figures: bool, overwrite: bool
-) -> None:
-    """Print a person's gait against that of healthy people, and write it where there is a folder for tables."""
-    from rtof_kin.core.files.folder import new_folder
-    from rtof_kin.core.packages import can_draw
-    from rtof_kin.data.gait_reference import STANDING_ZERO
-    from rtof_kin.formats.gait_reference_json import read_gait_reference
-    from rtof_kin.formats.motion_npz import motion_folder
-    from rtof_kin.reporting.gait.files import MARKER, write_gait_scores
-    from rtof_kin.reporting.gait.inputs import read_cycles
-    from rtof_kin.reporting.gait.result import score_gait
-    from rtof_kin.reporting.gait.sentences import cautions, opening
-
-    reference = read_gait_reference(reference_file)
-    cycles, _ = read_cycles(motion, from_standing or reference.zero == STANDING_ZERO)
-    found = score_gait(motion_folder(motion).resolve().name, cycles, reference)
-    for sentence in opening(found):
-        out.print(sentence, style="bold", soft_wrap=True)
-    for sentence in cautions(found):
-        out.print(f"caution: {sentence}", style="yellow", soft_wrap=True)
-    if found.scores is not None:
-        _print_profile(found)
-    if tables is None:
-        return
-    with new_folder(tables / "gait_scores", MARKER, overwrite) as folder:
-        write_gait_scores(found, folder)
-        if found.scores is not None and figures and can_draw():
-            from rtof_kin.reporting.figures import save_figures
-            from rtof_kin.reporting.gait.figures import gait_figure
-
-            save_figures({"gait_scores": gait_figure(found)}, folder)
-    print_files(tables / "gait_scores")
-
-
-def _print_profile(found: ScoredGait) -> None:
-    """Bars of the Movement Analysis Profile, with bands and the reference's median."""
-    from rtof_kin.reporting.angle_names import label
-    from rtof_kin.reporting.gait.files import rows
-
-    scores = list(rows(found))
-    largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
-    first = Column("MAP [deg]", no_wrap=True)
-    sides = [Column(name, no_wrap=True) for name in ("right", "", "left", "")]
-    table = Table(first, *sides, "people", title="95 % bands in brackets; people: median of the reference")
-    for name in dict.fromkeys(row["score"] for row in scores):
-        own = {row["side"]: row for row in scores if row["score"] == name}
-        cells = []
-        for side in ("right", "left"):
-            value = own[side]["value_deg"]
-            bar = "" if value is None else "\u2588" * max(1, round(_BAR * value / max(largest, 1e-9)))
-            cells += [_cell(own[side]), bar]
-        median = own["right"]["reference_median_deg"]
-        shown = "GPS" if name == "gps" else label(name)
-        table.add_row(shown, *cells, "" if median is None else f"{median:.1f}")
-    out.print(table)
-
-
-def _cell(row: dict[str, Any]) -> str:
-    if row["value_deg"] is None:
-        return "-"
-    band = ""
-    if math.isfinite(row["noise_deg"]) and row["noise_deg"] > 0:
-        band = f" ({row['low_deg']:.0f}-{row['high_deg']:.0f})"
-    return f"{row['value_deg']:.1f}{band}"

@@ -8,7 +8,7 @@ import os
 import signal
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +40,8 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
+_WIDEST_FIGURE = 10
+"""Columns of longer cells hold text."""
 _LONG = 600.0
 """[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
@@ -302,7 +304,7 @@ def print_files(folder: str | Path) -> None:
     out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)
 
 
-def print_tables(tables: Sequence[Table]) -> None:
+def print_tables(tables: Sequence[Any]) -> None:
     """Print tables with their notes."""
     for table in tables:
         rows = table.text()

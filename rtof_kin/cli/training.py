@@ -30,9 +30,9 @@ def train(
     *,
     total_capture: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     human36m: Annotated[Path | None, Parameter(metavar="DIR")] = None,
-    output: Annotated[
-        Path, Parameter(name=("--output", "-o"), metavar="FILE", help="model to write")
-    ] = Path("model.pt"),
+    output: Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="model to write")] = Path(
+        "model.pt"
+    ),
     resume: bool = False,
     initial: Annotated[str | None, Parameter(metavar="MODEL")] = None,
     network: Annotated[Literal["rays", "videopose3d"], Trained] = "rays",

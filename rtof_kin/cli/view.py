@@ -171,7 +171,15 @@ def overlay(
     settings: Annotated[
         OverlaySettings,
         Fields(
-            "start", "stop", "angles", "bands", "points", "blur_face", "title", "background", shift="video-shift",
+            "start",
+            "stop",
+            "angles",
+            "bands",
+            "points",
+            "blur_face",
+            "title",
+            "background",
+            shift="video-shift",
             width_px="width",
         ),
     ],

@@ -3,7 +3,7 @@
 Every alternation of the feet relative to the pelvis has strikes, offs and strides: dances, exercises and
 kicks too. A stride is one of walking if its shape is (`StrideShape`, `departures`); a motion is gait if most
 of its strides are, and if these are three or more and steady, or take most of the recording. The limits were
-chosen on free motion and are measured on other people by ``python -m benchmarks.gait_recognition``.
+chosen on free motion and are measured on other people by ``python -m benchmarks gait_recognition``.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ every error is modelled as a stationary process with the autocovariance ::
     C [(1 - s) + s exp(-t^2 / (2 l^2))]
 
 that is a constant part and a smooth fast one with a share s of the variance and a correlation time l
-(`ErrorSpectrum`). ``python -m benchmarks.dynamics --corpus DIR --fit`` fits s and l of six groups to the
+(`ErrorSpectrum`). ``python -m benchmarks dynamics --corpus DIR --fit`` fits s and l of six groups to the
 errors of torques and of the wrench in reconstructions of the validation people (realistic 2D; 0, 8 and 10
 sensors), so that stated and actual root mean squares agree; the force is weighted to be stated too large
 rather than too small, and l is held near 0.12 s. `torque_confidence` says what held-out people get.

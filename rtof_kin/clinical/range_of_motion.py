@@ -142,7 +142,7 @@ def range_deviation(low_sigma: float, high_sigma: float) -> float:
 
     The errors of its two ends count as independent. A constant bias cancels in a range, and errors are
     correlated over time, which makes this too large; the extremum of a noisy curve lies outward, which makes
-    it too small. ``python -m benchmarks.range_bands`` measures the balance.
+    it too small. ``python -m benchmarks range_bands`` measures the balance.
 
     Args:
         low_sigma, high_sigma: standard deviations of the two ends, rad.

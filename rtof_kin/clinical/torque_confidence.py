@@ -10,7 +10,7 @@ Two components, independent of each other:
 In neither: the length of bones, centres of mass, what the low-pass takes away of the motion itself (the
 impact of a heel), an error of the body mass, a contact that is not known.
 
-Measured on seven people from whom nothing was learned (``python -m benchmarks.dynamics --corpus DIR``; 21
+Measured on seven people from whom nothing was learned (``python -m benchmarks dynamics --corpus DIR``; 21
 simulated recordings with realistic 2D, each with 0, 8 and 10 sensors), the root mean square stated for the
 motion is that of the actual errors times
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.files.text import LARGEST_NUMBER
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
-from rtof_kin.datasets.object_npz import read_object_npz
 
 JOINTS_OF_32 = (0, 1, 2, 3, 6, 7, 8, 12, 13, 14, 15, 17, 18, 19, 25, 26, 27)
 """Indices of the skeleton table's 17 joints among the archive's 32."""
@@ -54,8 +54,8 @@ class Archives:
     @cached_property
     def all_positions(self) -> Mapping[str, Mapping[str, Any]]:
         """Entries by subject and action; `positions` checks them."""
-        content = read_object_npz(self.path_3d, ["positions_3d"])
-        return _by_subject(self.path_3d, "positions_3d", content["positions_3d"])
+        (positions,) = read_object_npz(self.path_3d, ("positions_3d",))
+        return _by_subject(self.path_3d, "positions_3d", positions)
 
     @cached_property
     def all_keypoints(self) -> Mapping[str, Mapping[str, Any]]:
@@ -64,9 +64,9 @@ class Archives:
             start = "data_2d_h36m_"
             known = [p.stem.removeprefix(start) for p in sorted(self.root.glob(f"{start}*.npz"))]
             raise UnknownNameError(f"keypoints in {self.root}", [self.kind], known or ["none"])
-        content = read_object_npz(self.path_2d, ["positions_2d", "metadata"])
-        _check_metadata(self.path_2d, content["metadata"])
-        return _by_subject(self.path_2d, "positions_2d", content["positions_2d"])
+        positions, metadata = read_object_npz(self.path_2d, ("positions_2d", "metadata"))
+        _check_metadata(self.path_2d, metadata)
+        return _by_subject(self.path_2d, "positions_2d", positions)
 
     @cached_property
     def all_cameras(self) -> Mapping[str, Mapping[int, Camera]]:

@@ -25,8 +25,7 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, even_times, seen_bones, segment_motions
-from rtof_kin.inertial.pose_calibration import usual_lever
-from rtof_kin.inertial.poses import pose_rotations, turned_to
+from rtof_kin.inertial.pose_calibration import pose_rotations, turned_to, usual_lever
 
 LEAST_RATIO: Final = 10.0  # [nats] log-likelihood ratio from which a fault is reported
 _LONE_FACTOR = 2.5  # multiple of it for sensors without one on a neighbouring segment

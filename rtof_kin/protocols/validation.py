@@ -51,11 +51,13 @@ class ValidationProtocol:
     dataset: str
     """One of `SETS`."""
     root: Path
+    """Folder of the data set."""
     takes: tuple[str, ...] = ("*",)
     """Patterns of the names of takes."""
     mode: Mode | None = None
     """Of reconstruction; None for the set's own."""
     lifter: Path | None = None
+    """A file, or the name of a shipped one; the shipped default where not given."""
     camera: str = CAMERAS[0]
     keypoints: Path | None = None
     """Folder of detections by the name of the take or of its video, instead of the detector."""
@@ -64,6 +66,7 @@ class ValidationProtocol:
     heights: Mapping[str, float] | None = None
     """Subject -> standing height, m, where the set has none."""
     calibrate: bool = False
+    """Whether each take is calibrated from its own motion first."""
     align: bool = True
     """Whether the difference of the clocks is estimated; otherwise they are taken as equal."""
     seconds: float | None = None

@@ -22,17 +22,15 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import return_free_memory
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.part_results import Seam, lost, sample
 from rtof_kin.reconstruction.pipeline import calibrate_camera, run
 from rtof_kin.reconstruction.prepare import Progress, even_times
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import estimated
+from rtof_kin.reconstruction.self_calibration import ClockOffset, estimated, excerpt, find_offset, with_camera
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera
 from rtof_kin.recording.reader import RecordingSlices
 from rtof_kin.recording.recording import Recording
 

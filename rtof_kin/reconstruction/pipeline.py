@@ -19,21 +19,19 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
-from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS, check_camera_evidence, explained
-from rtof_kin.reconstruction.clock_offset import ClockOffset, find_offset
-from rtof_kin.reconstruction.image_checks import OF_PICTURE
+from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS, check_camera_evidence, check_legs, explained
+from rtof_kin.reconstruction.checks.causes import HEADING, RATE, VIEW
+from rtof_kin.reconstruction.checks.image import OF_PICTURE
+from rtof_kin.reconstruction.checks.position import Room, unseen_room
+from rtof_kin.reconstruction.checks.sensors import check_sensor_evidence, check_sensor_form, naming_wrong_samples
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
-from rtof_kin.reconstruction.quality import check_legs, quality_warnings, with_covariances
+from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.room import Room, unseen_room
-from rtof_kin.reconstruction.self_calibration import estimated
-from rtof_kin.reconstruction.sensor_checks import check_sensor_evidence, check_sensor_form, naming_wrong_samples
+from rtof_kin.reconstruction.self_calibration import ClockOffset, estimated, find_camera, find_offset, with_camera
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.setup_causes import HEADING, RATE, VIEW
-from rtof_kin.reconstruction.uncalibrated import find_camera, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -301,7 +299,7 @@ def _warn(recording: Recording, sentences: Iterable[object]) -> None:
 def calibrate_camera(
     recording: Recording, *, lifter: LifterLike | None = None, progress: Progress | None = None
 ) -> CameraEstimate:
-    """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.uncalibrated`.
+    """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.self_calibration`.
 
     Args:
         lifter, progress: as for `reconstruct`.

@@ -11,14 +11,12 @@ import numpy as np
 from rtof_kin.body.metrics import hinges
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import Check
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.checks.position import Room
 from rtof_kin.reconstruction.prepare import Prepared
-from rtof_kin.reconstruction.room import Room
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.reconstruction.uncalibrated import with_camera_uncertainty
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution, misfits
 from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
@@ -27,37 +25,6 @@ from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit, leg_spread
 
 _SURE_DEG: Final = 4.0
 """[deg] Largest standard deviation of a hinge's zero without a warning."""
-
-_LEGS_MM: Final = 130.0
-"""[mm] Largest misfit of the legs without an alarm; 98 right recordings of people whom nothing was fitted on
-reach 87, a squat with hidden hips 120."""
-_TOGETHER: Final = 0.6
-"""Misfit of the shanks relative to that of the thighs, from which wrong sensors explain both."""
-
-
-def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
-    """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
-
-    Args:
-        misfit: of the solution, at times (T,), s.
-    """
-    worst = int(misfit.thighs.argmax())
-    name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
-    if not value:
-        return Check.unknown(name, "keypoints", "mm", "hips or knees are not seen")
-    if sensed and value > _LEGS_MM and 1000 * misfit.shanks[worst] > _TOGETHER * value:
-        return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
-    px, t = value * misfit.px_per_m / 1000, times[worst]
-    bones = ", the bones and the sensors" if sensed else " and the bones"
-    return Check(
-        name,
-        "keypoints",
-        value,
-        _LEGS_MM,
-        "mm",
-        "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out",
-        cause=f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: they do not fit the hips{bones}",
-    )
 
 
 def quality_warnings(
@@ -191,3 +158,20 @@ def zero_warnings(prepared: Prepared) -> tuple[str, ...]:
         "was estimated from the video, or in a pose held by eye, and not measured at a known angle; "
         "changes of an angle within the recording are not affected",
     )
+
+
+def with_camera_uncertainty(confidence: Confidence, poses: PoseSequence, others: Iterable[PoseSequence]) -> Confidence:
+    """Return covariances with those of a camera's, or the clocks', unknowns added.
+
+    Args:
+        others: with cameras (`CameraEstimate.deviations`) or clocks one standard deviation off.
+    """
+    for other in others:
+        apart = disagreement(poses, other, confidence.pairs)
+        confidence = replace(
+            confidence,
+            position_covariance=confidence.position_covariance + apart.position,
+            relative_covariance=confidence.relative_covariance + apart.relative,
+            turn_covariance=confidence.turn_covariance + apart.turn,
+        )
+    return confidence

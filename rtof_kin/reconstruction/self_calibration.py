@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
+import numpy as np
+
+from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_estimate import CameraEstimate, Evidence, estimate_camera
+from rtof_kin.calibration.clock_scan import Scan, Turning, image_turning, joined, turning_of
+from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
-from rtof_kin.calibration.result import SelfCalibration
-from rtof_kin.core.errors import CalibrationError
-from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
+from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
+from rtof_kin.core.errors import CalibrationError, RtofError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_stream import FaultKind, StreamFault
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reconstruction.camera_evidence import Scene, evidence, standing_feet
+from rtof_kin.reconstruction.checks.sensors import check_sensor_form
 from rtof_kin.reconstruction.job import Job
-from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.prepare import Progress
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.prepare import Prepared, Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings
@@ -103,3 +117,364 @@ def _slice(job: Job, solver: JointSpaceSettings, known: SelfCalibration | None) 
     assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
     used = replace(prepared, settings=job.settings.with_fragment(solver))
     return Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus)
+
+
+_HEIGHT_SHARE = 0.1
+"""Largest relative difference of a declared height from that of the bones: five standard deviations of
+people with the same sum of bone lengths."""
+_SIGMAS = 6.0
+"""Prior standard deviations beyond which an estimate contradicts the prior; sensors that slip all through
+a short recording reach four in one of three."""
+
+
+def check_height(recording: Recording) -> None:
+    """Raise where a declared height and declared bone lengths are of different bodies.
+
+    Args:
+        recording: its height may be missing.
+
+    Raises:
+        CalibrationError: the heights differ by more than 10 %; names both.
+    """
+    declared, made = recording.height, recording.skeleton.height
+    if declared is not None and abs(made / declared - 1) > _HEIGHT_SHARE:
+        raise CalibrationError(
+            f"recording {recording.name}: its declared height is {declared:.2f} m, but its bone lengths "
+            f"make a body {made:.2f} m tall; measure again, or give only one of the two"
+        )
+
+
+def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> tuple[str, ...]:
+    """Describe estimates that contradict their priors or the declared height."""
+    found = []
+    for q, row in zip(calibration.quantities, calibration.table(), strict=True):
+        if q.doubt:
+            found.append(f"{row[0]} of {row[1]}: {row[2]} is unreliable: {q.doubt}")
+        away = float(np.max(np.abs(q.value) / q.sigma_prior))
+        if q.verdict is not Verdict.PRIOR and away > _SIGMAS:
+            kind, item, value, _, prior, _ = row
+            found.append(
+                f"{kind} of {item}: {value} is {away:.0f} times its prior standard deviation {prior}; "
+                "its declared value is wrong, or another declaration is"
+            )
+    declared = recording.height
+    if declared is not None and any(line.startswith("bones") for line in found):
+        made = calibration.apply(recording).skeleton.height
+        found.append(f"the declared height is {declared:.2f} m; the estimated bones make {made:.2f} m")
+    return tuple(found)
+
+
+_MOST_SECONDS: Final = 40.0
+"""[s] of a longer recording that are used: those in which the person comes and goes most."""
+_ENOUGH_HZ: Final = 25.0
+"""Frames per second that are enough; of faster videos, every second, third ... frame is used."""
+_STEP: Final = 5.0
+"""[s] between the beginnings of excerpts that are compared."""
+
+Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
+"""Prepare a recording and solve its poses."""
+
+
+def with_camera(recording: Recording, camera: Camera) -> Recording:
+    """Return a recording with another first camera, those of further views carried along."""
+    before, views = recording.video.camera, recording.views
+    views = tuple(replace(view, camera=view.camera.carried(before, camera)) for view in views)
+    return replace(recording, keypoints=replace(recording.video, camera=camera), views=views)
+
+
+def find_camera(
+    recording: Recording,
+    skeleton: SkeletonModel,
+    solve: Solve,
+    lifter: LifterLike | None,
+    progress: Callable[[int, int], None] | None = None,
+) -> CameraEstimate:
+    """Estimate the unknowns of the first camera from its recording, without further views.
+
+    Args:
+        skeleton: the subject's. lifter: default: the shipped one. progress: called with (steps done, steps in all).
+
+    Raises:
+        Errors of the stages, with the camera as declared.
+    """
+    assumed = recording.video.camera
+    recording = replace(recording, keypoints=excerpt(recording.video), views=(), truth=None)
+    prepared, poses = solve(recording)
+    clean, imus = prepared.recording, prepared.bone_imus
+    contacts = standing_feet(clean.video, poses, skeleton)
+    sensed = imus is not None and np.isfinite(imus.R_world_bone).any()
+    fresh = assumed.uncertainty is None or not assumed.uncertainty.of_motion
+    scene = Scene(skeleton, recording.floor_height, contacts, imus if sensed else None, fresh)
+
+    def seen_by(camera: Camera) -> Evidence:
+        own = with_camera(clean, camera)
+        prepared, poses = solve(own)
+        by_image = prepared.lifted.poses
+        if scene.bone_imus is not None:
+            by_image = lift(own.video, skeleton, lifter, None, recording.floor_height).poses
+        return evidence(scene, own.video, by_image, poses)
+
+    return estimate_camera(assumed, seen_by, progress)
+
+
+def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
+    """Return the part of a long video in which the person's size in the image changes most.
+
+    Args:
+        keypoints: evenly spaced; of a fast video, some frames are left out.
+    """
+    rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
+    keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
+    times = keypoints.times
+    if times[-1] - times[0] <= _MOST_SECONDS:
+        return keypoints
+    enough = keypoints.seen.sum(axis=1) > len(keypoints.names) / 2
+    v = np.where(enough[:, None], keypoints.uv_px[..., 1], np.nan)
+    tall = np.full(len(times), np.nan)
+    tall[enough] = np.log(np.nanmax(v[enough], axis=1) - np.nanmin(v[enough], axis=1) + 1.0)
+    starts = np.arange(times[0], times[-1] - _MOST_SECONDS + _STEP, _STEP)
+    parts = [slice(*np.searchsorted(times, [t, t + _MOST_SECONDS])) for t in starts]
+    return keypoints[max(parts, key=lambda part: _spread(tall[part]))]
+
+
+def _spread(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
+
+
+NAME: Final = "motion that the sensors do not explain, relative to what they explain"
+DAYS_APART: Final = "video and sensors are of different days"
+CLOCK_DOUBT: Final = "when the sensors began is in doubt"
+"""Beginnings of notes of a recording that was set up so."""
+_SIGMAS_APART: Final = 3.0
+_LEAST: Final = 0.01
+"""Standard deviations and [s] from which an offset is corrected."""
+_NAMED: Final = 0.03
+"""[s] Offset, also by drift, from which it is named."""
+_UNSHARP: Final = 0.01
+"""[s] Standard deviation above which the energy decides."""
+_EXCERPT: Final = 2.5
+"""[s] of the recording that it takes."""
+_SURE_DRIFT_UNNAMED: Final = 1.5
+"""Standard deviations from which a drift that is not sure counts as uncertain."""
+_FEW: Final = 4
+_EXPLAINED: Final = (0.05, 0.1)
+"""[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
+sensors and of more; right ones explain 0.2 at least, of those of other takes one in twenty explains 0.1
+(benchmarks/results/clock_offsets.md)."""
+_ANYWHERE: Final = (0.15, 0.2)
+"""[1] The same at offsets up to `_ELSEWHERE` or on other segments, by which a wrong start or map is named."""
+_ELSEWHERE: Final = 6.0
+"""[s] Offsets at which sensors may be that belong to the video."""
+_MOVING: Final = 0.15
+"""[rad/s] per axis: motion of the sensors below which nothing relates them to the image."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """What is known of the clocks of a recording."""
+
+    delay: Quantity | None = None
+    """Delay of the video; None where the motion does not show it."""
+    applied: SelfCalibration | None = None
+    """Correction of the recording; None where none is sure."""
+    checks: tuple[Check, ...] = ()
+    """That the sensors belong to the video."""
+    warnings: tuple[str, ...] = ()
+    middle: float = 0.0
+    """[s] Time stamp of the constant of the delay."""
+    uncertain_drift: float = 0.0
+    """[s/s] Drift that is likely, but not sure."""
+    repeats: float = 0.0
+    """[s] Time after which the motion repeats itself, where the sensors may be a repetition off; else 0."""
+
+    @property
+    def foreign(self) -> bool:
+        """Whether the sensors are of another recording."""
+        return any(check.failed for check in self.checks)
+
+    def corrected(self, job: Job) -> Job:
+        """Return the job on the recording with corrected clocks."""
+        if self.applied is None:
+            return job
+        times = None if job.times is None else self.applied.on_clock(job.times)
+        return replace(job, recording=self.applied.apply(job.recording), times=times)
+
+    def left_out(self, job: Job) -> tuple[StreamFault, ...]:
+        """Return faults of all sensors where they are of another recording."""
+        imus, calibration = job.recording.imus, job.recording.calibration
+        if not self.foreign or imus is None or calibration is None:
+            return ()
+        a, b = float(imus.times[0]), float(imus.times[-1])
+        joints = calibration.select(imus.names).joints
+        return tuple(StreamFault(FaultKind.FOREIGN, joint, a, b) for joint in joints)
+
+    def apart(self, poses: PoseSequence) -> tuple[PoseSequence, ...]:
+        """Return the motion one standard deviation of the clocks later, for its covariances."""
+        if self.delay is None or self.foreign:
+            return ()
+        sigma = float(self.delay.sigma[0])
+        if self.applied is not None and self.applied.sensors_late:
+            sigma = float(np.hypot(sigma, SIGMA_DETECTOR))
+        rate = self.uncertain_drift or float(np.append(self.delay.sigma, 0.0)[1])
+        later = np.hypot(sigma, rate * (poses.times - self.middle))
+        shifted = (replace(at_times(poses, poses.times + later), times=poses.times),)
+        return (*shifted, self._repeated(poses)) if self.repeats else shifted
+
+    def _repeated(self, poses: PoseSequence) -> PoseSequence:
+        """Return the motion of the next repetition, of the last one at the end, at the same place."""
+        ahead, back = (at_times(poses, poses.times + by) for by in (self.repeats, -self.repeats))
+        within = (ahead.times >= poses.times[0]) & (ahead.times <= poses.times[-1])
+        p = np.where(within[:, None, None], ahead.p_world_joint, back.p_world_joint)
+        R = np.where(within[:, None, None, None], ahead.R_world_bone, back.R_world_bone)
+        return replace(poses, p_world_joint=p + (poses.p_world_joint - p)[:, :1], R_world_bone=R)
+
+
+def _noted(recording: Recording) -> tuple[str, ...]:
+    """Return the notes of a recording by which its sensors may be of another day, or their clock off."""
+    lines, about = recording.notes.splitlines(), (DAYS_APART, CLOCK_DOUBT)
+    return tuple(line[line.index(note) :] for note in about for line in lines if note in line)
+
+
+def find_offset(jobs: Sequence[Job]) -> ClockOffset:
+    """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
+
+    Args:
+        jobs: on the recording, or on parts of it in the order of time.
+    """
+    if not jobs:
+        return ClockOffset()
+    try:
+        seen, sensed, columns = _turnings(jobs)
+        found = small_offset(seen.of(columns), sensed)
+    except RtofError:  # without keypoints or calibration the stages say so
+        return ClockOffset()
+    check = _check_belonging(jobs[0], seen, sensed, columns, found)
+    middle = float(found.middle + found.offset)
+    rates = [found.drift] if found.drift else []
+    sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
+    delay = _delay([found.offset, *rates], sigmas, found.doubt)
+    noted = _noted(jobs[0].recording)
+    if check.failed:
+        return ClockOffset(checks=(check,), warnings=noted)
+    if not found.doubt and not rates and found.sigma > _UNSHARP:
+        delay = _refined(jobs, delay, middle)
+    larger = abs(found.offset) > max(_SIGMAS_APART * delay.sigma[0], _LEAST)
+    applied = None
+    if not found.doubt and (larger or rates):
+        applied = SelfCalibration((delay,), middle=middle)
+    unsure = 0.0
+    if not rates and abs(found.likely_drift) > _SURE_DRIFT_UNNAMED * found.sigma_drift:
+        unsure = found.likely_drift
+    seconds = float(jobs[-1].recording.video.times[-1] - jobs[0].recording.video.times[0])
+    warnings = (*noted, *_sentences(delay, applied, found, seconds, len(columns)))
+    doubt = next((note for note in noted if note.startswith(CLOCK_DOUBT)), "")
+    if not doubt:
+        return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
+    others = Scan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
+    stride = min(others, key=abs, default=0.0)
+    return ClockOffset(replace(delay, doubt=doubt), applied, (check,), warnings, middle, unsure, stride)
+
+
+def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Quantity:
+    """Delay of the video, s, and its rate; all offsets that are tried were as likely before."""
+    prior = np.array([0.29, 0.01])[: len(value)]
+    sigmas = np.minimum(sigma, prior)
+    known = float(1 - (sigmas[0] / prior[0]) ** 2)
+    return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
+
+
+def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
+    """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
+    seen, sensed, columns = [], [], list[int]()
+    for job in jobs:
+        recording = job.recording
+        if recording.imus is None or recording.calibration is None:
+            raise CalibrationError(f"recording {recording.name}: has no calibrated IMUs")
+        lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
+        native = recording.calibration.apply(recording.imus)
+        columns = list(lifted.skeleton.index(*native.joints))
+        seen.append(image_turning(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
+        sensed.append(turning_of(native.times, native.R_world_bone))
+    return joined(seen), joined(sensed), columns
+
+
+def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
+    """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
+    only = CalibrationPriors(
+        sigma_delay=float(delay.sigma[0]),
+        sigma_swing=None,
+        sigma_image_bias=None,
+        sigma_ankle_height=None,
+        most_seconds=_EXCERPT,
+        rounds=1,
+    )
+    first = ClockOffset(applied=SelfCalibration((delay,), middle=middle))
+    silent = [replace(first.corrected(job), progress=lambda *_: None) for job in jobs]
+    try:
+        found = calibrated(silent, only, None)["delay", "video"]
+    except RtofError:
+        return delay
+    return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])
+
+
+def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate) -> Check:
+    """Check that the sensors move as the image shows where and when they are declared."""
+    S = len(columns)
+    least, explained = _EXPLAINED[S >= _FEW], found.explained
+    cause = "the sensors do not belong to this video"
+    advice = f"At no offset within {_ELSEWHERE:g} s and on no segment do they turn as the limbs in the video"
+    if explained < least:
+        form = check_sensor_form(job.recording)
+        if np.nanmean(sensed.w_world**2) < _MOVING**2 or any(check.failed for check in form):
+            return Check.unknown(NAME, "sensors", "", "the sensors hardly move, or are not as declared")
+        carriers = {joint for joint, _ in job.subject.sensors.values()}
+        carriers |= {job.subject.names[j] for j in columns}
+        anywhere = list(job.subject.index(*sorted(carriers)))
+        for segments, known in ((columns, True), (anywhere, False)):
+            scan = Scan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            if scan.explained >= _ANYWHERE[S >= _FEW]:
+                when = f"{abs(scan.best):.1f} s {'later' if scan.best > 0 else 'earlier'} than declared"
+                other = f"began {when}" if known else "are on other segments"
+                cause += f", or they {other}"
+                advice = f"They would turn as the limbs in the video if they {other}"
+                break
+    return Check(
+        NAME,
+        "sensors",
+        (1 - explained) / max(explained, 1e-3),
+        (1 - least) / least,
+        "times",
+        f"{advice}; they are left out. Give the sensors' file of this take, or check the rates of video and "
+        "sensors, start_s and which sensor is where",
+        cause=cause,
+    )
+
+
+def _sentences(
+    delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, sensors: int
+) -> list[str]:
+    """What is said about the clocks, the drift first."""
+    said, ms = [], 1000 * delay.sigma[0]
+    if len(delay.value) > 1 and abs(delay.value[1]) * seconds / 2 > _NAMED:
+        rate, sigma = -100 * delay.value[1], 100 * delay.sigma[1]
+        word = "fast" if rate > 0 else "slow"
+        said.append(f"the sensors' clock runs {abs(rate):.2g} ± {sigma:.1g} % {word} against the video's; corrected")
+    late = 0.0 if applied is None else 1000 * applied.sensors_late
+    if abs(late) > 1000 * _NAMED:
+        word = "late" if late > 0 else "early"
+        ms = float(np.hypot(ms, 1000 * SIGMA_DETECTOR))
+        said.append(f"the sensors are {abs(late):.0f} ± {ms:.0f} ms {word} against the video; corrected")
+    off = max(-found.offset, found.offset - 2 * _NAMED) - 2 * delay.sigma[0]
+    if applied is None and found.explained < _ANYWHERE[0] and sensors >= _FEW:
+        said.append(
+            f"the sensors explain only {100 * found.explained:.0f} % of the motion in the video: check that "
+            "they are of this take, and which sensor is where"
+        )
+    elif applied is None and found.candidates and off > _NAMED:
+        word = "late" if found.offset < 0 else "early"
+        said.append(
+            f"the sensors are perhaps {abs(1000 * found.offset):.0f} ms {word} against the video, which is "
+            f"not corrected: {found.doubt}"
+        )
+    return said

@@ -20,9 +20,16 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import BoneImuSequence, ImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance, valid_positions
-from rtof_kin.inertial.contacts import Contacts, ContactSettings, detect_contacts, footholds
 from rtof_kin.inertial.initial_poses import poses_from_sensors
-from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
+from rtof_kin.inertial.root_path import (
+    Contacts,
+    ContactSettings,
+    RootPath,
+    RootPathSettings,
+    detect_contacts,
+    footholds,
+    root_path,
+)
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.joint_space.settings import JointSpaceSettings

@@ -17,7 +17,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.phone import phone_files, read_phone
-from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, motion_of_gyroscope
+from rtof_kin.inertial.orientation import HELD, held_of_gravity, motion_of_gyroscope
 from rtof_kin.recording.camera_table import read_camera
 from rtof_kin.recording.files import data_path, keypoint_stream, naming
 from rtof_kin.recording.sources import Source

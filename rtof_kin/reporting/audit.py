@@ -20,7 +20,7 @@ from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.inertial.outlier_rejection import DISAGREES
-from rtof_kin.reconstruction.camera_checks import ROOM_CHECKS
+from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.reporting.statistics import ReconstructionStatistics

@@ -35,7 +35,7 @@ Cell = str | float | None
 STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 """Grade -> style of a badge on the terminal."""
 _CHARTS: Final = ("unpack.js", "charts.js", "comparison.js")
-_NUMBER: Final = re.compile(r"([-+<>= (]*[\d.]|\N{FULL BLOCK}|$)")
+_NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 
 
 class Badge(str):
@@ -79,7 +79,7 @@ class Table:
         digits = self.digits or (None,) * len(self.columns)
         return [[_shown(cell, own, missing) for cell, own in zip(row, digits, strict=True)] for row in self.rows]
 
-    def records(self) -> list[dict[str, Cell]]:
+    def records(self) -> list[dict[str, Any]]:
         """Return the rows as JSON data, by column."""
         return [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
 

@@ -433,7 +433,7 @@ def _changes(found: FollowUp) -> list[Section]:
         shown.sort(key=lambda one: list(Outcome).index(one.outcome(visit)))
         rest = [one for outcome in (Outcome.NOT_SHOWN, Outcome.NOT_TESTED) for one in found.of(outcome, visit)]
         tables = [
-            Table(columns, [_change_cells(found, one, visit) for one in own], kind="differences")
+            Table(columns, [_change_cells(found, one, visit) for one in own], kind="differences reasons")
             for own in (shown, rest)
         ]
         parts: list[Any] = [tables[0] if shown else "No change is shown."]

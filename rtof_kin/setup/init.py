@@ -30,9 +30,8 @@ from rtof_kin.reconstruction.prepare import Progress, evenly_spaced
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
-from rtof_kin.setup.camera_prior import SetupCamera, assumed_camera, calibrated_camera, seen_camera
+from rtof_kin.setup.camera import MOTION, SetupCamera, assumed_camera, calibrated_camera, filming_camera, seen_camera
 from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
-from rtof_kin.setup.handheld import MOTION, filming_camera
 from rtof_kin.setup.people import People, choose_person, number_people, read_people, write_people
 from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
 from rtof_kin.setup.sources import Sources

@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.calibration.video_offset import find_video_offset
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.second_camera import find_second_camera
-from rtof_kin.setup.video_offset import find_video_offset
 
 ABOUT: Final = "second camera"
 """What sentences on it begin with."""

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.calibration.file import read_self_calibration_toml
+from rtof_kin.calibration.result import read_self_calibration_toml
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import environment
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
@@ -25,7 +25,6 @@ from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.parts import is_long, reconstruct_in_parts
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.prepare import Progress
-from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.reader import RecordingReader, RecordingSlices
@@ -228,18 +227,10 @@ def reconstruct_folder(
             "known": None if known is None else read_self_calibration_toml(known),
             "progress": progress,
         }
-        parts: Iterable[Reconstruction]
-        if isinstance(source, Recording):
-            parts = [reconstruct(source, **how)]
-        else:
-            parts = reconstruct_in_parts(source, **how)
+        whole = isinstance(source, Recording)
+        parts = [reconstruct(source, **how)] if whole else reconstruct_in_parts(source, **how)
         return export_parts(
-            parts,
-            output,
-            overwrite,
-            task.figures,
-            inputs=inputs,
-            run=lambda: record | {"environment": environment()},
+            parts, output, overwrite, task.figures, inputs=inputs, run=lambda: record | {"environment": environment()}
         )
 
 

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.video_offset import VideoOffset, find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -26,9 +27,229 @@ from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.bundle import DELAY, FOCAL, MOVE, TURN, Adjusted, BundleSettings, Images, adjust
-from rtof_kin.setup.video_offset import VideoOffset, find_video_offset
 from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
+
+TURN, MOVE, FOCAL, DELAY, SIZE = slice(0, 3), slice(3, 6), slice(6, 8), 8, 9
+"""Unknowns of all frames: the second camera's rotation vector in world, rad, and movement, m; logarithms of
+the focal lengths' factors; seconds; logarithm of the size's factor."""
+_UNKNOWNS: Final = 10
+_UNKNOWN: Final = 1e3
+"""[rad, m] Prior standard deviation of the second camera's heading and position."""
+_NORMAL_MEDIAN: Final = 0.6745
+"""Median of the absolute values of a standard normal distribution."""
+_ROBUST: Final = 2.0
+"""[sigma] Scale of the Cauchy loss."""
+
+
+@dataclass(frozen=True)
+class BundleSettings:
+    """Prior standard deviations of a bundle adjustment."""
+
+    sigma_focal: tuple[float, float] = (0.1, 0.1)
+    """[1] of each focal length; 0 where it is known."""
+    sigma_delay: float = 0.05
+    """[s] of the second video's times."""
+    sigma_size: float = 0.03
+    """[1] of the body's size."""
+    sigma_tilt: float = np.radians(3.0)
+    """[rad] of the second camera's tilt as given, about each horizontal axis."""
+    sigma_image: float = 0.004
+    """[1] of a joint in an image per axis, relative to the focal length; residuals do not tell it where the
+    joints are free."""
+    sigma_shapes: tuple[float, float] = (0.06, 0.06)
+    """[m] of a joint of each shape about the mean of all, per axis."""
+    sigma_bone: float = 0.025
+    """[m] of a bone's length in one frame."""
+    sigma_start: float = 1.0
+    """[m] of a joint about its start, per axis."""
+    frames_as_one: float = 1.0
+    """Number of used frames in a row with the information of one: errors are correlated in time."""
+    iterations: int = 60
+
+
+@dataclass(frozen=True)
+class Images:
+    """Joints of F frames in the images of two cameras."""
+
+    uv_px: Array
+    """(2, F, n, 2) undistorted; any value where unobserved."""
+    weight: Array
+    """(2, F, n) 0 where unobserved, up to 1."""
+    drift: Array
+    """(F, n, 2) velocity in the second image, px/s."""
+    bones: Sequence[tuple[int, int, float]]
+    """Two joints and the length between them, m."""
+    shapes: Array
+    """(2, F, n, 3) joints as each video alone shows them, m, in world with the second camera as at the start;
+    their mean is not used."""
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Result of a bundle adjustment."""
+
+    cameras: tuple[Camera, Camera]
+    p_world_joint: Array
+    """(F, n, 3) m."""
+    x: Array
+    """(10,) unknowns of all frames; `TURN` to `SIZE`."""
+    covariance: Array
+    """(10, 10) of them."""
+    sigma: float
+    """Standard deviation of a joint in an image per axis, relative to the focal length."""
+
+
+def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array, settings: BundleSettings) -> Adjusted:
+    """Adjust the second camera to the images.
+
+    Args:
+        cameras: at the start; the second one's pose within some tens of degrees.
+        p_world_joint: (F, n, 3) start of the joints, m.
+    """
+    x, p, prior = np.zeros(_UNKNOWNS), p_world_joint.copy(), _prior(settings)
+    now = cameras
+    for _ in range(settings.iterations):
+        system = _System(now, x, images, p, p_world_joint, settings)
+        step, dp = system.step(prior * settings.frames_as_one)
+        x, p = x + step, p + dp
+        now = now[0], _moved(now[1], step[TURN], step[MOVE])
+        if np.all(np.abs(step) < 1e-6):
+            break
+    system = _System(now, x, images, p, p_world_joint, settings)
+    covariance = np.linalg.inv(np.diag(prior) + system.information / settings.frames_as_one)
+    first, second = (_longer(camera, change) for camera, change in zip(now, x[FOCAL], strict=True))
+    return Adjusted((first, second), p, x, covariance, system.size)
+
+
+def _prior(s: BundleSettings) -> Array:
+    """(10,) inverse variances."""
+    focal = [max(sigma, 1e-6) for sigma in s.sigma_focal]
+    pose = [s.sigma_tilt] * 2 + [_UNKNOWN] * 4
+    return np.asarray(1 / np.r_[pose, focal, s.sigma_delay, s.sigma_size] ** 2)
+
+
+def _moved(camera: Camera, turn: Array, move: Array) -> Camera:
+    """The camera turned by a rotation vector in world, about its centre, and moved."""
+    R = so3.nearest_rotation(camera.R_camera_world @ so3.exp(-turn))
+    return replace(camera, R_camera_world=R, t_camera_world=-R @ (camera.center_world + move))
+
+
+def _longer(camera: Camera, log_factor: float) -> Camera:
+    """The camera with its focal lengths times a factor."""
+    K = camera.K.copy()
+    K[:2, :2] *= np.exp(log_factor)
+    return replace(camera, K=K)
+
+
+class _System:
+    """Normal equations at one state, with the joints eliminated.
+
+    Attributes:
+        size: of the residuals at this state relative to the focal length.
+        information: (10, 10) of the unknowns, without prior.
+    """
+
+    def __init__(
+        self, cameras: tuple[Camera, Camera], x: Array, images: Images, p: Array, start: Array, settings: BundleSettings
+    ) -> None:
+        F, n = p.shape[:2]
+        self._x, self._shape = x, p.shape
+        self._H_pp = np.zeros((F, n, 3, n, 3))
+        self._H_cp = np.zeros((F, _UNKNOWNS, n, 3))
+        self._H_cc, self._g_c = np.zeros((_UNKNOWNS, _UNKNOWNS)), np.zeros(_UNKNOWNS)
+        self._g_p = np.zeros(p.shape)
+        s = settings.sigma_image
+        errors = np.concatenate([self._add_image(c, cameras[c], images, p, s) for c in (0, 1)])
+        self.size = float(np.median(np.abs(errors))) / _NORMAL_MEDIAN * _lost(images)
+        self._add_bones(images.bones, p, settings.sigma_bone)
+        for c in (0, 1):
+            self._add_shape(c, images.shapes[c], p, settings.sigma_shapes[c])
+        each = np.arange(n)
+        self._H_pp[:, each, :, each, :] += np.eye(3) / settings.sigma_start**2
+        self._g_p += (p - start) / settings.sigma_start**2
+        H_pp = self._H_pp.reshape(F, 3 * n, 3 * n)
+        H_pc = self._H_cp.reshape(F, _UNKNOWNS, 3 * n).swapaxes(1, 2)
+        right = np.concatenate([H_pc, self._g_p.reshape(F, 3 * n, 1)], axis=2)
+        self._solved = np.linalg.solve(H_pp, right)
+        eliminated = np.einsum("fpc,fpd->cd", H_pc, self._solved)
+        self.information = self._H_cc - eliminated[:, :_UNKNOWNS]
+        self._force = self._g_c - eliminated[:, _UNKNOWNS]
+
+    def step(self, prior: Array) -> tuple[Array, Array]:
+        """Gauss-Newton step (10,), and that of the joints (F, n, 3).
+
+        Args:
+            prior: (10,) inverse variances, relative to one frame.
+        """
+        step = -np.linalg.solve(self.information + np.diag(prior), self._force + prior * self._x)
+        dp = -self._solved[..., _UNKNOWNS] - self._solved[..., :_UNKNOWNS] @ step
+        return step, dp.reshape(self._shape)
+
+    def _add_image(self, c: int, camera: Camera, images: Images, p: Array, sigma: float) -> Array:
+        """Add the residuals of a camera, and return them relative to the focal length."""
+        camera = _longer(camera, self._x[FOCAL][c])
+        at, R = camera.to_camera(p), camera.R_camera_world
+        depth = np.maximum(at[..., 2:], 0.1)
+        flat = at[..., :2] / depth
+        spread = flat @ camera.K[:2, :2].T
+        r = spread + camera.K[:2, 2] - images.uv_px[c]
+        J = np.zeros((*r.shape, _UNKNOWNS))
+        J_p = camera.K[:2, :2] @ (R[:2] - flat[..., None] * R[2]) / depth[..., None]
+        J[..., FOCAL.start + c] = spread
+        if c == 1:
+            r = r - images.drift * self._x[DELAY]
+            J[..., TURN] = J_p @ so3.skew(p - camera.center_world)
+            J[..., MOVE] = -J_p
+            J[..., DELAY] = -images.drift
+        seen = images.weight[c] > 0
+        squares, sigma = np.where(seen, np.sum(r**2, axis=-1), 0.0), sigma * camera.K[0, 0]
+        w = images.weight[c] / (1 + squares / (_ROBUST * sigma) ** 2) / sigma**2
+        each = np.arange(p.shape[1])
+        self._H_pp[:, each, :, each, :] += np.einsum("fnki,fnkj,fn->nfij", J_p, J_p, w)
+        self._g_p += np.einsum("fnki,fnk,fn->fni", J_p, r, w)
+        self._H_cp += np.einsum("fnka,fnki,fn->fani", J, J_p, w)
+        self._H_cc += np.einsum("fnka,fnkb,fn->ab", J, J, w)
+        self._g_c += np.einsum("fnka,fnk,fn->a", J, r, w)
+        return np.asarray(np.ravel(r[seen]) / camera.K[0, 0])
+
+    def _add_shape(self, c: int, given: Array, p: Array, sigma: float) -> None:
+        """Add the joints about their mean; those of the second camera turn with it."""
+        n, w = p.shape[1], 1 / sigma**2
+        shape = given - given.mean(axis=1, keepdims=True)
+        if c == 1:
+            shape = shape @ so3.exp(self._x[TURN]).T
+            J = so3.skew(shape)
+            self._H_cp[:, TURN] += w * J.transpose(0, 3, 1, 2)
+            self._H_cc[TURN, TURN] += w * np.einsum("fnki,fnkj->ij", J, J)
+        r = p - p.mean(axis=1, keepdims=True) - shape
+        self._g_p += w * r
+        self._H_pp += w * np.einsum("ij,ab->iajb", np.eye(n) - 1 / n, np.eye(3))
+        if c == 1:
+            self._g_c[TURN] += w * np.einsum("fnki,fnk->i", J, r)
+
+    def _add_bones(self, bones: Sequence[tuple[int, int, float]], p: Array, sigma: float) -> None:
+        w = 1 / sigma**2
+        for a, b, length in bones:
+            d = p[:, a] - p[:, b]
+            distance = np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-6)
+            u, long = d / distance, length * np.exp(self._x[SIZE])
+            r, outer = distance[:, 0] - long, w * u[:, :, None] * u[:, None, :]
+            for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
+                self._H_pp[:, i, :, j, :] += sign * outer
+            for i, sign in ((a, 1), (b, -1)):
+                self._g_p[:, i] += sign * w * r[:, None] * u
+                self._H_cp[:, SIZE, i] -= sign * w * long * u
+            self._H_cc[SIZE, SIZE] += w * len(p) * long**2
+            self._g_c[SIZE] -= w * long * float(r.sum())
+
+
+def _lost(images: Images) -> float:
+    """Factor on the size of residuals for the joints that were fitted to them."""
+    seen = int((images.weight > 0).sum())
+    joints = int((images.weight > 0).any(axis=0).sum())
+    known = 2 * seen + len(images.bones) * images.weight.shape[1]
+    return float(np.sqrt(known / max(known - 3 * joints, 0.1 * known)))
+
 
 JOINTS: Final = (
     "Head",

@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.alignment import Alignment, align_sensors
+from rtof_kin.calibration.assignment import assign_sensors, check_assignment
 from rtof_kin.calibration.clock_scan import APART
 from rtof_kin.calibration.clocks import ClockEstimate, find_clock
 from rtof_kin.core import rotations as so3
@@ -26,11 +28,8 @@ from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment, segments_of
-from rtof_kin.reconstruction.clock_offset import CLOCK_DOUBT, DAYS_APART
+from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, calibrate_recording
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log
-from rtof_kin.setup.alignment import Alignment, align_sensors
-from rtof_kin.setup.assignment import assign_sensors
-from rtof_kin.setup.assignment_check import check_assignment
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
 _STILL: Final = np.radians(8.0)
@@ -111,7 +110,7 @@ def set_up_sensors(
         checked = check_assignment(clock.apply(log), told, skeleton, poses)
         doubts += [f"sensor {wrong}; correct the map, or the name" for wrong in checked.wrong]
         doubts += [f"which sensor is where: {checked.doubt}"] if checked.doubt else []
-    found = align_sensors(poses, keypoints, clock.apply(log), told, skeleton)
+    found = align_sensors(poses, keypoints, clock.apply(log), told, skeleton, calibrate_recording)
     doubts += found.warnings
     clock = _delayed(clock, found)
     imus = imus_of_log(_drifted(log, clock))

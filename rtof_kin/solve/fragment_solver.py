@@ -20,7 +20,7 @@ from rtof_kin.data.confidence import Confidence, joined
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.inertial.root_path import Footholds
 from rtof_kin.solve.cartesian.problem import TERMS as CARTESIAN_TERMS
 from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver

@@ -225,7 +225,7 @@ def test_an_interrupted_run_resumes_and_writes_everything(
     assert done == ["waving eye height, 4 m", "waving low, 4 m"]
     content = json.loads((tmp_path / "lifter.json").read_text())
     assert len(content["rows"]) == 2 * 2 * 4
-    assert content["command"] == "python -m benchmarks.lifter --corpus DIR --lifter 'mine'"
+    assert content["command"] == "python -m benchmarks lifter --corpus DIR --lifter 'mine'"
     assert set(content["lifters"]) == {"mine"}
     assert str(tmp_path) not in json.dumps(content)
     text = (tmp_path / "lifter.md").read_text()

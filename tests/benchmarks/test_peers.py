@@ -223,7 +223,7 @@ def result() -> dict[str, Any]:
         "not_certified_by_both": [apart],
     }
     return {
-        "command": "python -m benchmarks.solvers",
+        "command": "python -m benchmarks solvers",
         "machine": {"threads": "1"},
         "effort": asdict(measuring.Effort()),
         "cartesian": {"rows": rows, **common},

@@ -10,8 +10,7 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.calibration.bone_images import best_exchange, bone_images, exchanged_sides
-from rtof_kin.calibration.clock_check import check_clocks, scan_clocks
+from rtof_kin.calibration.bone_images import best_exchange, bone_images, check_clocks, exchanged_sides, scan_clocks
 from rtof_kin.core.checks import Verdict
 from rtof_kin.data.imu import BoneImuSequence
 

@@ -6,8 +6,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.calibration.clock_scan import Scan
-from rtof_kin.calibration.turning import STEP, Turning
+from rtof_kin.calibration.clock_scan import STEP, Scan, Turning
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.calibration.delay_posterior import DelayPosterior, LateSensors, Sensors
 from rtof_kin.calibration.result import Verdict
+from rtof_kin.calibration.sequential import DelayPosterior, LateSensors, Sensors
 
 Array = NDArray[np.float64]
 TIMES = 5.0 + np.arange(40) / 60

@@ -16,7 +16,7 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.consistency_checks import consistency_warnings
+from rtof_kin.reconstruction.self_calibration import consistency_warnings
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.reconstruction.consistency_checks import check_height, consistency_warnings
+from rtof_kin.reconstruction.self_calibration import check_height, consistency_warnings
 from rtof_kin.recording.recording import Recording
 
 T = 72

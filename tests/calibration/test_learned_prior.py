@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.calibration.learned_prior import learned_precision
+from rtof_kin.calibration.shared_fragments import learned_precision
 
 Array = NDArray[np.float64]
 KIND, OTHER = slice(0, 40), slice(40, 46)

@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.estimate import with_places
-from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
-from rtof_kin.calibration.result import Detector, Quantity, SelfCalibration, Verdict, bone_groups
+from rtof_kin.calibration.result import (
+    Detector,
+    Quantity,
+    SelfCalibration,
+    Verdict,
+    bone_groups,
+    read_self_calibration_toml,
+    write_self_calibration_toml,
+)
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.recording.recording import Recording

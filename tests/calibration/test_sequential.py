@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.estimate import even_noise
-from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
+from rtof_kin.calibration.fragment_profile import finished
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
-from rtof_kin.calibration.result import SelfCalibration, Verdict
-from rtof_kin.calibration.schur_complement import finished
+from rtof_kin.calibration.result import (
+    SelfCalibration,
+    Verdict,
+    read_self_calibration_toml,
+    write_self_calibration_toml,
+)
 from rtof_kin.calibration.sequential import Pace, SequentialCalibration, WindowObservations
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError

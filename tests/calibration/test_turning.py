@@ -1,4 +1,4 @@
-"""Tests of `rtof_kin.calibration.turning`."""
+"""Tests of `rtof_kin.calibration.clock_scan`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import planted
 from clocks_support import filmed, skeleton, worn
 
-from rtof_kin.calibration.turning import STEP, image_turning, sensor_turning
+from rtof_kin.calibration.clock_scan import STEP, image_turning, sensor_turning
 from rtof_kin.core import rotations as so3
 
 

@@ -16,10 +16,14 @@ import pytest
 from detector_support import points_px, walking, watching
 from live_support import FakeEstimator, demo, imu_samples
 from rich.console import Console
-
-from rtof_kin.calibration.file import read_self_calibration_toml, write_self_calibration_toml
-from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.cli.live_display import LiveDisplay
+
+from rtof_kin.calibration.result import (
+    Quantity,
+    SelfCalibration,
+    read_self_calibration_toml,
+    write_self_calibration_toml,
+)
 from rtof_kin.core.resources import model_path
 from rtof_kin.live.samples import OnlineEstimate
 from rtof_kin.live.session.clock_map import Arrived

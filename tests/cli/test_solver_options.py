@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rtof_kin.cli.solver_options import add_solver_options, settings_of
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.cli.solver_options import add_solver_options, settings_of
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.choices import GUARDS
 from rtof_kin.core.environment import limit_threads, threads

@@ -470,7 +470,6 @@ def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry:
         {"num_joints": 17, "keypoints_symmetry": [[1, 3, 5, 7, 9, 11, 13, 15], [2, 4, 6, 8, 10, 12, 14, 16]]},
         {"num_joints": 17, "keypoints_symmetry": 5},
         {},
-        [],
         None,
     ],
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import runpy
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import sensors
-from rtof_kin.setup.alignment import align_sensors
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -45,7 +43,7 @@ def test_a_phone_and_dots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     keypoints, log, segments = write_demo(tmp_path, 10, 12)
     (tmp_path / "map.csv").write_text("".join(f"{name};{joint}\n" for name, joint in segments.items()))
     write_camera_toml(tmp_path / "calib.toml", {"cam": Recording.load(model_path("demo")).video.camera})
-    monkeypatch.setattr(sensors, "align_sensors", partial(align_sensors, refine=False))
+    monkeypatch.setattr(sensors, "calibrate_recording", None)
     files = (keypoints, log, tmp_path / "map.csv", tmp_path / "calib.toml")
     run("phone_and_dots.py", 1.73, tmp_path / "out", *files, monkeypatch=monkeypatch)
     printed = capsys.readouterr().out

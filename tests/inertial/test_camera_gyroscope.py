@@ -12,7 +12,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu_stream import SensorStream
-from rtof_kin.inertial.camera_gyroscope import HELD, held_of_gravity, match_to_image, motion_of_gyroscope, with_gravity
+from rtof_kin.inertial.orientation import HELD, held_of_gravity, match_to_image, motion_of_gyroscope, with_gravity
 
 RATE = 200.0
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1, 0]])  # R_camera_world: looks along y

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import Contacts, ContactSettings, Footholds, detect_contacts, footholds
+from rtof_kin.inertial.root_path import Contacts, ContactSettings, Footholds, detect_contacts, footholds
 
 BODY = SkeletonModel.default()
 WALK, STANDS = planted.walking(BODY, 4.0)

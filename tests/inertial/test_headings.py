@@ -8,9 +8,15 @@ from inertial_support import free
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.inertial.headings import own_headings, shared_heading, wrapped
-from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, segment_motions
-from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.inertial.likelihood import (
+    MotionLikelihood,
+    SegmentMotion,
+    own_headings,
+    segment_motions,
+    shared_heading,
+    wrapped,
+)
+from rtof_kin.inertial.pose_calibration import pose_rotations
 
 SENSORS = ("L_UpLeg", "L_LowLeg", "Pelvis")
 

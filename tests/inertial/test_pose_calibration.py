@@ -14,8 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.inertial.pose_calibration import PoseCalibration, calibrate_by_pose
-from rtof_kin.inertial.poses import facing_of, pose_rotations
+from rtof_kin.inertial.pose_calibration import PoseCalibration, calibrate_by_pose, facing_of, pose_rotations
 from rtof_kin.simulation.noise import ImuNoise
 
 LEGS = ("L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg", "Pelvis")

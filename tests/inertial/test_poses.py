@@ -8,7 +8,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.inertial.poses import POSES, facing_of, pose_rotations, turned_to
+from rtof_kin.inertial.pose_calibration import POSES, facing_of, pose_rotations, turned_to
 
 DOWN, AHEAD = [0, 0, -1], [1, 0, 0]
 

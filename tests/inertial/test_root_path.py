@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.inertial.contacts import Contacts, detect_contacts
-from rtof_kin.inertial.root_path import RootPath, RootPathSettings, root_path
+from rtof_kin.inertial.root_path import Contacts, RootPath, RootPathSettings, detect_contacts, root_path
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

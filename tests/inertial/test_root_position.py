@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.inertial.initial_poses import refit_root
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()

@@ -18,9 +18,9 @@ from rtof_kin.core.checks import Check, Verdict
 from rtof_kin.core.errors import InvalidInputError, ViewError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
-from rtof_kin.reconstruction.camera_checks import check_camera_alone, explained
 from rtof_kin.reconstruction.camera_evidence import Scene, check_walk, standing_feet
-from rtof_kin.reconstruction.image_checks import look_at_picture
+from rtof_kin.reconstruction.checks.camera import check_camera_alone, explained
+from rtof_kin.reconstruction.checks.image import look_at_picture
 from rtof_kin.reconstruction.lift import shipped_lifter
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording

@@ -14,7 +14,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.camera_heading import heading_drift
+from rtof_kin.reconstruction.camera_evidence import heading_drift
 
 T, RATE = 900, 15.0
 TIMES = np.arange(T) / RATE

@@ -1,4 +1,4 @@
-"""Tests of `rtof_kin.reconstruction.clock_offset`."""
+"""Tests of `rtof_kin.reconstruction.self_calibration`."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
-from rtof_kin.reconstruction import clock_offset
-from rtof_kin.reconstruction.clock_offset import CLOCK_DOUBT, DAYS_APART, ClockOffset, find_offset
+from rtof_kin.reconstruction import self_calibration
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, ClockOffset, find_offset
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.headline import headline
@@ -25,7 +25,7 @@ DEMO = Path(__file__).parents[2] / "models" / "demo"
 
 @pytest.fixture(autouse=True)
 def by_velocities_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock_offset, "_UNSHARP", np.inf)
+    monkeypatch.setattr(self_calibration, "_UNSHARP", np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +94,8 @@ def test_where_velocities_are_unsharp_the_energy_decides(demo: Recording, monkey
         return SelfCalibration((Quantity("delay", "video", *np.array([[0.003], [0.004], [0.02]]), 0.96),))
 
     before = found(demo.between(5.0, 13.0)).delay
-    monkeypatch.setattr(clock_offset, "_UNSHARP", 0.0)
-    monkeypatch.setattr(clock_offset, "calibrated", calibrated)
+    monkeypatch.setattr(self_calibration, "_UNSHARP", 0.0)
+    monkeypatch.setattr(self_calibration, "calibrated", calibrated)
     after = found(demo.between(5.0, 13.0)).delay
     assert before is not None
     assert after is not None

@@ -16,10 +16,10 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.formats.measurements_npz import read_measurements_npz
 from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.reconstruction import parts
-from rtof_kin.reconstruction.clock_offset import ClockOffset
 from rtof_kin.reconstruction.parts import is_long, parts_of, reconstruct_in_parts
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Choices, Reconstruction
+from rtof_kin.reconstruction.self_calibration import ClockOffset
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.export import export_parts

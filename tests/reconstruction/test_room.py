@@ -13,10 +13,10 @@ from benchmarks.scoring import bands
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
+from rtof_kin.reconstruction.checks.position import displacements
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reconstruction.room import displacements
-from rtof_kin.reconstruction.uncalibrated import with_camera
+from rtof_kin.reconstruction.self_calibration import with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import Grade

@@ -10,16 +10,16 @@ import pytest
 
 from benchmarks.planted.gross import OF_CAMERA
 from benchmarks.planted.gross import OF_SENSORS as FAULTS
-from rtof_kin.calibration.clock_check import NAME as CLOCKS
+from rtof_kin.calibration.bone_images import NAME as CLOCKS
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import Verdict
 from rtof_kin.core.errors import InvalidInputError, SolverError
 from rtof_kin.core.resources import model_path
-from rtof_kin.inertial.recorded_form import FROZEN, GRAVITY
+from rtof_kin.inertial.outlier_rejection import FROZEN, GRAVITY
 from rtof_kin.reconstruction import pipeline
+from rtof_kin.reconstruction.checks.sensors import SETUP, naming_wrong_samples
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reconstruction.sensor_checks import SETUP, naming_wrong_samples
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 

@@ -11,9 +11,9 @@ import pytest
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
-from rtof_kin.reconstruction.image_checks import exchanged_sides
+from rtof_kin.reconstruction.checks.camera import check_bones
+from rtof_kin.reconstruction.checks.image import exchanged_sides
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.scale_checks import check_bones
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit

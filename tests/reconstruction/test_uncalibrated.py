@@ -14,8 +14,9 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.confidence import WORLD
 from rtof_kin.reconstruction.pipeline import calibrate_camera, reconstruct
+from rtof_kin.reconstruction.quality import with_camera_uncertainty
 from rtof_kin.reconstruction.result import Reconstruction
-from rtof_kin.reconstruction.uncalibrated import excerpt, with_camera, with_camera_uncertainty
+from rtof_kin.reconstruction.self_calibration import excerpt, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.page.quality import camera_table

@@ -22,7 +22,7 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu_stream import CHOICES
 from rtof_kin.formats.world_axes import UP
-from rtof_kin.inertial.camera_gyroscope import HELD
+from rtof_kin.inertial.orientation import HELD
 from rtof_kin.recording import index as index_module
 from rtof_kin.recording.files import RECOGNISE, naming
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, read_index

@@ -1,4 +1,4 @@
-"""Tests of `rtof_kin.setup.alignment`."""
+"""Tests of `rtof_kin.calibration.alignment`."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ import planted
 import pytest
 from clocks_support import filmed, joints, shifted, skeleton, worn
 
+from rtof_kin.calibration.alignment import Alignment, align_sensors
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, ViewError
 from rtof_kin.data.imu import ImuCalibration
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.inertial.headings import wrapped
-from rtof_kin.reconstruction import self_calibration
+from rtof_kin.inertial.likelihood import wrapped
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.alignment import Alignment, align_sensors
 
 SIX = ("L_UpArm", "L_LowArm", "R_LowArm", "L_UpLeg", "R_LowLeg", "Sternum")
 
@@ -42,7 +41,7 @@ def turned(log: SensorLog, truth: ImuCalibration, headings: np.ndarray) -> tuple
 def test_heading_and_mounting_of_each_sensor_are_found() -> None:
     motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = worn(motion, sensors=SIX)
-    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
     assert headings_off_deg(found, truth).max() < 5.0
     mounting = np.degrees(so3.angle_between(found.calibration.R_sensor_bone, truth.R_sensor_bone))
     assert mounting.max() < 6.0
@@ -53,7 +52,7 @@ def test_heading_and_mounting_of_each_sensor_are_found() -> None:
 def test_a_shared_reference_is_recognised_and_used_for_all() -> None:
     motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = turned(*worn(motion, sensors=SIX), 1.2 + np.radians([0.0, 4.0, -3.0, 2.0, 5.0, -4.0]))
-    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
     assert found.shared_reference
     assert len({round(sensor.heading, 9) for sensor in found.sensors}) == 1
     assert headings_off_deg(found, truth).max() < 8.0
@@ -62,7 +61,7 @@ def test_a_shared_reference_is_recognised_and_used_for_all() -> None:
 def test_a_segment_that_does_not_move_is_in_doubt() -> None:
     motion = planted.standing(skeleton(), 600)
     log, truth = worn(motion)
-    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
     assert all("hardly determines its heading" in sensor.doubt for sensor in found.sensors)
     assert found.warnings == (f"sensor {', '.join(log.names)}: {found.sensors[0].doubt}",)
 
@@ -75,7 +74,7 @@ def test_turns_about_the_vertical_alone_leave_the_heading_open() -> None:
     p = np.einsum("tij,tkj->tki", turn, poses.p_world_joint)
     motion = replace(motion, poses=poses.with_poses(slice(None), p, R))
     log, truth = worn(motion)
-    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), refine=False)
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
     assert all(sensor.doubt for sensor in found.sensors)
 
 
@@ -92,33 +91,32 @@ def test_a_segment_that_is_hardly_seen_names_its_sensor() -> None:
     poses, keypoints = filmed(motion, 0.0, 9.0)
     with pytest.raises(CalibrationError, match="sensor L_LowArm: its segment is seen for less"):
         seen = planted.unseen(keypoints, slice(30, None))
-        align_sensors(poses, seen, log, joints(truth), skeleton(), refine=False)
+        align_sensors(poses, seen, log, joints(truth), skeleton())
 
 
-def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
+def test_without_refinement_everything_is_in_doubt_and_a_warning_says_why() -> None:
+    def fails(*_: object) -> SelfCalibration:
         raise ViewError("the person is behind the camera")
 
-    monkeypatch.setattr(self_calibration, "calibrate_recording", fails)
     motion = planted.moving(skeleton(), 600)
     log, truth = worn(motion)
-    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton())
+    found = align_sensors(*filmed(motion, 0.0, 9.0), log, joints(truth), skeleton(), fails)
     assert found.refined is None
     assert found.delay is None
     assert "not refined: the person is behind the camera" in found.warnings[0]
     assert all(sensor.doubt for sensor in found.sensors)
 
 
-def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration() -> None:
     motion = planted.moving(skeleton(), 600, radians=0.5)
     log, truth = worn(motion)
     extra = replace(log.streams[0], name="on the shoulder")  # where the solver takes no sensor
     log = replace(log, streams=(extra, *log.streams))
     places = {"on the shoulder": "LeftShoulder"} | joints(truth)
     video = filmed(motion, 0.0, 9.0)
-    before = align_sensors(*video, log, places, skeleton(), refine=False)
+    before = align_sensors(*video, log, places, skeleton())
 
-    def finds(recording: Recording, priors: CalibrationPriors) -> SelfCalibration:
+    def finds(recording: Recording, _: object, priors: CalibrationPriors) -> SelfCalibration:
         assert recording.calibration is not None
         assert recording.calibration.sensors == truth.sensors
         found = [Quantity("delay", "video", np.array([0.004]), np.array([0.002]), np.array([0.05]), 0.99)]
@@ -130,8 +128,7 @@ def test_headings_mountings_and_their_errors_are_those_of_the_self_calibration(m
             ]
         return SelfCalibration(tuple(found), (), 4.5, True)
 
-    monkeypatch.setattr(self_calibration, "calibrate_recording", finds)
-    after = align_sensors(*video, log, places, skeleton())
+    after = align_sensors(*video, log, places, skeleton(), finds)
     assert after.sensors[0].heading == before.sensors[0].heading
     for old, new in zip(before.sensors[1:], after.sensors[1:], strict=True):
         assert abs(wrapped(new.heading - old.heading)) == pytest.approx(np.radians(5.0))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from assignment_support import places, turned, walk, walking_log, walking_poses
 
+from rtof_kin.calibration.assignment import assign_sensors
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.setup.assignment import assign_sensors
 
 LEGS = ("R_LowLeg", "Pelvis", "L_UpLeg", "R_UpLeg", "L_LowLeg")
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from assignment_support import SOME, exchanged, places, some, walk, walking_log, walking_poses
 
+from rtof_kin.calibration.assignment import check_assignment
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.setup.assignment_check import check_assignment, check_recording
+from rtof_kin.reconstruction.checks.sensors import check_recording
 
 
 def test_a_right_map_is_left_alone() -> None:

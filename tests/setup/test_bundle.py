@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
-from rtof_kin.setup.bundle import DELAY, FOCAL, MOVE, SIZE, TURN, Adjusted, BundleSettings, Images, adjust
+from rtof_kin.setup.second_camera import DELAY, FOCAL, MOVE, SIZE, TURN, Adjusted, BundleSettings, Images, adjust
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -14,7 +14,7 @@ from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.camera_table import read_camera
-from rtof_kin.setup.camera_prior import (
+from rtof_kin.setup.camera import (
     HEIGHT,
     SIGMA_HEIGHT,
     SIGMA_PITCH_DEG,

@@ -16,10 +16,9 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_motion_npz import read_camera_motion
-from rtof_kin.inertial.camera_gyroscope import HELD
+from rtof_kin.inertial.orientation import HELD
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.camera_prior import assumed_camera
-from rtof_kin.setup.handheld import filming_camera, turning_of_video
+from rtof_kin.setup.camera import assumed_camera, filming_camera, turning_of_video
 from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.recording_text import Field
 from rtof_kin.setup.sources import Sources

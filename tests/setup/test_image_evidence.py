@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from assignment_support import places, turned, walk, walking_log, walking_poses
 
-from rtof_kin.setup.image_evidence import image_scores
-from rtof_kin.setup.sensor_motion import sensor_motions
+from rtof_kin.calibration.motion_score import image_scores
+from rtof_kin.calibration.sensor_motion import sensor_motions
 
 SEGMENTS = tuple(places().values())
 

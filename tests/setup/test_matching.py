@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 from scipy.special import softmax
 
-from rtof_kin.setup.matching import match
+from rtof_kin.calibration.assignment import match
 
 
 def planted(S: int, K: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from assignment_support import places, turned, walking_log
 
-from rtof_kin.setup.motion_features import pair_features, single_features
-from rtof_kin.setup.motion_score import MotionScore
-from rtof_kin.setup.sensor_motion import sensor_motions
+from rtof_kin.calibration.motion_score import MotionScore, pair_features, single_features
+from rtof_kin.calibration.sensor_motion import sensor_motions
 
 GAIN = 6
 """Index of how much a common joint explains, among the features of pairs."""

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from assignment_support import walking_log
 
+from rtof_kin.calibration.sensor_motion import joined, sensor_motions
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
-from rtof_kin.setup.sensor_motion import joined, sensor_motions
 
 
 def swinging(offset: float = 0.0) -> SensorLog:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,6 @@ from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import lift
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import sensors
-from rtof_kin.setup.alignment import align_sensors
 from rtof_kin.setup.recording_text import Field, summaries
 from rtof_kin.setup.sensors import SetupSensors, set_up_sensors
 
@@ -34,7 +32,7 @@ DELAY = 0.07
 @pytest.fixture(autouse=True)
 def _unrefined(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the self-calibration out, which takes longest and is tested elsewhere."""
-    monkeypatch.setattr(sensors, "align_sensors", partial(align_sensors, refine=False))
+    monkeypatch.setattr(sensors, "calibrate_recording", None)
 
 
 class Take:

@@ -12,7 +12,7 @@ from setup_support import write_sensors
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.init import SetupSettings
 from rtof_kin.setup.sensors_alone import make_sensor_recording

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import SolverError
-from rtof_kin.inertial.contacts import FEET, Footholds
+from rtof_kin.inertial.root_path import FEET, Footholds
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.inertial_ik import InertialGuidedIK
 from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother

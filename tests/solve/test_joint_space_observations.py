@@ -15,7 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds
+from rtof_kin.inertial.root_path import FEET, Footholds
 from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess

@@ -27,11 +27,11 @@ import xdf_file
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
+from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.human36m import Human36M
 from rtof_kin.datasets.human36m_cameras import read_cameras as read_human36m_cameras
-from rtof_kin.datasets.object_npz import read_object_npz
 from rtof_kin.formats import total_capture
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
@@ -271,7 +271,7 @@ READERS = (
         "object npz",
         "a.npz",
         lambda: npz(a=np.array({"S1": [np.eye(2), "x", 1.5]}, dtype=object)),
-        lambda p: read_object_npz(p, ["a"]),
+        lambda p: read_object_npz(p, ("a",)),
     ),
     # --- motion capture
     given("BVH", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), read_bvh),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.inertial.contacts import FEET
+from rtof_kin.inertial.root_path import FEET
 from rtof_kin.solve.energy.frame_energy import TORSO, FrameEnergy, Shape
 from rtof_kin.solve.energy.problem import FragmentData, JointProblem
 from rtof_kin.solve.energy.state import StateSpace

@@ -19,7 +19,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.poses import pose_rotations
+from rtof_kin.inertial.pose_calibration import pose_rotations
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

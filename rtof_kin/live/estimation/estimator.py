@@ -22,7 +22,7 @@ from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import InvalidInputError, ShapeError, SolverError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.live.estimation.first_pose import first_lifted, first_sensed
 from rtof_kin.live.estimation.online_settings import OnlineSettings
 from rtof_kin.live.estimation.refinement import Refinement

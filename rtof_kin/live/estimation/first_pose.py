@@ -14,9 +14,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET
-from rtof_kin.inertial.initial_poses import poses_from_sensors
-from rtof_kin.inertial.root_position import refit_root
+from rtof_kin.inertial.initial_poses import poses_from_sensors, refit_root
+from rtof_kin.inertial.root_path import FEET
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
+from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 from rtof_kin.live.samples import FrameSample
 from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother

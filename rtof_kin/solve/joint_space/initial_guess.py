@@ -21,8 +21,8 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import poses_from_sensors
+from rtof_kin.inertial.initial_poses import refit_root as refitted
 from rtof_kin.inertial.root_path import path_through_gaps
-from rtof_kin.inertial.root_position import refit_root as refitted
 
 
 @dataclass(frozen=True)

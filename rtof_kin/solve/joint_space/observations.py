@@ -18,7 +18,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import FEET, Footholds, detect_contacts
+from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
 from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy, built_energy
 from rtof_kin.solve.energy.frame_energy import TORSO, Shape
 from rtof_kin.solve.energy.problem import FragmentData

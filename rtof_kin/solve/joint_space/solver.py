@@ -18,7 +18,7 @@ from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solve
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.contacts import Footholds
+from rtof_kin.inertial.root_path import Footholds
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
 from rtof_kin.solve.joint_space.initial_guess import InitialGuess

@@ -25,7 +25,7 @@ sensed   both segments of a pair (the one of a pair with the world) have a senso
          relative to the root, the root's segment has one
 =======  ==========================================================================================
 
-The numbers were fitted on recordings of other people (``python -m benchmarks.confidence --fit``).
+The numbers were fitted on recordings of other people (``python -m benchmarks confidence --fit``).
 """
 
 from __future__ import annotations

@@ -1,0 +1,276 @@
+"""Checks of a recording's sensors and clocks against physics, the image and the reconstructed motion.
+
+Checks run in the order of cause: form of the samples, then the video's rate and the clocks, then what all
+sensors share, then single sensors. A check that an earlier failure would mislead is skipped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.assignment import AssignmentCheck, check_assignment
+from rtof_kin.calibration.bone_images import NAME as CLOCKS
+from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images, check_clocks
+from rtof_kin.core.checks import Check
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.outlier_rejection import FROZEN, UNEXPLAINED, check_form
+from rtof_kin.inertial.pose_calibration import pose_rotations, usual_lever
+from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, diagnose_setup, setup_log_likelihood
+from rtof_kin.reconstruction.checks.causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
+from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+
+SETUP = "evidence for another setup"
+_SURE, _SURE_OF_ONE = 25.0, 40.0
+"""Log-likelihood ratios [nats] from which a fault is reported: of several sensors, and of a single one,
+which unusual movement resembles."""
+_OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
+"""Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
+_THINNED = 0.05
+"""[s] between the samples in which exchanged sensors are looked for."""
+_LEAST_SECONDS = 2.0
+"""[s] Shortest movement by which placement and references of sensors can be checked."""
+_OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
+"""Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
+_ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
+"""Faults whose evidence differs where the sensors were calibrated in an N-pose."""
+_DISAGREES, _EXCHANGED = 2.8, 0.7
+"""Nats a frame by which a sensor contradicts the image, and by which an exchange of two reduces that, from
+which the setup is diagnosed: one correct recording in twenty reaches one of them."""
+
+
+def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
+    """Check by physics that the samples have the units, signs and frames of a recording.
+
+    Args:
+        recording: with or without IMUs; without, there are no checks.
+    """
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None or calibration is None or not set(imus.names) <= set(calibration.sensors):
+        return ()
+    return check_form(imus, calibration.select(imus.names).R_world_inertial)
+
+
+def check_sensor_evidence(
+    recording: Recording,
+    prepared: Prepared,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    lifter: LifterLike | None,
+    settings: ReconstructionSettings,
+    suspect: bool = False,
+    view_suspect: bool = False,
+) -> tuple[Check, ...]:
+    """Check the declared sensors and clocks.
+
+    Args:
+        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
+        lifter, settings: as for `reconstruct`. suspect: another finding may be explained by a wrong sensor setup.
+        view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem rotated
+            together.
+
+    Returns:
+        Every check that the recording allows; failed ones name a likely cause.
+    """
+    form = check_sensor_form(recording)
+    if not form or recording.imus is None or recording.calibration is None:
+        return form
+    native = recording.calibration.apply(recording.imus)
+    tilt = check_tilt(native, prepared.stages["lift"])
+    if tilt.failed and not any(check.failed and check.name == FROZEN for check in form):
+        form = (tilt, *(check for check in form if not check.cause.startswith(UNEXPLAINED)))
+    if wrong := next((check for check in form if check.failed), None):
+        why = f"the samples are not as declared: {wrong.cause}"
+        unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
+        return (*form, *(Check.unknown(*what, why) for what in unknown))
+    seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
+    images = bone_images(seen, native, lifted, skeleton)
+    if images is not None:
+        rate = check_frame_rate(images, seen)
+        form = (*form, rate)
+        if rate.failed:
+            return (*form, Check.unknown(SETUP, "sensors", "nats", f"first {rate.cause}"))
+    clocks = check_clocks(seen, native, lifted, skeleton)
+    if clocks.failed:
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
+    still, camera = check_still(native, skeleton), recording.video.camera
+    shared = _measured([still, tilt], prepared, poses, skeleton, images, camera, view_suspect)
+    form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
+    if wrong:
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
+    off = np.full(1, np.nan) if images is None else images.by_sensor()
+    if np.isnan(off).all() and not suspect:
+        why = "no bone with a sensor is visible in the image"
+        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
+    suspect = suspect or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
+    readings = (_exchanged_segments(native), _exchanged_samples(recording.imus, recording.calibration))
+    if not suspect and all(best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings):
+        return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
+    if prepared.bone_imus is None and prepared.calibration is None:
+        image_only = prepared
+    else:
+        image_only = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
+    setup = _check_setup(image_only, recording.calibration, view_suspect)
+    return (*form, clocks, setup)
+
+
+def _measured(
+    found: list[Check],
+    prepared: Prepared,
+    poses: PoseSequence,
+    skeleton: SkeletonModel,
+    images: BoneImages | None,
+    camera: Camera,
+    view_suspect: bool,
+) -> list[Check]:
+    """Checks of a still sensor and of the vertical, with what is measured beside them in the image."""
+    still, tilt = found
+    if images is not None and not view_suspect and not (still.failed or tilt.failed):
+        found += check_turned(images, camera, tilt.passed)
+    if prepared.bone_imus is not None and not view_suspect:
+        found.append(check_twist(poses, prepared.bone_imus, skeleton))
+    return found
+
+
+@contextmanager
+def naming_wrong_samples(recording: Recording) -> Iterator[None]:
+    """Prepend failed checks of the samples to errors raised inside."""
+    try:
+        yield
+    except (CalibrationError, InvalidInputError, SolverError) as error:
+        causes = [check.message for check in check_sensor_form(recording) if check.failed]
+        if not causes:
+            raise
+        raise type(error)("; ".join([*causes, f"therefore {error}"])) from error
+
+
+def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:
+    """Return the lifted keypoints on the declared clock."""
+    lifted, declared = prepared.recording.video, recording.video
+    times = np.interp(lifted.video_times, declared.video_times, declared.times)
+    return replace(lifted, times=times)
+
+
+def _exchanged_segments(native: BoneImuSequence) -> Iterator[BoneImuSequence]:
+    """Yield the sensors with their segments exchanged, for `best_exchange`."""
+    for joints in _rolled(native.joints):
+        yield replace(native, joints=joints)
+
+
+def _exchanged_samples(imus: ImuSequence, calibration: ImuCalibration) -> Iterator[BoneImuSequence]:
+    """Yield the samples with their calibrations exchanged, for `best_exchange`."""
+    step = float(np.median(np.diff(imus.times))) if len(imus) > 1 else _THINNED
+    few = slice(None, None, max(1, int(_THINNED / step)))
+    R, f = imus.R_inertial_sensor[few], imus.f_sensor[few]
+    thin = replace(imus, times=imus.times[few], R_inertial_sensor=R, f_sensor=f)
+    for names in _rolled(imus.names):
+        yield calibration.apply(replace(thin, names=names))
+
+
+def _rolled(names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    for shift in range(len(names)):
+        yield names[shift:] + names[:shift]
+
+
+def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect: bool) -> Check:
+    """Diagnose placement and world frame of the sensors from movement and a lift without sensors."""
+    bone_imus, visual = image_only.recording.bone_imus(), image_only.stages["lift"]
+    if bone_imus is None or not _long_enough(bone_imus):
+        why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
+        return Check.unknown(SETUP, "sensors", "nats", why)
+    found = [
+        fault
+        for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE))
+        for fault in diagnose_setup(
+            bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration, kinds=kinds, most=1
+        )
+    ]
+    if not found:
+        return Check(SETUP, "sensors", 0.0, _SURE, "nats")
+    fault = max(found, key=lambda fault: fault.log_likelihood_ratio / _least(fault))
+    if view_suspect and fault.kind in _OF_ALL:
+        why = "all sensors seem rotated, which the camera may explain"
+        return Check.unknown(SETUP, "sensors", "nats", why)
+    others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
+    return Check(
+        SETUP, "sensors", fault.log_likelihood_ratio, _least(fault), "nats", f"{fault.remedy}{others}", cause=fault.what
+    )
+
+
+def _least(fault: Fault) -> float:
+    """Log-likelihood ratio from which a fault is reported."""
+    if fault.kind in _OF_ALL:
+        return LEAST_RATIO
+    return _SURE_OF_ONE if fault.kind in _OF_ONE else _SURE
+
+
+def _long_enough(bone_imus: BoneImuSequence) -> bool:
+    known = np.isfinite(bone_imus.R_world_bone).all(axis=(-2, -1)).any(axis=-1)
+    return bool(known.any() and np.ptp(bone_imus.times[known]) >= _LEAST_SECONDS)
+
+
+_CONTRADICTED = 10.0  # [nats] by which calibrated motion may favour the map as declared
+
+
+def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
+    """Check the sensors of a recording with its video, if it has one whose clock agrees.
+
+    Returns:
+        The check, and the recording with the correction, or as it is where nothing is wrong.
+
+    Raises:
+        InvalidInputError: no IMUs or calibration, or too little of them.
+        ViewError: a lifted pose is behind the camera.
+    """
+    imus, calibration = recording.imus, recording.calibration
+    if imus is None or calibration is None:
+        raise InvalidInputError(f"{recording.name} has no calibrated sensors whose places could be checked")
+    calibration = calibration.select(imus.names)
+    joints = dict(zip(calibration.sensors, calibration.joints, strict=True))
+    skeleton = recording.skeleton
+    poses = None if recording.keypoints is None else lift(evenly_spaced(recording.video), skeleton).poses
+    if poses is not None:
+        clocks = check_clocks(recording.video, calibration.apply(imus), poses, skeleton)
+        poses = None if clocks.failed else poses
+    check = check_assignment(SensorLog.of_imus(imus, recording.name), joints, skeleton, poses)
+    if not check.wrong:
+        return check, recording
+    scores = [
+        (setup_log_likelihood(way.apply(imus), skeleton, poses), way)
+        for way in (calibration, *_corrections(calibration, check.joints, skeleton))
+    ]
+    best, way = max(scores[1:], key=lambda pair: pair[0])
+    if best < scores[0][0] - _CONTRADICTED:
+        doubt = f"{'; '.join(map(str, check.wrong))}; but the calibration agrees with the declared places"
+        return replace(check, joints=joints, wrong=(), doubt=doubt), recording
+    return check, replace(recording, calibration=way)
+
+
+def _corrections(
+    calibration: ImuCalibration, joints: Mapping[str, str], skeleton: SkeletonModel
+) -> Iterator[ImuCalibration]:
+    """Generate calibrations with the sensors on other segments."""
+    new = tuple(joints[sensor] for sensor in calibration.sensors)
+    known = dict(zip(calibration.joints, calibration.p_bone_sensor, strict=True))
+    levers = np.stack([known.get(j, usual_lever(j, skeleton)) for j in new])
+    before, after = list(skeleton.index(*calibration.joints)), list(skeleton.index(*new))
+    for pose in ("T", "N"):
+        R = pose_rotations(pose, skeleton)
+        turned = calibration.R_sensor_bone @ np.swapaxes(R[before], -1, -2) @ R[after]
+        yield replace(calibration, joints=new, R_sensor_bone=turned, p_bone_sensor=levers)
+    if set(new) == set(calibration.joints):  # the samples are filed under each other's names
+        order = [calibration.joints.index(joint) for joint in new]
+        others = calibration.select(tuple(calibration.sensors[i] for i in order))
+        yield replace(others, sensors=calibration.sensors)

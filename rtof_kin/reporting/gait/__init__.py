@@ -1,1 +1,0 @@
-"""Gait scores: recordings that they are made from, sentences, figure and files."""
