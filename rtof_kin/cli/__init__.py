@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 COMMANDS: Final = {
     "record": {"run": "record", "detect": "record", "simulate": "record"},
-    "reconstruct": {"reconstruct": "reconstruction", "batch": "batch"},
+    "reconstruct": {"reconstruct": "reconstruction", "batch": "reconstruction"},
     "look": {"inspect": "inspection", "report": "reporting", "view": "view", "overlay": "view"},
     "compare": {"compare": "compare", "study": "compare", "gait-reference": "compare"},
     "plan": {"plan": "compare"},
@@ -161,6 +161,7 @@ def app(arguments: Sequence[str] = ()) -> App:
         help_format="plaintext",
         version=lambda: f"rtof-kin {rtof_kin.__version__}",
         version_flags="--version",
+        group_commands=Group("options", sort_key=len(COMMANDS)),
         default_parameter=Parameter(negative_iterable=(), negative_none=()),
         console=out,
         error_console=err,
@@ -169,8 +170,6 @@ def app(arguments: Sequence[str] = ()) -> App:
         print_error=False,
         suppress_keyboard_interrupt=False,
     )
-    for flag in ("--help", "--version"):
-        whole[flag].group = Group("options", sort_key=len(COMMANDS))
     named = bool(arguments) and arguments[0] in command_names()
     for number, (purpose, commands) in enumerate(COMMANDS.items()):
         group = Group(purpose, sort_key=number)
@@ -188,7 +187,7 @@ def _summary(module: str, function: str) -> str:
     from pathlib import Path
 
     text = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
-    found = re.search(rf'^(?:def {function}\(.*?"""|{function} = App\([^"]*help=")(.+?)\.?["\n]', text, re.M | re.S)
+    found = re.search(rf'^def {function}(?:_motion)?\(.*?"""(.+?)\.?["\n]', text, re.M | re.S)
     assert found, f"{module}: no command {function}"
     return found[1]
 

@@ -12,19 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.table import Table
 
-from rtof_kin.cli.options import (
-    SOLVER,
-    Figures,
-    File,
-    Model,
-    Overwrite,
-    Paper,
-    Seconds,
-    Seed,
-    Threads,
-    Workers,
-    command,
-)
+from rtof_kin.cli.options import SOLVER, Figures, File, Model, Overwrite, Paper, Seed, Threads, Workers, command
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
 from rtof_kin.clinical.repetitions import Kind
@@ -137,7 +125,7 @@ def study(
         ),
     ],
     path: Literal["greedy", "ranked"] | None = None,
-    seconds: Seconds = 120.0,
+    seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
     model: Model = None,
     workers: Workers = None,
     figures: Figures = True,
@@ -261,7 +249,7 @@ def gait_reference(
     from rtof_kin.formats.gait_reference_table import read_gait_reference_table
 
     check_new_file(output, overwrite)
-    table = {"--people": people, "--system": system, "--zero": zero}
+    table: dict[str, Any] = {"--people": people, "--system": system, "--zero": zero}
     if source.is_file():
         if absent := [name for name, value in table.items() if not value]:
             raise InvalidInputError(f"gait-reference: a table needs {', '.join(absent)} too")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 from rich.table import Column, Table
 
 from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command
@@ -31,18 +31,12 @@ if TYPE_CHECKING:
 Json = Annotated[Path | None, Parameter(metavar="FILE", help="write all figures there as well")]
 _SAVED = Parameter(help="folder for the motions, as DIR/S5/acting3/cam1/rtof/motion.npz")
 
-evaluate = App(
-    name="evaluate",
-    help="Errors of a reconstructed motion against its truth, or of the package on a public data set.\n\n"
-    "Without the name of a set: prints position, acceleration, jerk and angle errors, pooled and per joint, beside a "
-    "predictor that never moves; --clinical: of clinical joint angles, as published for other systems. Sets are on the "
-    "user's disk: rtof-kin evaluate total-capture --help",
-)
+evaluate = App(name="evaluate", group_commands=Group("Public data sets"))
 
 
 @evaluate.default
 @command
-def motion(
+def evaluate_motion(
     motion: Path,
     /,
     *,
@@ -53,7 +47,11 @@ def motion(
         Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="write the table of angles there too")
     ] = None,
 ) -> None:
-    """Errors of a reconstructed motion against its truth.
+    """Errors of a reconstructed motion against its truth, or of the package on a public data set.
+
+    Prints position, acceleration, jerk and angle errors, pooled and per joint, beside a predictor that never moves;
+    --clinical: of clinical joint angles, as published for other systems. A public set, which is on the user's disk,
+    has options of its own: rtof-kin evaluate total-capture --help
 
     Args:
         motion: output folder of reconstruct or run, or its motion.npz
@@ -284,9 +282,10 @@ def _angles_of(dataset: str) -> Callable[..., int]:
     ) -> int:
         """Errors of joint angles on a public data set.
 
-        The set is unpacked below ROOT (layouts: docs/validate.md). Every take is set up, reconstructed and compared with
-        the set's own reference; the table has RMSE, mean and median absolute error and RMSE without offset by joint angle
-        and movement, beside published values of the same metric. Goes on where it was stopped. Exit code 1: a take failed.
+        The set is unpacked below ROOT (layouts: docs/validate.md). Every take is set up, reconstructed and compared
+        with the set's own reference; the table has RMSE, mean and median absolute error and RMSE without offset by
+        joint angle and movement, beside published values of the same metric. Goes on where it was stopped. Exit code
+        1: a take failed.
 
         Args:
             uncalibrated: without the set's calibration of the cameras, as of a phone that was put anywhere

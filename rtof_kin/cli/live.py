@@ -133,7 +133,7 @@ def live(
         if output is not None:
             check_replaceable(output, INDEX)
         known = None if calibration is None else read_self_calibration_toml(calibration)
-        lifter = ReconstructionTask(model=model).lifter()
+        lifter: Any = ReconstructionTask(model=model).lifter()
         with warnings_in_summary("rtof_kin.recording.files"):
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:

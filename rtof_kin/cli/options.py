@@ -13,13 +13,13 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
-from functools import wraps
+from functools import partial, wraps
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from cyclopts import Group, Parameter, Token, convert
+from cyclopts import Parameter, Token, convert
 
 from rtof_kin.core.environment import USUAL
 
@@ -81,30 +81,36 @@ def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
     """Yield the options of some fields of a dataclass."""
     hints, described = get_type_hints(settings, include_extras=True), descriptions(settings)
     known: Mapping[str, Field[Any]] = {field.name: field for field in fields(settings)}
-    group = (Group(chosen.group),) if chosen.group else ()
     for name, option in chosen.options.items():
-        default = chosen.defaults.get(name, known[name].default)
-        if default is MISSING and known[name].default_factory is not MISSING:
-            default = known[name].default_factory()  # type: ignore[misc]
+        default, factory = chosen.defaults.get(name, known[name].default), known[name].default_factory
+        if default is MISSING and callable(factory):
+            default = factory()
         required = default is MISSING
         usual = "" if required or default is None or default == () else _text(default)
-        how = Parameter(name=f"--{option.replace('_', '-')}", help=described[name], group=group, show_default=False)
+        how = Parameter(name=f"--{option.replace('_', '-')}", help=described[name], show_default=False)
+        if chosen.group:
+            how = Parameter.combine(how, Parameter(group=chosen.group))
         if usual and not isinstance(default, bool):
-            how = Parameter.combine(how, Parameter(show_default=lambda _, text=usual: text))
+            how = Parameter.combine(how, Parameter(show_default=partial(_constant, usual)))
         hint = _option(hints[name], MISSING if required else default, how)
         empty = inspect.Parameter.empty if required else None if chosen.of else default
         yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=empty, annotation=hint)
 
 
+def _constant(text: str, _: Any) -> str:
+    return text
+
+
 def descriptions(settings: type) -> dict[str, str]:
-    """Return the docstring of each field of a class, in one line."""
+    """Return the docstring of each field of a class, in one line that begins with a small letter."""
     (node,) = ast.parse(textwrap.dedent(inspect.getsource(settings))).body
     assert isinstance(node, ast.ClassDef)
     found = {}
     for field, text in zip(node.body, node.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
             assert isinstance(text.value, ast.Constant)
-            found[field.target.id] = " ".join(str(text.value.value).replace("`", "").split()).removesuffix(".")
+            line = " ".join(str(text.value.value).replace("`", "").split()).removesuffix(".")
+            found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
     return found
 
 
@@ -124,6 +130,8 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
         usual = Parameter(converter=_decimal, metavar="X")
     elif inner == tuple[int, int]:
         usual = Parameter(converter=_size, n_tokens=1, metavar="WxH")
+    elif inner == tuple[Path, ...]:
+        usual = Parameter(consume_multiple=True, metavar="FILE")
     elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
         usual = Parameter.combine(usual, Parameter(converter=_listed, n_tokens=1, metavar="NAMES"))
     elif get_origin(inner) is Literal and any("_" in str(choice) for choice in get_args(inner)):

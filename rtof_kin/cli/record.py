@@ -148,7 +148,7 @@ def _demo(
     from rtof_kin.core.resources import model_path
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.simulation.raw_files import write_raw_files
+    from rtof_kin.simulation.simulate import write_raw_files
 
     recording = Recording.load(model_path("demo"))
     if files or seconds is not None:
@@ -192,7 +192,7 @@ def _print_run(done: Run, seconds: float) -> None:
         line("" if number else "camera", sentence)
     mode = done.summary.mode
     line("accuracy", accuracy(None, done.summary.mean_sigmas, mode))
-    line("caution", headline(done.summary.results).line)
+    line("caution", headline(done.summary.results or ()).line)
     line("report", f"{done.page} ({seconds:.0f} s); open it in a browser")
     film = "" if mode == "imu" else f"; rtof-kin overlay {done.folder} VIDEO -o FILE.mp4"
     line("next", f"rtof-kin view {done.folder} (in 3D){film}")

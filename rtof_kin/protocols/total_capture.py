@@ -91,8 +91,8 @@ class TotalCaptureProtocol:
     keypoints: Path | None = None
     """Folder with a detector's 2D; default: ground-truth 2D."""
     layout: str | None = None
-    """Layout of the detector's points, such as body25, coco17 or mediapipe33, or auto to have it recognised; default: landmarks of the
-    skeleton."""
+    """Layout of the detector's points, such as body25, coco17 or mediapipe33, or auto to have it recognised; default:
+    landmarks of the skeleton."""
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS

@@ -25,8 +25,8 @@ class ReconstructionSettings:
     fragment: JointSpaceSettings | CartesianSettings | None = None
     """Settings of the fragment solver; their type gives the space. Default: those of `space`."""
     space: Space | None = None
-    """Variables of the fragment solver: configurations of the skeleton, or joint positions (the paper's); default: joint,
-    where a pose prior is shipped for the skeleton."""
+    """Variables of the fragment solver: configurations of the skeleton, or joint positions (the paper's); default:
+    joint, where a pose prior is shipped for the skeleton."""
     backend: Backend | None = None
     """Solver of a fragment; default: realtime in joint space, ipopt in cartesian. Calibration has its own solver."""
     frames: int = 50

@@ -138,6 +138,7 @@ def run(
     """
     import lifting  # noqa: F401  # says before the work if torch is missing
 
+    second = second or SecondCamera()
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(), analysis or AnalysisSettings()
     if setup.height is None:
@@ -162,7 +163,6 @@ def run(
         joined = join_recordings(first, other, setup.lifter, synchronised=second.synchronised)
         joined.recording.save(output, overwrite, inputs)
 
-    second = second or SecondCamera()
     if second.second:
         others = replace(setup, person=second.second_person, camera_name=second.second_camera, phone_log=None)
         title = f"{name}, second camera"
@@ -227,8 +227,8 @@ def reconstruct_folder(
             "known": None if known is None else read_self_calibration_toml(known),
             "progress": progress,
         }
-        whole = isinstance(source, Recording)
-        parts = [reconstruct(source, **how)] if whole else reconstruct_in_parts(source, **how)
+        whole = source if isinstance(source, Recording) else None
+        parts = reconstruct_in_parts(source, **how) if whole is None else [reconstruct(whole, **how)]
         return export_parts(
             parts, output, overwrite, task.figures, inputs=inputs, run=lambda: record | {"environment": environment()}
         )
