@@ -409,7 +409,7 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
     if not file.has("quantities"):
         raise FileFormatError(
             path,
-            "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
+            "no calibration that `rtof-kin reconstruct --calibrate-only` wrote, as it has no table [quantities]; give "
             "the file named by its -o",
         )
     version = file.integer("schema_version")

@@ -149,7 +149,7 @@ def app(arguments: Sequence[str] = ()) -> App:
     Args:
         arguments: that it is for; without the name of a command the summary of each is at hand.
     """
-    from cyclopts import App, Group, Parameter
+    from cyclopts import App, Group
 
     import rtof_kin
     from rtof_kin.cli.terminal import err, out
@@ -162,7 +162,6 @@ def app(arguments: Sequence[str] = ()) -> App:
         version=lambda: f"rtof-kin {rtof_kin.__version__}",
         version_flags="--version",
         group_commands=Group("options", sort_key=len(COMMANDS)),
-        default_parameter=Parameter(negative_iterable=(), negative_none=()),
         console=out,
         error_console=err,
         result_action="return_value",

@@ -123,15 +123,15 @@ def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
     own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
     plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
-    usual = Parameter(show_default=False) if default in ((), "") else Parameter()
+    usual = Parameter(show_default=False if default in ((), "") else None, negative=None if inner is bool else ())
     if inner is bool:
         usual = Parameter(negative=() if default is False else None, show_default=False)
     elif inner is float:
         usual = Parameter(converter=_decimal, metavar="X")
     elif inner == tuple[int, int]:
-        usual = Parameter(converter=_size, n_tokens=1, metavar="WxH")
+        usual = Parameter(converter=_size, n_tokens=1, metavar="WxH", negative=())
     elif inner == tuple[Path, ...]:
-        usual = Parameter(consume_multiple=True, metavar="FILE")
+        usual = Parameter(consume_multiple=True, metavar="FILE", negative=(), show_default=False)
     elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
         usual = Parameter.combine(usual, Parameter(converter=_listed, n_tokens=1, metavar="NAMES"))
     elif get_origin(inner) is Literal and any("_" in str(choice) for choice in get_args(inner)):

@@ -28,7 +28,11 @@ def report(
     *,
     output: Annotated[
         Path | None,
-        Parameter(name=("--output", "-o"), metavar="FILE", help="page; default: report.html beside the motion"),
+        Parameter(
+            name=("--output", "-o"),
+            metavar="FILE",
+            help="page; default: report.html beside the motion, where no tables or scores are asked for",
+        ),
     ] = None,
     analysis: Annotated[
         AnalysisSettings, Fields("sex", "repetitions", "from_standing", "height", weight_kg="weight", group="Analysis")
@@ -62,14 +66,16 @@ def report(
     from rtof_kin.reporting.page import report as page
 
     folder = motion_folder(motion)
-    path = output or folder / PAGE
-    check_new_file(path, overwrite)
+    path = output or (folder / PAGE if tables is None and gait_reference is None else None)
+    if path is not None:
+        check_new_file(path, overwrite)
     if tables is not None:
         from rtof_kin.clinical.files import MARKER
 
         check_replaceable(tables, MARKER, overwrite)
-    write_text(path, page(folder, session, analysis.weight_kg, analysis.sex), overwrite)
-    out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
+    if path is not None:
+        write_text(path, page(folder, session, analysis.weight_kg, analysis.sex), overwrite)
+        out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
     if tables is not None:
         _print_analysis(analyse(motion, tables, analysis, figures=figures, overwrite=overwrite))
         print_files(tables)

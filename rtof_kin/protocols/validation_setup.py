@@ -1,4 +1,4 @@
-"""From the inputs of a public take to its recording, by the same steps as ``rtof-kin init``."""
+"""From the inputs of a public take to its recording, by the same steps as ``rtof-kin run --only recording``."""
 
 from __future__ import annotations
 

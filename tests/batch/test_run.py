@@ -114,14 +114,14 @@ def test_only_steps_after_a_change_are_done_again(root: Path, out: Path, log: Pa
     one = write_recordings(root.parent / "one", a="pass")
     run(batch_of(one, out))
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report"))
+    run(batch_of(one, out, "reconstruct, report --weight 70"))
     assert calls(log) - before == {"a analyse": 1, "a report": 1}
     assert (out / "a/angles/angles.csv").read_text() == "--weight 70 --overwrite"
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report, evaluate"))
+    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
     assert calls(log) - before == {"a evaluate": 1}
     assert (out / "a/log/evaluate.txt").read_text() == "evaluate says so\n"
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report, evaluate"))
+    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
     assert calls(log)["a evaluate"] == 1
     (one / "a" / "note.txt").write_text("a new file of the recording")
     before = calls(log)

@@ -106,7 +106,7 @@ def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) ->
     for arguments, words in (
         ((), "name the output folder"),
         ((out, "--live", "8765"), "name the output folder"),
-        (("--live",), "give the address that rtof-kin live ... --out ws printed"),
+        (("--live",), "give the address that rtof-kin live ... --send ws printed"),
         (("--live", "ws://10.1.2.3:80"), "not an address of this machine"),
         (("--live", "http://localhost:9/key/", "--html", "a.html"), "leave out --html"),
         ((out, "--html", tmp_path / "a.html", "--video", "a.mp4"), "the file has no video"),

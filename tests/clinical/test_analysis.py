@@ -1,4 +1,4 @@
-"""The complete analysis: files, figures and the command `rtof-kin analyse`."""
+"""The complete analysis: files, figures and the command `rtof-kin report --analysis`."""
 
 from __future__ import annotations
 

@@ -349,7 +349,7 @@ def test_without_cameras_nothing_is_measured(tmp_path: Path, capsys: pytest.Capt
     tc.dataset(data, WALKING)["cameras"].unlink()
     arguments = ["--root", str(data), "--subjects", "S1", "--takes", "walking2", "--cameras", "1"]
     options = ["--no-studies", "--modes", "lift", "--workers", "1", "-o", str(tmp_path / "out")]
-    assert main(["total-capture", *arguments, *options]) == 2
+    assert main(["evaluate", "total-capture", *arguments, *options]) == 2
     message = capsys.readouterr().err.splitlines()[-1]
     assert message.startswith("error: nothing could be measured; first of all: ")
     assert "calibration.cal" in message
@@ -571,4 +571,4 @@ def test_example_is_the_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     with pytest.raises(SystemExit) as stop:
         runpy.run_path(str(example), run_name="__main__")
     assert stop.value.code == 0
-    assert "usage: rtof-kin total-capture" in capsys.readouterr().out
+    assert "usage: rtof-kin evaluate total-capture" in capsys.readouterr().out
