@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 COMMANDS: Final = {
     "record": {"run": "record", "detect": "record", "simulate": "record"},
-    "reconstruct": {"reconstruct": "reconstruction", "batch": "reconstruction"},
-    "look": {"inspect": "inspection", "report": "reporting", "view": "view", "overlay": "view"},
+    "reconstruct": {"reconstruct": "reconstruction", "batch": "batch"},
+    "look": {"inspect": "files", "report": "reporting", "view": "view", "overlay": "view"},
     "compare": {"compare": "compare", "study": "compare", "gait-reference": "compare"},
     "plan": {"plan": "compare"},
-    "connect": {"export": "export", "live": "live"},
+    "connect": {"export": "files", "live": "live"},
     "develop": {"train": "training", "evaluate": "evaluation"},
 }
 """What a person wants -> command -> module that has it."""

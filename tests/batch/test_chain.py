@@ -14,7 +14,7 @@ from rtof_kin.core.errors import InvalidInputError
 
 def test_commands_are_separated_by_commas_and_options_may_have_some() -> None:
     chain = read_chain("reconstruct --guards jumps,spikes --frames 60 ,analyse, report --place 'a, b'", COMMANDS)
-    assert [step.command for step in chain] == ["reconstruct", "analyse", "report"]
+    assert [step.command for step in chain] == ["reconstruct", "report", "evaluate"]
     assert chain[0].arguments[3:] == ("--guards", "jumps,spikes", "--frames", "60")
     assert chain[2].arguments[3:] == ("--place", "a, b")
     assert [step.output for step in chain] == ["motion", "angles", "report.html"]

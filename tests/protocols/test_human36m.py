@@ -72,6 +72,7 @@ def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory)
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         code = main(
             [
+                "evaluate",
                 "human36m",
                 "--root",
                 str(root),
@@ -203,7 +204,7 @@ def test_bad_input_writes_nothing(
 ) -> None:
     given, expected = BAD[bad]
     out = tmp_path.with_name(f"{tmp_path.name}_out")
-    arguments = ["human36m", "--root", str(root), "--model", str(lifter), "-o", str(out)]
+    arguments = ["evaluate", "human36m", "--root", str(root), "--model", str(lifter), "-o", str(out)]
     assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in given)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
@@ -218,7 +219,7 @@ def test_input_that_fails_in_every_measurement_is_refused(
 ) -> None:
     made = untrained_lifter(rate_hz=50.0)
     save_checkpoint(tmp_path / "21.pt", made.network, made.description)
-    arguments = ["human36m", "--root", str(root), "--modes", "lift", "--workers", "1"]
+    arguments = ["evaluate", "human36m", "--root", str(root), "--modes", "lift", "--workers", "1"]
     for k, (path, keypoints, expected) in enumerate(
         ((lifter, "hrnet", "unknown keypoints"), (tmp_path / "21.pt", "gt", "joint"))
     ):

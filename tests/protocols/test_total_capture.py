@@ -72,6 +72,7 @@ class Measured:
 
     def arguments(self, root: Path) -> list[str]:
         return [
+            "evaluate",
             "total-capture",
             "--root",
             str(root),
@@ -431,6 +432,7 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
         (own / f"cam{body25}" / f"walk_{frame:012d}_keypoints.json").write_text(text)
     np.savez(folder / f"TC_S1_walking2_cam{coco}.npz", keypoints=uv[coco])
     arguments = [
+        "evaluate",
         "total-capture",
         "--root",
         str(root),
@@ -551,7 +553,7 @@ def test_bad_input_writes_nothing(bad: str, root: Path, tmp_path: Path, capsys: 
     given, expected = BAD[bad]
     (tmp_path / "file").write_text("mine")
     out = tmp_path.with_name(f"{tmp_path.name}_out")
-    arguments = ["total-capture", "--root", str(root), "-o", str(out), "--no-studies"]
+    arguments = ["evaluate", "total-capture", "--root", str(root), "-o", str(out), "--no-studies"]
     assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in given)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1

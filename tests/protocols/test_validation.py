@@ -158,7 +158,7 @@ def measured(sets: Path) -> tuple[int, str, Path]:
     """What the command says of it, by the network alone, which is quick."""
     out = sets / "out"
     code, said = silent(
-        "validate",
+        "evaluate",
         "opencap",
         "--root",
         str(sets / "opencap"),
@@ -222,7 +222,7 @@ def test_it_goes_on_where_it_was_stopped(
     out = measured[2]
     before = (out / "angle_errors.csv").read_text()
     command = (
-        "validate",
+        "evaluate",
         "opencap",
         "--root",
         str(sets / "opencap"),
@@ -243,17 +243,17 @@ def test_it_goes_on_where_it_was_stopped(
 
 def test_takes_are_listed_and_chosen(sets: Path) -> None:
     root = ("--root", str(sets / "opencap"))
-    code, said = silent("validate", "opencap", *root, "--list")
+    code, said = silent("evaluate", "opencap", *root, "--list")
     assert code == 0
     assert said == "subject2_Session1_Cam1_squats1 squat subject2_Session1_Cam1_walking1 walk"
-    code, said = silent("validate", "opencap", *root, "--takes", "*_Cam7_*")
+    code, said = silent("evaluate", "opencap", *root, "--takes", "*_Cam7_*")
     assert code == 2
     assert "--takes *_Cam7_*: none of 2, such as subject2_Session1_Cam1_squats1" in said
 
 
 def test_nothing_measured_is_an_error(sets: Path, tmp_path: Path) -> None:
     code, said = silent(
-        "validate", "opencap", "--root", str(sets / "opencap"), "--workers", "1", "-o", str(tmp_path / "out")
+        "evaluate", "opencap", "--root", str(sets / "opencap"), "--workers", "1", "-o", str(tmp_path / "out")
     )
     assert code == 2
     assert "no take could be measured; first of all:" in said
@@ -262,7 +262,7 @@ def test_nothing_measured_is_an_error(sets: Path, tmp_path: Path) -> None:
 
 def test_sensors_are_wanted_of_a_set_that_has_them(sets: Path, tmp_path: Path) -> None:
     code, said = silent(
-        "validate",
+        "evaluate",
         "opencap",
         "--root",
         str(sets / "opencap"),
@@ -295,7 +295,7 @@ def test_wrong_settings_are_refused(changes: dict[str, Any], error: type[Excepti
 
 
 def test_every_set_of_the_command_line_exists() -> None:
-    code, said = silent("validate", "opencap", "--root", "/nowhere")
+    code, said = silent("evaluate", "opencap", "--root", "/nowhere")
     assert code == 2
     assert "there is no such folder; give the one into which LabValidation_withVideos was unpacked" in said
     assert list(SETS) == ["opencap", "vidimu", "movi", "gaitex"]
@@ -304,7 +304,7 @@ def test_every_set_of_the_command_line_exists() -> None:
 def test_gaitex_recovers_the_planted_knees_from_orientations_alone(tmp_path: Path) -> None:
     made.write_gaitex(tmp_path / "set")
     code, said = silent(
-        "validate", "gaitex", "--root", str(tmp_path / "set"), "--workers", "1", "-o", str(tmp_path / "out")
+        "evaluate", "gaitex", "--root", str(tmp_path / "set"), "--workers", "1", "-o", str(tmp_path / "out")
     )
     assert code == 0, said
     rows = {one["angle"]: one for one in read_json(tmp_path / "out" / "tables.json")["rows"]}
@@ -328,7 +328,7 @@ def test_one_video_of_many_motions_is_detected_once_and_cut(tmp_path: Path, monk
 
     monkeypatch.setattr(validation, "detect_video", detect_video)
     code, said = silent(
-        "validate",
+        "evaluate",
         "movi",
         "--root",
         str(root),

@@ -82,9 +82,9 @@ def test_log_of_another_take_is_not_used(
 def test_detect_writes_the_motion_and_what_to_declare(
     filmed: tuple[Path, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    monkeypatch.setattr("rtof_kin.cli.detection.detector_of", lambda options: None)
+    monkeypatch.setattr("rtof_kin.cli.record.detector_of", lambda *_: None)
     monkeypatch.setattr("rtof_kin.vision.video.detect_video", lambda *_, **__: PEOPLE)
-    order = ["detect", str(filmed[0]), "--out", str(tmp_path / "k.npz")]
+    order = ["detect", str(filmed[0]), "-o", str(tmp_path / "k.npz")]
     order += ["--camera-motion", str(tmp_path / "m.npz")]
     assert main(order) == 0
     said = " ".join(capsys.readouterr().out.split())
