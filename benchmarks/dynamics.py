@@ -7,7 +7,7 @@ wrench are computed of the reconstruction and of the truth with the same body (7
 motion differs, and the errors are compared with the standard deviations of that component alone. What the
 low-pass takes away of the true motion is not in the errors.
 
-``--fit`` computes the constants `SPECTRA` of `rtof_kin.clinical.pose_errors` from the validation people, half
+``--fit`` computes the constants `SPECTRA` of `rtof_kin.clinical.body_dynamics` from the validation people, half
 of their motions also on another rig, and prints them. It minimises the logarithms of the ratios of stated
 and actual root mean squares by joint and by number of sensors; those below 1 count more, of the force
 most: its band is to be too wide rather than too narrow.
@@ -35,8 +35,7 @@ from benchmarks.rerigged import rerigged
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
-from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics
-from rtof_kin.clinical.pose_errors import SPECTRA, ErrorSpectrum, error_gains, pose_errors
+from rtof_kin.clinical.body_dynamics import SPECTRA, UNKNOWN, BodyDynamics, ErrorSpectrum, error_gains, pose_errors
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.clinical.torques import joint_torques
 from rtof_kin.core import rotations as so3

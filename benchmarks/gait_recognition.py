@@ -1,7 +1,7 @@
 """Recognition of walking: ``python -m benchmarks gait_recognition --corpus DIR``.
 
 DIR is the folder of free motion (see README.md here). Every motion of the people of split.toml is judged by
-`rtof_kin.clinical.gait_recognition`, once with its feet and once by its ankles alone, as in recordings
+`rtof_kin.clinical.gait`, once with its feet and once by its ankles alone, as in recordings
 without sensors on the feet. What it is follows from its description in index.csv; walking is judged again
 with its mean velocity subtracted, as on a treadmill. Limits were chosen on the people who train and on
 validation. After a look at held-out people (test), one more condition, of walking in place, was added: the

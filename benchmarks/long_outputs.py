@@ -19,9 +19,8 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import COVARIANCES, MOTION, MotionWriter
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.formats.motion_npz import COVARIANCES, MOTION, read_motion_npz
-from rtof_kin.formats.motion_writer import MotionWriter
 
 RATE_HZ: Final = 60
 BLOCK: Final = 3600
@@ -105,7 +104,7 @@ def main() -> None:
             if not folder.exists():
                 folder.mkdir(parents=True)
                 shutil.copy(options.motion / "summary.json", folder)
-                write_repeated(folder / MOTION, read_motion_npz(options.motion / MOTION).motion(), minutes)
+                write_repeated(folder / MOTION, Motion.load(options.motion), minutes)
             for name in options.only:
                 output = Path(temporary) / "output"
                 found = measured(COMMANDS[name], folder, output)

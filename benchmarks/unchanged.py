@@ -27,7 +27,7 @@ import numpy as np
 TOLERANCE = 1e-9
 """Of every number, in its own unit (m, rad, s, deg, mm)."""
 DEMO = Path(__file__).parent.parent / "models" / "demo"
-WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "10_01_excerpt.bvh"
+WALK = Path(__file__).parent.parent / "tests" / "fixtures" / "mocap" / "02_01_excerpt.bvh"
 MODES = {
     "rtof": "",
     "calibrated": "--calibrate",
@@ -49,7 +49,7 @@ STEPS: list[tuple[str, str]] = [
     *((f"visits/{i}/{j}", f"reconstruct IN/squat_{i}_{j} -o OUT") for i in (1, 2) for j in (1, 2, 3)),
     ("analyse/demo", "analyse RUN/demo/rtof -o OUT --weight 70 --no-figures"),
     ("analyse/gait", "analyse RUN/people/gait_1 -o OUT --weight 70 --sex female --no-figures"),
-    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --from-standing --no-figures"),
+    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --no-figures"),
     ("compare/modes", "compare RUN/demo/rtof RUN/demo/rto -o OUT"),
     ("compare/sides", "compare RUN/people/gait_1 --sides -o OUT"),
     ("compare/people", "compare RUN/people/gait_1 RUN/people/gait_2 --by cycle --spm -o OUT"),
@@ -142,7 +142,7 @@ def replay(recording_folder: Path, out: Path) -> None:
     from rtof_kin.recording.recording import Recording
 
     recording = Recording.load(recording_folder)
-    found = list(estimates(estimator(recording, recording.video.landmarks, settings()), recording))
+    found = list(estimates(estimator(recording, recording.video.names, settings()), recording))
     names = ("times", "p_world_joint", "R_world_bone", "sigma_rad")
     np.savez(out, **{name: np.concatenate([getattr(one.poses, name) for one in found]) for name in names})
 

@@ -1,15 +1,17 @@
-"""Writes the tables of docs/recording.md from the schema of ``recording.toml``.
+"""Writes the JSON Schema of ``recording.toml`` and the tables of docs/recording.md from `rtof_kin.recording.tables`.
 
-`python -m docs.recording_fields` writes them between the two marks of the page.
+`python -m docs.recording_fields` writes the schema, and the tables between the two marks of the page.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.recording.schema import schema, shape_of
+from rtof_kin.core.files.input_table import inlined_schema, json_schema, shape_of
+from rtof_kin.recording.tables import SCHEMA, RecordingTable
 
 PAGE = Path(__file__).with_name("recording.md")
 BEGIN, END = "<!-- fields: made by python -m docs.recording_fields -->", "<!-- end of fields -->"
@@ -21,10 +23,9 @@ def kind(node: dict[str, Any]) -> str:
         return f"`{node['const']}`"
     if "enum" in node:
         return ", ".join(f'`"{one}"`' for one in node["enum"])
-    if "prefixItems" in node:
-        return " x ".join(map(str, shape_of(node))) + " numbers"
     if node["type"] == "array":
-        return "names" if node["items"]["type"] == "string" else "tables"
+        rows = {"string": "names", "object": "tables"}
+        return rows.get(node["items"]["type"]) or " x ".join(map(str, shape_of(node))) + " numbers"
     if node["type"] == "object":
         inner = node.get("additionalProperties")
         return f"by name: {kind(inner)}" if inner and "properties" not in inner else "table"
@@ -62,8 +63,15 @@ def page() -> str:
     """The page with today's tables."""
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    return "\n\n".join([before + BEGIN, *tables(schema()), END + after])  # type: ignore[arg-type]
+    return "\n\n".join([before + BEGIN, *tables(inlined_schema(RecordingTable)), END + after])  # type: ignore[arg-type]
+
+
+def schema_text() -> str:
+    """The text of today's schema."""
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "$id": "urn:rtof_kin:recording:1"}
+    return json.dumps(head | {"title": "recording.toml"} | json_schema(RecordingTable), indent=2) + "\n"
 
 
 if __name__ == "__main__":
+    SCHEMA.write_text(schema_text(), encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")

@@ -111,7 +111,7 @@ def main() -> None:
         print(f"without extras: {time.monotonic() - began:.0f} s", flush=True)
         run(*install, f"{wheel}[lift]", cwd=folder)
         run(folder / "env" / "bin" / "rtof-kin", "run", "--demo", "-o", folder / "out", "--no-figures", cwd=folder)
-        assert (folder / "out" / "motion.npz").is_file()
+        assert (folder / "out" / "motion.h5").is_file()
     print(f"1 passed, 0 failed in {time.monotonic() - began:.0f} s")
 
 

@@ -15,11 +15,10 @@ import rtof_kin
 from benchmarks import harness
 from benchmarks.accuracy.__main__ import clips
 from benchmarks.calibration.sessions import joined
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.motion_npz import read_motion_npz
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
@@ -87,11 +86,11 @@ def batch(job: Job, recording: Recording) -> Motion:
     """Reconstruct a whole recording as given (mode rtof), or take what was kept of it."""
     path = Path(job.work) / _version() / f"{job.key}_{len(recording.video)}.npz"
     if path.is_file():
-        return read_motion_npz(path).motion()
+        return Motion.load(path)
     motion = reconstruct(recording).motion
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.stem}.{os.getpid()}.npz")
-    write_motion_npz(part, motion, first_frame=recording.first_frame, mode="rtof")
+    write_motion(part, motion, first_frame=recording.first_frame, mode="rtof")
     part.replace(path)
     return motion
 

@@ -60,6 +60,21 @@ class Motion:
         confidence = None if self.confidence is None else self.confidence[frames]
         return replace(self, q=self.q[frames], poses=self.poses[frames], report=report, confidence=confidence)
 
+    @classmethod
+    def load(cls, folder: str | Path, start: int | None = None, stop: int | None = None) -> Motion:
+        """Read a motion, or frames [start, stop) of it.
+
+        Args:
+            folder: output of `reconstruct` or `run`, or the file in it.
+
+        Raises:
+            FileFormatError: missing, damaged, of a newer schema, or not a motion. InvalidInputError: no such frames.
+        """
+        from rtof_kin.body.motion_file import MotionReader
+
+        with MotionReader(folder) as file:
+            return file.read(start, stop)
+
     @property
     def times(self) -> Array:
         """(T,) seconds."""

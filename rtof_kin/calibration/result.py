@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 import tomli_w
@@ -20,8 +20,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of, readonly
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.core.files.section import Section
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.input_table import InputTable, Integer, Number, Row
+from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -370,6 +370,37 @@ def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[st
 SCHEMA_VERSION = 1
 
 
+class QuantityTable(InputTable):
+    """A quantity: SI units or px."""
+
+    value: Row
+    sigma: Row
+    sigma_prior: Row
+    known: Number
+    """Relative reduction of the prior's variance."""
+    doubt: str = ""
+    """Why the value may be wrong."""
+
+
+class DetectorTable(InputTable):
+    """Remaining reprojection errors of a landmark."""
+
+    sigma_px: Number
+    memory_s: Number
+
+
+class CalibrationTable(InputTable):
+    """The file."""
+
+    schema_version: Literal[1]
+    middle_s: Number
+    """Time stamp of the constants of what drifts."""
+    converged: Integer
+    quantities: dict[str, dict[str, QuantityTable]]
+    """By kind and item."""
+    detector: dict[str, DetectorTable] = {}
+
+
 def write_self_calibration_toml(path: str | Path, calibration: SelfCalibration, overwrite: bool = False) -> None:
     """Write a calibration; `read_self_calibration_toml` restores it exactly.
 
@@ -405,50 +436,33 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
     Raises:
         FileFormatError, UnknownNameError: the message names file, field and remedy.
     """
-    file = Section.of_file(Path(path))
-    if not file.has("quantities"):
+    data = load_toml(path)
+    if "quantities" not in data:
         raise FileFormatError(
             path,
             "no calibration that `rtof-kin reconstruct --calibrate-only` wrote, as it has no table [quantities]; give "
             "the file named by its -o",
         )
-    version = file.integer("schema_version")
-    if version != SCHEMA_VERSION:
-        raise file.error(
-            "schema_version",
-            f"{version} is not {SCHEMA_VERSION}, which this version of the package "
+    if (version := data.get("schema_version", SCHEMA_VERSION)) != SCHEMA_VERSION:
+        raise FileFormatError(
+            path,
+            f"schema_version: {version} is not {SCHEMA_VERSION}, which this version of the package "
             "reads; use the version that wrote it, or a newer one",
         )
-    kinds, landmarks = file.table("quantities"), file.table("detector")
+    file = CalibrationTable.of(data, Path(path))
     try:
-        calibration = SelfCalibration(
-            tuple(
-                _quantity(kinds.table(kind), item)
-                for kind in kinds.keys()  # noqa: SIM118
-                for item in kinds.table(kind).keys()  # noqa: SIM118
-            ),
-            tuple(_detector(landmarks, name) for name in landmarks.keys()),  # noqa: SIM118
-            file.number("middle_s"),
-            bool(file.integer("converged")),
+        return SelfCalibration(
+            tuple(_quantity(one, kind, item) for kind, items in file.quantities.items() for item, one in items.items()),
+            tuple(Detector(name, one.sigma_px, one.memory_s) for name, one in file.detector.items()),
+            file.middle_s,
+            bool(file.converged),
         )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
-    file.close()
-    return calibration
 
 
-def _quantity(kind: Section, item: str) -> Quantity:
-    section = kind.table(item)
-    value = section.numbers("value")
-    sigma, sigma_prior = (section.array(n, value.shape) for n in ("sigma", "sigma_prior"))
-    known = section.number("known")
-    doubt = section.text("doubt", "")
-    section.close()
-    return Quantity(kind.name.partition(".")[2], item, value, sigma, sigma_prior, known, doubt)
-
-
-def _detector(landmarks: Section, name: str) -> Detector:
-    section = landmarks.table(name)
-    found = Detector(name, section.number("sigma_px"), section.number("memory_s"))
-    section.close()
-    return found
+def _quantity(table: QuantityTable, kind: str, item: str) -> Quantity:
+    for name in ("sigma", "sigma_prior"):
+        if (shape := getattr(table, name).shape) != table.value.shape:
+            raise table.error(name, f"expected {len(table.value)} numbers, got shape {shape}")
+    return Quantity(kind, item, table.value, table.sigma, table.sigma_prior, table.known, table.doubt)

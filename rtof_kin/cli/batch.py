@@ -49,11 +49,14 @@ def batch(
     from rtof_kin.batch.rows import ERROR, WORST_FIRST
     from rtof_kin.batch.run import TABLE, Batch, check_chain, run_batch
     from rtof_kin.batch.work import process  # noqa: F401  # what workers do is loaded before they start
-    from rtof_kin.cli import check, command_names, dispatch
+    from rtof_kin.cli import OLD_COMMANDS, check, command_names, dispatch
     from rtof_kin.core.jobs import Engine, Processes, RayCluster
 
     if address is not None and engine != "ray":
         raise InvalidInputError("--address is of a Ray cluster; add --engine ray")
+    for part in chain.split(","):
+        if (name := (part.split() or [""])[0]) in OLD_COMMANDS:
+            raise InvalidInputError(f"chain: {name} is now {OLD_COMMANDS[name]}")
     memory = memory_per_job * 1e9
     machines: Engine = RayCluster(address, workers, memory) if engine == "ray" else Processes(workers, memory)
     steps = read_chain(chain, command_names() - {"batch"})

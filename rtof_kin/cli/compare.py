@@ -48,7 +48,7 @@ def compare(
 ) -> None:
     """Two motions, both sides of one, or the visits of a person.
 
-    Two MOTIONS are outputs of reconstruct or run, a motion.npz, or a .mot or .sto of another system: printed are what
+    Two MOTIONS are outputs of reconstruct or run, a motion.h5, or a .mot or .sto of another system: printed are what
     is compared and how, which angles have changed, and differences B - A with 95 % intervals and errors; OUT gets a
     page with the curves, a table and JSON.
 
@@ -276,7 +276,7 @@ def gait_reference(
 def _from_recordings(source: Path, licence: str, origin: str, strides: int, from_standing: bool) -> GaitReference:
     """Reference from a folder of recordings; says who is left out, and why."""
     import rtof_kin
-    from rtof_kin.clinical.gait_reference import build_reference
+    from rtof_kin.clinical.gait_scores import build_reference
     from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
     from rtof_kin.reporting.gait import find_people
 
@@ -312,8 +312,7 @@ def _notes(recordings: dict[str, list[str]], people: dict[str, Any]) -> tuple[st
 
 def _print_reference(reference: GaitReference) -> None:
     """Print what the reference is of, and what it cannot be used for."""
-    from rtof_kin.clinical.gait_deviation_index import gait_features
-    from rtof_kin.clinical.gait_reference import FEW
+    from rtof_kin.clinical.gait_scores import FEW, gait_features
     from rtof_kin.core.errors import InvalidInputError
 
     speeds = ""

@@ -52,7 +52,7 @@ def inspect(
     from rtof_kin.reporting.inspection import inspect as examine
 
     if schema:
-        from rtof_kin.recording.schema import SCHEMA
+        from rtof_kin.recording.tables import SCHEMA
 
         out.print(SCHEMA, soft_wrap=True)
         return 0
@@ -221,7 +221,7 @@ def export(
     in world to poses in world; its inputs, outputs, joints and rate are in the metadata. It needs the package onnx.
 
     Args:
-        motion: output folder of reconstruct or run, or its motion.npz
+        motion: output folder of reconstruct or run, or its motion.h5
         target: folder or file to write
         to: separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh; archive; onnx
         recording: recording of MOTION for the archive; default: that of run, or the demo
@@ -236,14 +236,14 @@ def export(
             raise InvalidInputError(f"--to {to[0]}: one file of its own; other formats go to a folder of their own")
         (_write_archive if to[0] == "archive" else _write_lifter)(motion, written, recording, flip, overwrite)
         return
+    from rtof_kin.body.motion_file import MotionReader, motion_path
     from rtof_kin.core.files.folder import new_folder
     from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
-    from rtof_kin.formats.motion_npz import MotionReader, motion_path
 
     formats = to or DEFAULT
     check_formats(formats)
     with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
-        write_motion_files(folder, reader.source(), formats)
+        write_motion_files(folder, reader, formats)
     print_files(written)
 
 

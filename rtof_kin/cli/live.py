@@ -134,7 +134,7 @@ def live(
             check_replaceable(output, INDEX)
         known = None if calibration is None else read_self_calibration_toml(calibration)
         lifter: Any = ReconstructionTask(model=model).lifter()
-        with warnings_in_summary("rtof_kin.recording.files"):
+        with warnings_in_summary("rtof_kin.recording.cameras"):
             take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
             if not imus and take.keypoints is not None:
                 take = replace(take, imus=None, calibration=None)

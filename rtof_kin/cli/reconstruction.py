@@ -72,7 +72,7 @@ def reconstruct(
     """Reconstruct the motion of a recording.
 
     RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; docs/recording.md describes
-    it. OUT gets motion.npz, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
+    it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
     recordings up to two minutes figures. Longer ones are reconstructed in parts, in bounded memory.
 
     With --calibrate-only the delay of the video, the mounting of the sensors, bone lengths and landmark offsets of the

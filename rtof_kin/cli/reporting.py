@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -59,8 +58,8 @@ def report(
         gait_reference: score the gait against this file of rtof-kin gait-reference: GPS, its profile (MAP) and GDI;
             with --analysis the scores are written into FOLDER/gait_scores
     """
-    from rtof_kin.formats.motion_npz import motion_folder
-    from rtof_kin.reporting.document import show, write
+    from rtof_kin.body.motion_file import motion_folder
+    from rtof_kin.reporting.document import show
     from rtof_kin.reporting.gait import score_motion
     from rtof_kin.reporting.page import PAGE
     from rtof_kin.reporting.page import report as page
@@ -76,14 +75,16 @@ def report(
     if path is not None:
         write_text(path, page(folder, session, analysis.weight_kg, analysis.sex), overwrite)
         out.print(f"wrote {path}: {path.stat().st_size / 1e3:.0f} kB, opens in any browser", soft_wrap=True)
-    if tables is not None:
-        _print_analysis(analyse(motion, tables, analysis, figures=figures, overwrite=overwrite))
-        print_files(tables)
+    documents = []
     if gait_reference is not None:
-        document = score_motion(motion, gait_reference, analysis.from_standing)
+        documents.append(score_motion(motion, gait_reference, analysis.from_standing))
+    if tables is not None:
+        how: Any = {"figures": figures, "overwrite": overwrite, "documents": documents}
+        _print_analysis(analyse(motion, tables, analysis, **how))
+    for document in documents:
         show(document, out)
-        if tables is not None:
-            write(document if figures else replace(document, figures=()), tables / "gait_scores", overwrite)
+    if tables is not None:
+        print_files(tables)
 
 
 def _print_analysis(analysis: MotionAnalysis) -> None:

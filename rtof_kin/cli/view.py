@@ -50,7 +50,7 @@ def view(
     'rtof-kin[view]'.
 
     Args:
-        motion: output folder of reconstruct or run, or its motion.npz
+        motion: output folder of reconstruct or run, or its motion.h5
         video: video of the camera, shown in its frustum; several times for several cameras, in their order
         beside: another motion beside it, e.g. of another setting
         live: show rtof-kin live instead; ADDRESS is the one it printed, with its token

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
-from rtof_kin.clinical.angles import ClinicalAngles, angles_of
+from rtof_kin.clinical.angles import ClinicalAngles, angles_of, relative_to_standing
 from rtof_kin.clinical.decomposition import DecomposedAngles
-from rtof_kin.clinical.foot_contacts import foot_contacts
 from rtof_kin.clinical.gait import CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.ground_reaction import GroundReaction, ground_reaction
-from rtof_kin.clinical.neutral import relative_to_standing
+from rtof_kin.clinical.ground_reaction import GroundReaction, foot_contacts, ground_reaction
 from rtof_kin.clinical.paths import BodyPaths, PathCollector
 from rtof_kin.clinical.range_of_motion import RangeOfMotion, ranges_of_motion
 from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis, find_repetitions

@@ -15,6 +15,13 @@ The complete orientation is observed where `PoseSequence.orientation_observed` i
 sensor); the direction where the joint and its only child are observed. A leaf without a sensor (hand, foot)
 has neither. An angle of a knee or elbow that is constant while the joint flexes is fixed by the model of the
 motion, and counts as unobserved.
+
+**Coordinates of an OpenSim model** give clinical angles too, to compare them with those of a motion.
+
+Coordinates of another system's model are taken by their names, with the sign of `AngleRow.opensim`; their
+zero is that of their model. Files of this package's own .osim contain all revolutes of its skeleton, so they
+give segment orientations, and from these the same angles as the motion: its ``lumbar_extension`` is one of
+four joints of the spine, not the whole angle.
 """
 
 from __future__ import annotations
@@ -30,15 +37,18 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import DIRECTION, WHOLE, ObservationMasks
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical import joint_coordinate_systems as jcs
-from rtof_kin.clinical.angle_confidence import reliable_samples
+from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import AngleRow, AngleTable, JointCoordinateSystem, angle_table
-from rtof_kin.clinical.decomposition import DecomposedAngles
+from rtof_kin.clinical.decomposition import DecomposedAngles, reliable_samples
+from rtof_kin.clinical.paths import BodyPaths
+from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.formats.opensim_mot import ROOT_AXES, coordinates
+from rtof_kin.formats.opensim_table import OpenSimTable
 
 Sources = NDArray[np.uint8]
 _ARRAYS: Final[dict[str, type]] = {
@@ -70,7 +80,7 @@ class ClinicalAngles:
     sigma: Array | None = None
     """(T, A) rad, standard deviation, NaN where unknown; None if the motion has no confidence."""
     trusted: Mask | None = None
-    """(T, A) whether a value is used for ranges, peaks and gait (`angle_confidence`); None for all."""
+    """(T, A) whether a value is used for ranges, peaks and gait (`decomposition`); None for all."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "times", checked_times("angle times", self.times))
@@ -258,3 +268,114 @@ def _notes(table: AngleTable, values: Array, provenance: Sources) -> tuple[str, 
             f"{gaps.sum()} angles have gaps where they were not observed, at most {most} % of the time: {names[worst]}"
         )
     return tuple(notes)
+
+
+_PELVIS = ("pelvis_tilt", "pelvis_list", "pelvis_rotation")
+
+
+def opensim_angles(found: OpenSimTable) -> tuple[ClinicalAngles, tuple[str, ...]]:
+    """Return clinical angles, and the coordinates that are none of them.
+
+    Args:
+        found: coordinates of this package's model or another.
+
+    Raises:
+        InvalidInputError: no coordinate is a clinical angle.
+    """
+    if found.skeleton:
+        return _of_own_model(found, SkeletonModel.named(found.skeleton)), ()
+    table = angle_table(SkeletonModel.default().table)
+    values, used = np.full((len(found.times), len(table.rows)), np.nan), set()
+    for column, row in enumerate(table.rows):
+        name = row.opensim.removeprefix("-")
+        if name and (angle := found.rotation(name)) is not None:
+            values[:, column] = _continuous(-angle if row.opensim.startswith("-") else angle, row)
+            used.add(name)
+    others = tuple(name for name in found.names if name not in used)
+    if not used:
+        raise InvalidInputError(
+            f"no coordinate is a clinical angle of this package: {', '.join(others[:8])}; rename columns to "
+            f"those of Rajagopal's model, e.g. {', '.join(_names(table)[:4])}"
+        )
+    return _plain(found.times, values, table), others
+
+
+def _names(table: AngleTable) -> list[str]:
+    return [row.opensim.removeprefix("-") for row in table.rows if row.opensim and "hip" in row.opensim]
+
+
+def _plain(times: Array, values: Array, table: AngleTable) -> ClinicalAngles:
+    """Angles without provenance, bands and singular postures."""
+    nothing = np.zeros(values.shape)
+    return ClinicalAngles(times, values, nothing.astype(np.uint8), nothing.astype(np.bool_), table.rows)
+
+
+def _continuous(angle: Array, row: AngleRow) -> Array:
+    """Unwrap each stretch without a gap, by whole turns into the angle's range."""
+    out = np.array(angle)
+    for start, stop in signals.runs(np.isfinite(out)):
+        stretch = np.unwrap(out[start:stop])
+        turns = np.round((np.median(stretch) - np.mean(row.range)) / (2 * np.pi))
+        out[start:stop] = stretch - 2 * np.pi * turns
+    return out
+
+
+def _of_own_model(found: OpenSimTable, skeleton: SkeletonModel) -> ClinicalAngles:
+    """Angles of the segment orientations; those of joints without a column are NaN."""
+    q = np.zeros((len(found.times), skeleton.nq))
+    root, given = np.zeros((len(found.times), 3)), set()
+    for number, coordinate in enumerate(coordinates(skeleton.table)):
+        angle = found.rotation(coordinate.name) if coordinate.is_rotation else None
+        if angle is None:
+            continue
+        given.add(coordinate.name if number < 3 else coordinate.urdf)
+        if number < 3:
+            root[:, number] = coordinate.sign * angle
+        else:
+            q[:, 7 + skeleton.dof_names.index(coordinate.urdf)] = coordinate.sign * angle
+    q[:, 3:7] = np.roll(so3.to_quat_wxyz(so3.euler_to_matrix(ROOT_AXES, root)), -1, axis=-1)
+    p, R = skeleton.forward_kinematics(q)
+    angles = clinical_angles(all_observed(PoseSequence(found.times, p, R, skeleton.names)), skeleton)
+    table, values = angle_table(skeleton.table), np.array(angles.values)
+    for number, joint in enumerate(table.joints):
+        if not given & set(joint.urdf or _PELVIS):
+            values[:, 3 * number : 3 * number + 3] = np.nan
+    return ClinicalAngles(found.times, values, angles.provenance, angles.singular, angles.rows)
+
+
+_SHORTEST: Final = 0.5
+"""Shortest time of standing still that counts, s."""
+_OWN_ZERO: Final = ("rotation", "shoulder", "elbow", "wrist")
+"""Parts of names of angles that standing does not define."""
+
+
+def relative_to_standing(angles: ClinicalAngles, paths: BodyPaths) -> ClinicalAngles:
+    """Return angles from which those of the person's quiet standing are subtracted.
+
+    Pelvis tilt and list, spine, hips, knees and ankles are changed; headings, rotations about long axes and
+    the arms, which hang in one way or another, are not. Standing is the longest time with upright legs and
+    trunk in which no segment turns faster than 0.5 rad/s, and its angles are the medians there.
+
+    Args:
+        paths: of the same motion, with `BodyPaths.standing`.
+
+    Raises:
+        InvalidInputError: nobody stands still for half a second, or it was not looked for.
+    """
+    if paths.standing is None:
+        raise InvalidInputError("angles relative to standing: the paths are without the frames of standing")
+    runs = signals.runs(paths.standing)
+    start, stop = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    if (stop - start) / paths.rate_hz < _SHORTEST:
+        raise InvalidInputError(
+            f"angles relative to standing: nobody stands upright and still for {_SHORTEST:g} s in this "
+            "motion; record a second of quiet standing, or leave the angles as they are"
+        )
+    values = np.array(angles.values)
+    for column, name in enumerate(angles.names):
+        own = values[start:stop, column]
+        if not any(part in name for part in _OWN_ZERO) and np.isfinite(own).any():
+            values[:, column] -= np.nanmedian(own)
+    first, last = paths.times[[start, stop - 1]]
+    note = f"angles of trunk and legs are relative to quiet standing from {first:.2f} to {last:.2f} s"
+    return replace(angles, values=values, notes=(*angles.notes, note))

@@ -9,7 +9,7 @@ repetition  phases of a squat or a rise from a seat, mean over repetitions
 range       no common axis: ranges of motion of the whole recordings alone
 ==========  =====================================================================================
 
-`comparison_change` has the mathematics of the differences, `comparison_alignment` that of clocks.
+`comparison_change` has the mathematics of the differences, `comparison_samples` that of clocks.
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ import numpy as np
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.clinical.comparison_alignment import Alignment
 from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
-from rtof_kin.clinical.comparison_errors import CurveErrors, curve_errors
-from rtof_kin.clinical.comparison_samples import Pair, Samples, Spans, in_time, over_phases, whole
+from rtof_kin.clinical.comparison_samples import Alignment, Pair, Samples, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
 from rtof_kin.clinical.paths import BodyPaths, body_paths
@@ -35,6 +33,53 @@ from rtof_kin.clinical.repetitions import KINDS, find_repetitions
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
+
+
+@dataclass(frozen=True)
+class CurveErrors:
+    """Differences d = B - A of two curves over their common samples, rad."""
+
+    rmse: float
+    """Root mean square of d."""
+    mae: float
+    """Mean of its size."""
+    median: float
+    """Median of its size."""
+    offset_removed: float
+    """Root mean square of d without its mean."""
+    largest: float
+    """Difference of the largest size, with its sign."""
+    at: float
+    """Place of it on the axis: s, or share of the cycle or repetition."""
+    correlation: float
+    """Pearson's, of the curves; NaN if one is constant."""
+
+
+def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
+    """Compare two curves where both are known.
+
+    Args:
+        axis: (P,) of the samples. a, b: (P,) rad, with at least one common sample.
+    """
+    known = np.isfinite(a) & np.isfinite(b)
+    difference = (b - a)[known]
+    worst = int(np.abs(difference).argmax())
+    return CurveErrors(
+        rmse=float(np.sqrt(np.mean(difference**2))),
+        mae=float(np.mean(np.abs(difference))),
+        median=float(np.median(np.abs(difference))),
+        offset_removed=float(np.std(difference)),
+        largest=float(difference[worst]),
+        at=float(axis[known][worst]),
+        correlation=_correlation(a[known], b[known]),
+    )
+
+
+def _correlation(a: Array, b: Array) -> float:
+    own, other = a - a.mean(), b - b.mean()
+    size = float(np.sqrt(np.sum(own**2) * np.sum(other**2)))
+    return float(np.sum(own * other) / size) if size > 1e-12 else float("nan")
+
 
 By = Literal["time", "cycle", "repetition", "range"]
 BYS: Final[tuple[By, ...]] = get_args(By)
@@ -336,3 +381,115 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
             )
         out.append(one)
     return out
+
+
+_LEAST_REPEATS: Final = 2  # strides of one side, or repetitions, of each motion
+_SAME_ENDS: Final = 0.25  # [s] by which the ends of two results of one take may differ
+_ALIKE: Final = 0.8  # agreement of motions of unknown recordings that count as one take
+_LEAST_COMMON: Final = 0.5  # share of the shorter motion that overlaps with another system's
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An axis, and why it was chosen."""
+
+    by: By
+    why: str
+    kind: str = "squat"
+    """Of the repetitions."""
+
+
+def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
+    """Return the best shift of B beyond a given one; None if no common angle moves.
+
+    Args:
+        shift: s, added to the times of B before.
+    """
+    moved = replace(b.angles, times=b.angles.times + shift)
+    try:
+        return align(a.angles, moved, common_angles(a, b))
+    except InvalidInputError:
+        return None
+
+
+def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | None = None) -> Choice:
+    """Return the axis on which two motions are compared; the reason is empty if it was asked for.
+
+    Args:
+        clocks: their `agreement`.
+    """
+    if asked is not None:
+        return _asked(a, b, asked)
+    if a.other_system or b.other_system:
+        if _overlap(a, b) >= _LEAST_COMMON:
+            return Choice("time", "a table of coordinates is compared at the same instants")
+        return Choice("range", "the time spans hardly overlap; --align finds a shift")
+    if (reason := _one_take(a, b, clocks)) is not None:
+        return Choice("time", reason)
+    return repeated_axis(a, b) or Choice(
+        "range", "they are different recordings, and not both have gait cycles or repetitions"
+    )
+
+
+def compare_sides(
+    one: Compared, asked: By | None = None, *, names: Sequence[str] = (), kind: str = ""
+) -> tuple[Comparison, str]:
+    """Return left (A) against right (B) of a motion, and why on this axis, for the command and the report.
+
+    Unless asked, it is by gait cycle if the motion is walking with two strides of each side, else by the
+    ranges of the whole recording: its repetitions may be of both legs, of the right or of the left one.
+
+    Args:
+        names, kind: see `compare`.
+
+    Raises:
+        InvalidInputError, UnknownNameError: see `compare`.
+    """
+    left, right = sides_of(one)
+    if asked is not None:
+        choice = _asked(left, right, asked)
+    elif not one.not_gait and min(map(len, one.strides.values()), default=0) >= _LEAST_REPEATS:
+        choice = Choice("cycle", "the motion is walking, with complete gait cycles of both sides")
+    else:
+        choice = Choice("range", "the motion is not walking with two strides or more of each side")
+    return compare(left, right, choice.by, names=names, kind=kind or choice.kind), choice.why
+
+
+def repeated_axis(a: Compared, b: Compared) -> Choice | None:
+    """Return the axis of the repeats that both have at least two of; None if there are none."""
+    cycles = [min(len(own), len(b.strides.get(side, ()))) for side, own in a.strides.items()]
+    if max(cycles, default=0) >= _LEAST_REPEATS and not (a.not_gait or b.not_gait):
+        return Choice("cycle", "both are walking, with complete gait cycles")
+    for kind in KINDS:
+        if min(len(x.repetitions.get(kind, ())) for x in (a, b)) >= _LEAST_REPEATS:
+            return Choice("repetition", "both have two repetitions or more", kind)
+    return None
+
+
+def _asked(a: Compared, b: Compared, by: By) -> Choice:
+    """Axis that was asked for; of repetitions the kind that both have most of."""
+    least = {kind: min(len(x.repetitions.get(kind, ())) for x in (a, b)) for kind in KINDS}
+    return Choice(by, "", max(KINDS, key=lambda kind: least[kind]))
+
+
+def _one_take(a: Compared, b: Compared, clocks: Alignment | None) -> str | None:
+    """Why two motions count as results of the same take; None if they do not."""
+    ends = zip(_ends(a), _ends(b), strict=True)
+    if clocks is None or not max(abs(x - y) for x, y in ends) <= _SAME_ENDS:
+        return None
+    if a.recording and a.recording == b.recording and not clocks.poor:
+        return f"both are results of a recording {a.recording!r} of the same length that agree"
+    if not (a.recording and b.recording) and clocks.unshifted >= _ALIKE:
+        return "both have the same length and move alike at the same instants"
+    return None
+
+
+def _ends(one: Compared) -> tuple[float, float]:
+    return float(one.angles.times[0]), float(one.angles.times[-1])
+
+
+def _overlap(a: Compared, b: Compared) -> float:
+    """Share of the shorter one that overlaps."""
+    (start_a, stop_a), (start_b, stop_b) = _ends(a), _ends(b)
+    shorter = max(min(stop_a - start_a, stop_b - start_b), 1e-9)
+    return (min(stop_a, stop_b) - max(start_a, start_b)) / shorter

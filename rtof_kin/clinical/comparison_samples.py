@@ -2,6 +2,18 @@
 
 A sample is usable if its angle is observed and reliable and its posture not singular. Values of B are taken
 modulo whole turns, nearest to those of A.
+
+**Alignment.** One constant shift between the clocks of two motions, from the agreement of their angular velocities.
+
+The agreement at a shift is the correlation of the velocities of all common angles together
+
+::
+
+    r(shift) = sum v_A(t) v_B(t - shift) / sqrt(sum v_A(t)^2  sum v_B(t - shift)^2)
+
+over the instants and angles that both have, low-passed. It is 1 for equal movements, whatever the offsets of
+the angles, and around 0 for unrelated ones. The standard deviation of the best shift is that of a jackknife
+over the angles (Efron and Stein, Annals of Statistics 9, 1981).
 """
 
 from __future__ import annotations
@@ -12,6 +24,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve
 
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
@@ -20,6 +33,7 @@ from rtof_kin.clinical.gait import PHASES
 from rtof_kin.clinical.range_of_motion import range_deviation
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.errors import InvalidInputError
 
 Spans = Mapping[str, Sequence[tuple[float, float]]]
 """Side, or '' for both -> start and stop of each repeat, s."""
@@ -204,3 +218,145 @@ def whole(angles: ClinicalAngles, name: str) -> tuple[Samples, float]:
     """Return all usable samples of one angle, and their share."""
     values, sigma = usable(angles.select([name]))
     return Samples(values.T, None if sigma is None else sigma.T), float(np.isfinite(values).mean())
+
+
+GRID_HZ: Final = 50.0
+"""Sampling rate of the velocities that are compared."""
+CUTOFF_HZ: Final = 4.0
+"""Low-pass of the velocities."""
+POOR: Final = 0.5
+"""Agreement below which two motions hardly agree."""
+AMBIGUOUS: Final = 0.9
+"""Agreement of the second best shift, as a share of the best, from which on the shift is ambiguous."""
+_LEAST_OVERLAP: Final = 1.0  # [s] of a shift that is considered
+_LEAST_SHARE: Final = 0.3  # of the shorter motion that overlaps at such a shift
+_SHORTEST: Final = 8  # samples of a stretch that is differentiated
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Shift of motion B onto the clock of A."""
+
+    shift: float
+    """[s] added to the times of B."""
+    sigma: float
+    """[s] standard deviation, by a jackknife over the angles; NaN for fewer than three angles."""
+    agreement: float
+    """r at the shift."""
+    rival: float
+    """[s] second best shift; NaN if there is none."""
+    rival_agreement: float
+    """r at that; NaN if there is none."""
+    unshifted: float
+    """r without a shift; NaN if the time spans hardly overlap."""
+
+    @property
+    def poor(self) -> bool:
+        """Whether the motions hardly agree even so, e.g. because they are different movements."""
+        return not self.agreement >= POOR
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another shift is nearly as good, as in periodic movement."""
+        return bool(self.rival_agreement >= AMBIGUOUS * self.agreement)
+
+
+def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: float = float("inf")) -> Alignment:
+    """Estimate the shift with the best agreement, to a fraction of a frame.
+
+    Args:
+        reach: s, largest shift that is considered.
+
+    Raises:
+        InvalidInputError: there is no common angle, or too few samples to compare velocities.
+    """
+    start_a, first = _velocities(a, names)
+    start_b, second = _velocities(b, names)
+    products, energies_a, energies_b = _correlations(first, second)
+    lags = np.arange(-(len(second) - 1), len(first))
+    shifts = lags / GRID_HZ + (start_a - start_b)
+    overlap = np.minimum(len(first), lags + len(second)) - np.maximum(lags, 0)
+    shorter = min(len(first), len(second))
+    least = min(max(_LEAST_OVERLAP * GRID_HZ, _LEAST_SHARE * shorter), shorter)
+    allowed = (overlap >= least) & (np.abs(shifts) <= reach)
+
+    def agreement(chosen: Array) -> Array:
+        """R of all shifts from some of the angles."""
+        size = np.sqrt(np.maximum(chosen @ energies_a, 0) * np.maximum(chosen @ energies_b, 0))
+        r = np.divide(chosen @ products, size, out=np.zeros(len(lags)), where=size > 1e-9)
+        return np.where(allowed, r, -1.0)
+
+    every = np.ones(len(names))
+    r = agreement(every)
+    if not r.max() > 0:
+        raise InvalidInputError("align: the motions have no common angle that moves; name others (--angles)")
+    best = int(r.argmax())
+    rival = _rival(r, best)
+    here = int(np.abs(shifts).argmin())
+    zero = float(r[here]) if allowed[here] and abs(shifts[here]) <= 1 / GRID_HZ else float("nan")
+    without = [agreement(every - one) for one in np.eye(len(names))]
+    return Alignment(
+        _refined(shifts, r, best),
+        _jackknife(shifts, without, best),
+        float(r[best]),
+        float("nan") if rival is None else float(shifts[rival]),
+        float("nan") if rival is None else float(r[rival]),
+        zero,
+    )
+
+
+def _velocities(angles: ClinicalAngles, names: Sequence[str]) -> tuple[float, Array]:
+    """Time of the first sample, s, and velocities (T, A) rad/s at `GRID_HZ`; 0 where unknown."""
+    values = usable(angles.select(names))[0]
+    count = int((angles.times[-1] - angles.times[0]) * GRID_HZ) + 1
+    times = angles.times[0] + np.arange(count) / GRID_HZ
+    grid = signals.interpolate(angles.times, values, times, 1.5 / angles.rate_hz)
+    out = np.zeros_like(grid)
+    for column in range(grid.shape[1]):
+        for start, stop in signals.runs(np.isfinite(grid[:, column])):
+            if stop - start >= _SHORTEST:
+                smooth = signals.low_pass(grid[start:stop, column], GRID_HZ, CUTOFF_HZ)
+                out[start:stop, column] = np.gradient(smooth) * GRID_HZ
+    return float(times[0]), out
+
+
+def _correlations(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Sums (A, L) over the overlap at every lag: v_A v_B, v_A^2 and v_B^2 where the other is known."""
+    reverse = b[::-1]
+
+    def total(x: Array, y: Array) -> Array:
+        return np.asarray(fftconvolve(x, y, axes=0).T)
+
+    known_a, known_b = (a != 0).astype(float), (reverse != 0).astype(float)
+    return total(a, reverse), total(a**2, known_b), total(known_a, reverse**2)
+
+
+def _rival(r: Array, best: int) -> int | None:
+    """Index of the best local maximum outside the main peak; None if there is none."""
+    low, high = best, best
+    while low > 0 and r[low - 1] <= r[low]:
+        low -= 1
+    while high < len(r) - 1 and r[high + 1] <= r[high]:
+        high += 1
+    rest = np.array(r)
+    rest[low : high + 1] = -1.0
+    inner = (rest[1:-1] > 0) & (rest[1:-1] >= rest[:-2]) & (rest[1:-1] >= rest[2:])
+    peaks = np.flatnonzero(inner) + 1
+    return int(peaks[rest[peaks].argmax()]) if len(peaks) else None
+
+
+def _refined(shifts: Array, r: Array, best: int) -> float:
+    """Shift, s, at the vertex of the parabola through the best value and its neighbours."""
+    if 0 < best < len(r) - 1 and min(r[best - 1], r[best + 1]) > -1:
+        return float(shifts[best] + signals.vertex(r[best - 1], r[best], r[best + 1]) / GRID_HZ)
+    return float(shifts[best])
+
+
+def _jackknife(shifts: Array, agreements: Sequence[Array], best: int) -> float:
+    """Standard deviation, s, of the peak near the best one, over the angles left out one by one."""
+    if len(agreements) < 3:
+        return float("nan")
+    near = slice(max(0, best - int(GRID_HZ / 4)), best + int(GRID_HZ / 4) + 1)
+    peaks = [_refined(shifts[near], r[near], int(r[near].argmax())) for r in agreements]
+    n = len(peaks)
+    return float(np.sqrt((n - 1) / n * np.sum((np.array(peaks) - np.mean(peaks)) ** 2)))

@@ -4,7 +4,7 @@
 angles.csv, angles.json         angles over time, degrees, and their standard deviations if the motion has
                                 a confidence; the table of their names and signs
 angles_provenance.csv           observation source of each value (`Provenance` by number)
-angles_trusted.csv              1 where a value is reliable (`angle_confidence`), else 0
+angles_trusted.csv              1 where a value is reliable (`decomposition`), else 0
 range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
                                 standard deviations of both ends and of the range; 1 for a heading; 95 %
                                 intervals with the unreliable samples, their seconds and furthest value
@@ -36,9 +36,8 @@ from numpy.typing import NDArray
 
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.foot_contacts import STATUS, Contact
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
-from rtof_kin.clinical.ground_reaction import GroundReaction
+from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.repetitions import RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques

@@ -18,15 +18,12 @@ import numpy as np
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table, foot_table
-from rtof_kin.clinical.angles import ClinicalAngles, angles_of
+from rtof_kin.clinical.angles import ClinicalAngles, angles_of, relative_to_standing
 from rtof_kin.clinical.comparison_samples import usable
 from rtof_kin.clinical.decomposition import DecomposedAngles
-from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
-from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.gait_recognition import progression, stride_shape
-from rtof_kin.clinical.neutral import relative_to_standing
+from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait, progression, stride_shape
+from rtof_kin.clinical.gait_events import Stride, gait_events
 from rtof_kin.clinical.paths import BodyPaths, PathCollector
-from rtof_kin.clinical.strides import Stride
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE

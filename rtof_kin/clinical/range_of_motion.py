@@ -54,7 +54,7 @@ class RangeOfMotion:
     singular_share: float
     """Share of those near a singular posture; NaN for none."""
     trusted_share: float = 1.0
-    """Share of those with a reliable value (`angle_confidence`); NaN for none."""
+    """Share of those with a reliable value (`decomposition`); NaN for none."""
     low_sigma: float = float("nan")
     """[rad] standard deviation of `low`; NaN if the motion has no confidence."""
     high_sigma: float = float("nan")

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.clinical.gait_recognition import GaitVerdict, share_of_time
+from rtof_kin.clinical.gait import GaitVerdict, share_of_time
 from rtof_kin.clinical.paths import BodyPaths
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask

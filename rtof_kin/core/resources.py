@@ -19,13 +19,12 @@ DEFAULT_LIFTER = "detections"
 def cache_folder() -> Path:
     """Return the folder of compiled functions and downloaded models.
 
-    It is ``RTOF_KIN_CACHE``, or in the user's cache folder.
+    It is ``RTOF_KIN_CACHE``, or in the user's cache folder, which the system defines.
     """
+    from platformdirs import user_cache_path  # slow to import
+
     given = os.environ.get("RTOF_KIN_CACHE")
-    if given:
-        return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rtof_kin"
+    return Path(given) if given else user_cache_path("rtof_kin", appauthor=False)
 
 
 def model_path(name: str) -> Path:

@@ -20,11 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.datasets.total_capture_files import only_one, walk
-from rtof_kin.recording import files
+from rtof_kin.recording.cameras import arranged_keypoints, keypoint_arrays
+from rtof_kin.recording.streams import naming, needed
+from rtof_kin.recording.tables import RECOGNISE
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
 from rtof_kin.vision.keypoints import keypoints_from_detections
 
@@ -49,7 +53,7 @@ def read_detections(
     Args:
         skeleton: that has the landmarks; the 21-joint one by default.
         rate_hz: frame rate of the video, Hz, for files without times.
-        layout: of a detector's points, or `files.RECOGNISE`; by default the skeleton's own landmarks. Only for the
+        layout: of a detector's points, or `RECOGNISE`; by default the skeleton's own landmarks. Only for the
             21-joint skeleton.
 
     Raises:
@@ -61,12 +65,13 @@ def read_detections(
     if layout is not None:
         return _adapted(path, camera, rate_hz, layout)
     if path.suffix.lower() == ".csv":
-        names, arrays = files.read_keypoint_csv(path)
+        names, arrays = arranged_keypoints(path, read_csv(path))
     else:
-        arrays = files.read_arrays(path, _ARRAYS)
+        arrays = read_npz(path)
+        indices_of(f"array in {path}", sorted(arrays), _ARRAYS)
         names = _landmarks(Path(folder), skeleton)
     shapes = {name: array.shape for name, array in arrays.items()}
-    shape = files.needed(path, shapes, "uv_px", "(T, L, 2)")
+    shape = needed(path, shapes, "uv_px", "(T, L, 2)")
     if shape[1:] != (len(names), 2):
         raise FileFormatError(
             path,
@@ -77,8 +82,8 @@ def read_detections(
     if unknown:
         kind = f"landmark (a detector's own points need the name of their layout) in {path}"
         raise UnknownNameError(kind, unknown, list(skeleton.landmarks))
-    with files.naming(path):
-        uv, confidence = files.keypoint_arrays(arrays)
+    with naming(path):
+        uv, confidence = keypoint_arrays(arrays)
         return KeypointSequence(camera, arrays.get("times", np.arange(len(uv)) / rate_hz), uv, confidence, names)
 
 
@@ -86,8 +91,8 @@ def _adapted(path: Path, camera: Camera, rate_hz: float, layout: str) -> Keypoin
     """Convert a detector's own file to landmarks; layout and tracked person are logged."""
     found = read_detector_file(path, camera.width_px, camera.height_px)
     times = np.arange(len(found)) / rate_hz if found.times is None else found.times
-    with files.naming(path):
-        adapted = keypoints_from_detections(found, times, camera, None if layout == files.RECOGNISE else layout)
+    with naming(path):
+        adapted = keypoints_from_detections(found, times, camera, None if layout == RECOGNISE else layout)
     _log.info("%s: %s", path, adapted.summary)
     return adapted.keypoints
 

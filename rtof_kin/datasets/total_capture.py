@@ -43,8 +43,8 @@ from rtof_kin.datasets.total_capture_files import (
 )
 from rtof_kin.datasets.total_capture_truth import RATE_HZ, SEGMENT_OF_BONE, WORLD_OF_VICON, read_truth
 from rtof_kin.formats.total_capture import SensorTable, read_cameras, read_imu_calibration, read_sensors
-from rtof_kin.recording import files
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.streams import naming
 
 __all__ = ["ACKNOWLEDGEMENT", "CAMERAS", "SUBJECTS", "TEST", "TRAIN", "Take", "TotalCapture"]
 
@@ -325,7 +325,7 @@ def _sequence(path: Path, table: SensorTable, names: list[str], frames: int, not
     f[dead] = np.nan
     f[:_STAMP_FRAMES] = np.nan
     notes.append(f"accelerations of the first {_STAMP_FRAMES} frames are unknown: a foot may be stamped")
-    with files.naming(path):
+    with naming(path):
         return ImuSequence(np.arange(count) / RATE_HZ, R, f, tuple(names))
 
 

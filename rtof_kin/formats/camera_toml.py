@@ -18,21 +18,43 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import tomli_w
+from pydantic import ConfigDict
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
-from rtof_kin.core.files.section import Section
-from rtof_kin.core.files.text import write_text
+from rtof_kin.core.files.input_table import ArrayOf, InputTable, Matrix3, Names, Vector2
+from rtof_kin.core.files.text import load_toml, write_text
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.world_axes import world_of_file
 
 FURTHEST: Final = 100.0
 """A camera further than this from the origin, m, is in another unit."""
+
+
+_LENS: Final = (
+    "; these are k1, k2, p1, p2 and perhaps k3: undistort with the tool that made the file if its lens needs more"
+)
+
+
+class CameraOfTool(InputTable):
+    """A camera as the tools write it; further fields are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+    name: str | None = None
+    size: Vector2
+    """Width and height, px."""
+    matrix: Matrix3
+    distortions: Annotated[Array, ArrayOf(4, also=((5,),), remedy=_LENS)]
+    """OpenCV's, 4 or 5."""
+    rotation: Annotated[Array, ArrayOf(3, also=((3, 3), (3, 1)))]
+    translation: Annotated[Array, ArrayOf(3, also=((3, 1),))]
+    assumed: Names = ()
+    fisheye: bool | int = False
 
 
 def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float = 1.0) -> dict[str, Camera]:
@@ -48,18 +70,18 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
         InvalidInputError: invalid `up` or `metres_per_unit`.
     """
     R_world_file = world_of_file(up, metres_per_unit)
-    file = Section.of_file(Path(path))
-    if "cameras" in file.keys() and not _is_camera(file, "cameras"):  # noqa: SIM118
-        file = file.table("cameras")
+    data, inside = load_toml(path), ""
+    if isinstance(data.get("cameras"), dict) and not _is_camera(data["cameras"]):
+        data, inside = data["cameras"], "cameras."
     cameras: dict[str, Camera] = {}
-    for key in file.keys():  # noqa: SIM118
-        if key == "metadata" or not _is_camera(file, key):
+    for key, fields in data.items():
+        if key == "metadata" or not _is_camera(fields):
             continue
-        section = file.table(key)
-        name = section.text("name", key)
+        table = CameraOfTool.of(fields, Path(path), inside + key)
+        name = key if table.name is None else table.name
         if name in cameras:
-            raise section.error("name", f"{name!r} is another camera's already; give each its own")
-        cameras[name] = _camera(section, R_world_file, metres_per_unit)
+            raise table.error("name", f"{name!r} is another camera's already; give each its own")
+        cameras[name] = _camera(table, R_world_file, metres_per_unit)
     if not cameras:
         raise FileFormatError(
             path, "no camera in it: no table has both size and matrix; give a file of camera calibrations"
@@ -67,41 +89,29 @@ def read_camera_toml(path: str | Path, *, up: str = "z", metres_per_unit: float 
     return cameras
 
 
-def _is_camera(file: Section, key: str) -> bool:
-    try:
-        section = file.table(key)
-    except FileFormatError:  # a field, not a table
-        return False
-    return section.has("matrix") or section.has("size")
+def _is_camera(fields: Any) -> bool:
+    return isinstance(fields, dict) and ("matrix" in fields or "size" in fields)
 
 
-def _camera(section: Section, R_world_file: Array, metres_per_unit: float) -> Camera:
-    if section.has("fisheye") and section.data["fisheye"] not in (False, 0):
-        raise section.error("fisheye", "a fisheye lens is no pinhole camera; undistort the images first")
-    width, height = section.array("size", (2,))
-    where = f"{section.path}: {section.where('translation')}"
-    t = checked_distance(where, _shaped(section, "translation", (3,), (3, 1)), metres_per_unit)
-    rotation = _shaped(section, "rotation", (3,), (3, 3), (3, 1))
+def _camera(table: CameraOfTool, R_world_file: Array, metres_per_unit: float) -> Camera:
+    if table.fisheye:
+        raise table.error("fisheye", "a fisheye lens is no pinhole camera; undistort the images first")
+    t = checked_distance(f"{table.path}: {table.where('translation')}", table.translation.ravel(), metres_per_unit)
+    rotation = table.rotation.ravel()
     R = so3.exp(rotation) if len(rotation) == 3 else rotation.reshape(3, 3)
-    try:
-        distortion = _shaped(section, "distortions", (5,), (4,))
-    except FileFormatError as error:
-        raise section.error(
-            "distortions",
-            "expected k1, k2, p1, p2 and perhaps k3; undistort with the tool that made the file if its lens needs more",
-        ) from error
+    width, height = table.size
     try:
         return Camera(
-            section.array("matrix", (3, 3)),
+            table.matrix,
             R @ R_world_file.T,
             t,
             round(width),
             round(height),
-            np.pad(distortion, (0, 5 - len(distortion))),
-            section.optional_names("assumed") or (),
+            np.pad(table.distortions, (0, 5 - len(table.distortions))),
+            table.assumed,
         )
     except InvalidInputError as error:
-        raise FileFormatError(section.path, f"[{section.name}]: {error}") from error
+        raise FileFormatError(table.path, f"{table.where('').strip()}: {error}") from error
 
 
 def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
@@ -121,16 +131,6 @@ def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
             f"{0.001 * metres_per_unit:g} if the file has mm"
         )
     return t
-
-
-def _shaped(section: Section, field: str, *shapes: tuple[int, ...]) -> Array:
-    """Return the numbers of a field in one of some shapes, flat; the error is that of the first shape."""
-    for shape in shapes[1:]:
-        try:
-            return section.array(field, shape).ravel()
-        except FileFormatError:
-            continue
-    return section.array(field, shapes[0])
 
 
 def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:

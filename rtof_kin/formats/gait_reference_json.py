@@ -27,13 +27,15 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from pydantic import Strict
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.section import Section
+from rtof_kin.core.files.input_table import ArrayOf, InputTable, Integer, Names, Number, Vector2
 from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.data.gait_reference import NAMES, SHAPE, VARIABLES, GaitReference
 
@@ -43,6 +45,44 @@ LARGEST: Final = 256 * 2**20
 """Largest file, bytes: ten thousand people."""
 _SIDES: Final = ("right", "left")
 _DIGITS: Final = 6
+Curve = Annotated[Array, ArrayOf(SHAPE[1])]
+"""51 numbers, deg."""
+
+
+class VariableTable(InputTable):
+    """Mean and standard deviation of a variable, deg."""
+
+    positive: str = ""
+    zero: str = ""
+    mean: Curve
+    sd: Curve | None = None
+
+
+class PersonTable(InputTable):
+    """Curves of a person by variable, deg, and what they are of."""
+
+    person: str
+    strides: Vector2
+    speed_m_per_s: Number | None = None
+    right: dict[str, Curve]
+    left: dict[str, Curve]
+
+
+class ReferenceTable(InputTable):
+    """The file."""
+
+    format: Literal["gait reference"]
+    version: Literal[1]
+    unit: Literal["deg"]
+    licence: str
+    source: str
+    system: str
+    zero: str
+    people: Integer
+    speed_m_per_s: Vector2 | None = None
+    notes: Names = ()
+    variables: dict[str, VariableTable] = {}
+    curves: Annotated[tuple[PersonTable, ...], Strict(False)] = ()
 
 
 def read_gait_reference(path: str | Path) -> GaitReference:
@@ -56,68 +96,49 @@ def read_gait_reference(path: str | Path) -> GaitReference:
     data = load_json(path, LARGEST, "a reference of gait scores, which rtof-kin gait-reference writes")
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise FileFormatError(path, f'no reference of gait scores: it begins with "format": "{FORMAT}"')
-    file = Section(path, data)
-    file.text("format")
-    if (version := file.integer("version")) != VERSION:
-        raise file.error("version", f"{version} is not known; this release reads {VERSION}")
-    if (unit := file.text("unit")) != "deg":
-        raise file.error("unit", f"{unit!r}; angles are in degrees: deg")
-    mean, sd = _means(file.table("variables"))
-    curves, people = _curves(file.tables("curves"))
-    speeds = file.optional_array("speed_m_per_s", (2,))
-    fields: dict[str, Any] = {name: file.text(name) for name in ("licence", "source", "system", "zero")}
-    count, notes = file.integer("people"), file.optional_names("notes") or ()
-    file.close()
+    if isinstance(variables := data.get("variables"), dict):
+        indices_of(f"field in {path}, [variables]", [*variables], NAMES)
+    file = ReferenceTable.of(data, path)
+    mean, sd = np.full(SHAPE, np.nan), np.full(SHAPE, np.nan)
+    for v, name in enumerate(NAMES):
+        if name in file.variables:
+            own = file.variables[name]
+            mean[v] = own.mean
+            if own.sd is not None:
+                sd[v] = own.sd
+    people: dict[str, Any] = {}
+    if file.curves:
+        people = {
+            "curves": np.radians([[_curves(one, side) for side in _SIDES] for one in file.curves]),
+            "names": tuple(one.person for one in file.curves),
+            "strides": tuple((int(one.strides[0]), int(one.strides[1])) for one in file.curves),
+            "speeds": tuple(math.nan if one.speed_m_per_s is None else one.speed_m_per_s for one in file.curves),
+        }
+    speeds = file.speed_m_per_s
     try:
         return GaitReference(
-            mean,
-            sd,
-            count,
-            **fields,
-            curves=curves,
+            np.radians(mean),
+            np.radians(sd),
+            file.people,
+            licence=file.licence,
+            source=file.source,
+            system=file.system,
+            zero=file.zero,
             **people,
-            notes=notes,
+            notes=file.notes,
             speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
         )
     except InvalidInputError as error:
         raise FileFormatError(path, str(error)) from error
 
 
-def _means(variables: Section) -> tuple[Array, Array]:
-    """Means and standard deviations (9, 51) rad; NaN for absent variables."""
-    mean, sd = np.full(SHAPE, np.nan), np.full(SHAPE, np.nan)
-    for v, name in enumerate(NAMES):
-        if variables.has(name):
-            own = variables.table(name)
-            mean[v] = own.array("mean", SHAPE[1:])
-            if own.has("sd"):
-                sd[v] = own.array("sd", SHAPE[1:])
-            for words in ("positive", "zero"):
-                own.text(words, "")
-            own.close()
-    variables.close()
-    return np.radians(mean), np.radians(sd)
-
-
-def _curves(people: list[Section]) -> tuple[Array | None, dict[str, Any]]:
-    """Curves (N, 2, 9, 51) rad, and names, strides and speeds of the people."""
-    if not people:
-        return None, {}
-    curves = np.empty((len(people), 2, *SHAPE))
-    names, strides, speeds = [], [], []
-    for one, own in zip(curves, people, strict=True):
-        names.append(own.text("person"))
-        count = own.array("strides", (2,))
-        strides.append((int(count[0]), int(count[1])))
-        speed = own.optional_number("speed_m_per_s")
-        speeds.append(math.nan if speed is None else speed)
-        for s, side in enumerate(_SIDES):
-            table = own.table(side)
-            for v, name in enumerate(NAMES):
-                one[s, v] = table.array(name, SHAPE[1:])
-            table.close()
-        own.close()
-    return np.radians(curves), {"names": tuple(names), "strides": tuple(strides), "speeds": tuple(speeds)}
+def _curves(person: PersonTable, side: str) -> list[Array]:
+    """Return the curves of all variables of a side, deg."""
+    given: dict[str, Array] = getattr(person, side)
+    indices_of(f"field in {person.path}, {person.where(side)}", [*given], NAMES)
+    if missing := [name for name in NAMES if name not in given]:
+        raise person.error(f"{side}.{missing[0]}", f"missing; add {SHAPE[1]} numbers")
+    return [given[name] for name in NAMES]
 
 
 def write_gait_reference(path: str | Path, reference: GaitReference, overwrite: bool = False) -> None:

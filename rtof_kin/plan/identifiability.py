@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt

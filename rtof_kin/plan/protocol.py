@@ -16,7 +16,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.core.files.section import Section
+from rtof_kin.core.files.input_table import InputTable, Integer, Names, Number, Row
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.placing import centre_of, facing_of, stand_of
@@ -139,29 +139,25 @@ class Protocol:
             InvalidInputError: a value is not plausible. UnknownNameError: no such sensor or angle.
         """
         path = Path(path)
-        top = Section.of_file(path)
-        movement = top.text("movement")
+        top = ProtocolTable.read(path)
+        movement = top.movement
         if (path.parent / movement).is_dir():
             movement = str(path.parent / movement)
-        seen, worn, detector, wanted = (top.table(name) for name in ("camera", "sensors", "detector", "wanted"))
-        camera, possible = _camera(seen)
-        own = cls(
+        camera, possible = _camera(top.camera)
+        return cls(
             movement,
-            repetitions=top.integer("repetitions") if top.has("repetitions") else None,
-            height_m=top.optional_number("height_m"),
+            repetitions=top.repetitions,
+            height_m=top.height_m,
             camera=camera,
-            sensors=worn.optional_names("worn") or (),
-            possible_sensors=worn.optional_names("possible"),
+            sensors=top.sensors.worn,
+            possible_sensors=top.sensors.possible,
             possible_cameras=possible,
-            any_camera=not {"angle_deg", "distance_m", "height_m"} & {*seen.data},
-            detector=detector.text("points", DETECTORS[0]),
-            error_factor=detector.number("error_factor", 1.0),
-            wanted=wanted.optional_names("angles") or (),
-            wanted_sd_deg=wanted.optional_number("sd_deg"),
+            any_camera=not {"angle_deg", "distance_m", "height_m"} & top.camera.model_fields_set,
+            detector=top.detector.points,
+            error_factor=top.detector.error_factor,
+            wanted=top.wanted.angles,
+            wanted_sd_deg=top.wanted.sd_deg,
         )
-        for section in (worn, detector, wanted, top):
-            section.close()
-        return own
 
     @property
     def further_sensors(self) -> tuple[str, ...]:
@@ -179,39 +175,80 @@ class Protocol:
         return possible if self.camera in possible else (self.camera, *possible)
 
 
-def _camera(section: Section) -> tuple[CameraPlace, tuple[CameraPlace, ...] | None]:
-    """The camera, and the places that it could have."""
-    own = CameraPlace()
-    width = section.integer("width_px", own.width_px)
-    usual = own.focal_px * width / own.width_px
-    if section.has("field_of_view_deg"):
-        half = np.radians(np.clip(section.number("field_of_view_deg"), *_FIELD_OF_VIEW_DEG)) / 2
-        usual = float(width / 2 / np.tan(half))
-    camera = CameraPlace(
-        angle_deg=section.number("angle_deg", own.angle_deg),
-        distance_m=section.number("distance_m", own.distance_m),
-        height_m=section.number("height_m", own.height_m),
-        focal_px=section.number("focal_px", usual),
-        width_px=width,
-        height_px=section.integer("height_px", own.height_px),
-        rate_hz=section.number("rate_hz", own.rate_hz),
+class PossibleTable(InputTable):
+    """Positions that the camera could have."""
+
+    angle_deg: Row | None = None
+    distance_m: Row | None = None
+    height_m: Row | None = None
+
+
+class CameraPlaceTable(InputTable):
+    """See `CameraPlace`."""
+
+    angle_deg: Number = CameraPlace.angle_deg
+    distance_m: Number = CameraPlace.distance_m
+    height_m: Number = CameraPlace.height_m
+    focal_px: Number | None = None
+    field_of_view_deg: Number | None = None
+    """Horizontal, in place of `focal_px`."""
+    width_px: Integer = CameraPlace.width_px
+    height_px: Integer = CameraPlace.height_px
+    rate_hz: Number = CameraPlace.rate_hz
+    possible: PossibleTable = PossibleTable()
+
+
+class SensorsTable(InputTable):
+    """Names of the skeleton's table."""
+
+    worn: Names = ()
+    possible: Names | None = None
+
+
+class DetectorTable(InputTable):
+    """The detector and its errors."""
+
+    points: str = DETECTORS[0]
+    error_factor: Number = 1.0
+
+
+class WantedTable(InputTable):
+    """The angles that matter, and the standard deviation that they need."""
+
+    angles: Names = ()
+    sd_deg: Number | None = None
+
+
+class ProtocolTable(InputTable):
+    """The file."""
+
+    movement: str
+    repetitions: Integer | None = None
+    height_m: Number | None = None
+    camera: CameraPlaceTable = CameraPlaceTable()
+    sensors: SensorsTable = SensorsTable()
+    detector: DetectorTable = DetectorTable()
+    wanted: WantedTable = WantedTable()
+
+
+def _camera(table: CameraPlaceTable) -> tuple[CameraPlace, tuple[CameraPlace, ...] | None]:
+    """Return the camera, and the positions that it could have."""
+    focal = table.focal_px
+    if focal is None and table.field_of_view_deg is not None:
+        half = np.radians(np.clip(table.field_of_view_deg, *_FIELD_OF_VIEW_DEG)) / 2
+        focal = float(table.width_px / 2 / np.tan(half))
+    names = ("angle_deg", "distance_m", "height_m", "width_px", "height_px", "rate_hz")
+    usual = CameraPlace.focal_px * table.width_px / CameraPlace.width_px
+    camera = CameraPlace(**{name: getattr(table, name) for name in names}, focal_px=usual if focal is None else focal)
+    if not table.possible.model_fields_set:
+        return camera, None
+    angles, distances, heights = (
+        [getattr(camera, name)] if (given := getattr(table.possible, name)) is None else given.tolist()
+        for name in names[:3]
     )
-    possible = section.table("possible")
-    ranges = {
-        name: possible.numbers(name) if possible.has(name) else [getattr(camera, name)]
-        for name in ("angle_deg", "distance_m", "height_m")
-    }
-    found = None
-    if len(possible):
-        found = tuple(
-            replace(camera, angle_deg=float(a), distance_m=float(d), height_m=float(h))
-            for h in ranges["height_m"]
-            for d in ranges["distance_m"]
-            for a in ranges["angle_deg"]
-        )
-    possible.close()
-    section.close()
-    return camera, found
+    return camera, tuple(
+        replace(camera, angle_deg=a, distance_m=d, height_m=h) for h in heights for d in distances for a in angles
+    )
 
 
 def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace:

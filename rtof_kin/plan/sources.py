@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.motion_file import motion_path
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import signals
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
-from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
+from rtof_kin.formats.measurements_file import measurements_path, read_measurements
 from rtof_kin.plan.movements import MOVEMENTS, movement
 from rtof_kin.plan.protocol import Protocol, place_of
 from rtof_kin.plan.setup import Setup
@@ -107,9 +107,9 @@ def _moved(folder: Path, lifter: LifterLike | None, progress: Progress | None) -
         floor = recording.floor_height
     else:
         path = motion_path(folder)
-        motion = read_motion_npz(path).motion()
-        if (path.parent / MEASUREMENTS).exists():
-            measured = read_measurements_npz(path.parent / MEASUREMENTS)
+        motion = Motion.load(path)
+        if (beside := measurements_path(path.parent)).exists():
+            measured = read_measurements(beside)
             camera = measured.views[0].camera if measured.views else None
             joints, floor = measured.segments, measured.floor_height
     known = np.isfinite(motion.poses.p_world_joint).all(axis=(1, 2))

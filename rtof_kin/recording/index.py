@@ -5,7 +5,8 @@ The format is described in docs/recording.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from functools import cache
 from pathlib import Path, PurePath
 from typing import Any, Final
@@ -15,16 +16,15 @@ import numpy as np
 from rtof_kin.body.neutral_posture import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel, known_body
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError, UnknownNameError
-from rtof_kin.core.files.section import Section
-from rtof_kin.recording import files
-from rtof_kin.recording.camera_motion_files import filmed_stream
-from rtof_kin.recording.schema import check_index
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.files.input_table import InputTable
+from rtof_kin.core.files.text import load_toml
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.recording.cameras import filmed_stream
 from rtof_kin.recording.sensor_files import imu_stream
-from rtof_kin.recording.session import read_session
-from rtof_kin.recording.sources import Source
-from rtof_kin.recording.streams import Streams
-from rtof_kin.recording.views import view_streams
+from rtof_kin.recording.session import Session
+from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
+from rtof_kin.recording.tables import BodyTable, PostureTable, RecordingTable, TruthTable
 
 INDEX: Final = "recording.toml"
 UNFINISHED: Final = PurePath("live", "setup")
@@ -32,15 +32,27 @@ UNFINISHED: Final = PurePath("live", "setup")
 SCHEMA_VERSION: Final = 1
 SKELETONS: Final = ("total_capture", "human36m")
 """Tables of skeletons that a recording may name."""
+_TRUTH_AXES: Final = {
+    "times": 1,
+    "p_world_joint": 3,
+    "R_world_bone": 4,
+    "provenance": 2,
+    "valid": 2,
+    "orientation_observed": 2,
+}
+"""Number of axes of arrays with a row for each sample; with fewer they hold for all samples."""
+TRUTH: Final = tuple(_TRUTH_AXES)
+"""Fields of `PoseSequence` in a file."""
 shipped = cache(SkeletonModel.named)
 """Skeleton of a table."""
 
 
-def index_of(folder: Path) -> Section:
-    """Return the top level of a recording's ``recording.toml``.
+def index_of(folder: Path) -> RecordingTable:
+    """Return the tables of a recording's ``recording.toml``.
 
     Raises:
-        FileFormatError: it does not exist or is not TOML.
+        FileFormatError, UnknownNameError: it does not exist, is not TOML or has something wrong; the message names
+            file, field and remedy.
     """
     path = folder / INDEX
     if folder.is_dir() and not path.exists():
@@ -50,58 +62,63 @@ def index_of(folder: Path) -> Section:
         raise FileFormatError(
             path, "there is no such file; rtof-kin run --only recording makes a recording of a video and sensors' files"
         )
-    return Section.of_file(path)
+    data = load_toml(path)
+    version = data.get("schema_version", SCHEMA_VERSION)
+    if version != SCHEMA_VERSION and isinstance(version, int | float):
+        raise FileFormatError(
+            path,
+            f"schema_version: {version} is not {SCHEMA_VERSION}, which this version of the package reads; use the "
+            "version that wrote it, or a newer one",
+        )
+    return RecordingTable.of(data, path)
 
 
-def read_index(index: Section, source: Source) -> tuple[dict[str, Any], Streams]:
-    """Read the fields of a `Recording`, and open its streams.
-
-    Args:
-        index: top level of ``recording.toml``.
+def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], Streams]:
+    """Return the fields of a `Recording`, and open its streams.
 
     Raises:
         FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
     """
-    version = index.integer("schema_version")
-    if version != SCHEMA_VERSION:
-        raise index.error(
-            "schema_version",
-            f"{version} is not {SCHEMA_VERSION}, which this version of the "
-            "package reads; use the version that wrote it, or a newer one",
-        )
-    check_index(index)
-    subject, skeleton, scene, notes = (index.table(n) for n in ("subject", "skeleton", "scene", "notes"))
-    fields: dict[str, Any] = {
-        "name": index.text("name", index.path.absolute().parent.name),
-        "first_frame": index.integer("first_frame", 0),
-        "height": subject.optional_number("height_m"),
-        "mass_kg": subject.optional_number("mass_kg"),
-        "sex": subject.optional_text("sex"),
-        "floor_height": scene.optional_number("floor_height_m"),
-        "acknowledgement": notes.text("acknowledgement", ""),
-        "notes": notes.text("text", ""),
-        "session": read_session(index.table("session")),
-        **_read_skeleton(skeleton),
+    subject, notes = index.subject, index.notes.text
+    facts: dict[str, Any] = {
+        "skeleton_table": index.skeleton.table,
+        "height": subject.height_m,
+        "mass_kg": subject.mass_kg,
+        "sex": subject.sex,
+        **_lengths_and_offsets(index.skeleton),
     }
-    table = shipped(fields["skeleton_table"])
-    keypoints, imus, truth = None, None, None
-    if index.has("camera") or index.has("keypoints") or not index.has("imus"):
-        filmed, note = filmed_stream(index.table("camera"), index.table("keypoints"), table, source)
+    table = shipped(index.skeleton.table)
+    keypoints, imus, calibration, posture, truth = None, None, None, None, None
+    if index.camera is not None and index.keypoints is not None:
+        filmed, note = filmed_stream(index.camera, index.keypoints, table, source)
         keypoints = source.checked(filmed)
-        fields["notes"] = "\n".join(filter(None, (fields["notes"], note)))
-    views = tuple(source.checked(view) for view in view_streams(index.tables("views"), table, source))
-    facts = ("skeleton_table", "joint_offsets", "bone_lengths", "height", "mass_kg", "sex")
-    body = body_of(**{name: fields[name] for name in facts if name in fields})
-    if index.has("imus"):
-        sensors, fields["calibration"] = imu_stream(index.table("imus"), body, source)
+        notes = "\n".join(filter(None, (notes, note)))
+    views = tuple(source.checked(filmed_stream(view.camera, view.keypoints, table, source)[0]) for view in index.views)
+    body = body_of(**facts)
+    if index.imus is not None:
+        if index.imus.file is None and keypoints is None:
+            raise index.imus.error("file", "is missing; without a camera, name the file of the sensors' samples")
+        sensors, calibration = imu_stream(index.imus, body, source)
         imus = None if sensors is None else source.checked(sensors)
-    if index.has("posture"):
-        fields["posture"] = _read_posture(index.table("posture"), body.names)
-    if index.has("truth"):
-        truth = source.checked(files.truth_stream(index.table("truth"), body, source))
-    for section in (index, subject, skeleton, scene, notes):
-        section.close()
-    return fields, Streams(keypoints, views, imus, truth)
+    if index.posture is not None:
+        posture = _read_posture(index.posture, body.names)
+    if index.truth is not None:
+        truth = source.checked(_truth_stream(index.truth, body, source))
+    try:
+        session = Session(**{field.name: getattr(index.session, field.name) for field in fields(Session)})
+    except InvalidInputError as error:
+        raise index.session.error("date", str(error)) from error
+    own: dict[str, Any] = {
+        "name": index.name if index.has("name") else index.path.absolute().parent.name,
+        "first_frame": index.first_frame,
+        "floor_height": index.scene.floor_height_m,
+        "acknowledgement": index.notes.acknowledgement,
+        "notes": notes,
+        "session": session,
+        "calibration": calibration,
+        "posture": posture,
+    }
+    return facts | own, Streams(keypoints, views, imus, truth)
 
 
 def body_of(
@@ -126,32 +143,44 @@ def body_of(
     return skeleton.with_mass(mass_kg, sex)
 
 
-def _read_posture(section: Section, joints: tuple[str, ...]) -> NeutralPosture:
-    """Read the quaternions of ``[posture.quat_wxyz]`` by joint."""
-    quats = section.table("quat_wxyz")
-    named = tuple(quats.keys())
-    unknown = [name for name in named if name not in joints[1:]]
-    if unknown:
-        raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where("quat_wxyz"))
-    section.close()
-    return NeutralPosture(named, np.array([quats.array(name, (4,)) for name in named]).reshape(-1, 4))
+def _read_posture(table: PostureTable, joints: tuple[str, ...]) -> NeutralPosture:
+    """Return the quaternions of ``[posture.quat_wxyz]`` by joint."""
+    _check_joints(table, "quat_wxyz", joints)
+    quats = table.quat_wxyz
+    return NeutralPosture(tuple(quats), np.array([*quats.values()]).reshape(-1, 4))
 
 
-def _read_skeleton(section: Section) -> dict[str, Any]:
-    """Read the fields of `Recording` that describe the skeleton."""
-    table = section.text("table", "total_capture")
-    if table not in SKELETONS:
-        raise UnknownNameError("skeleton", [table], SKELETONS, section.path, section.where("table"))
-    joints = shipped(table).names
-    fields: dict[str, Any] = {"skeleton_table": table}
+def _check_joints(table: InputTable, field: str, joints: tuple[str, ...]) -> None:
+    """Check that the names in a table inside another one are joints other than the root."""
+    given: Collection[str] = getattr(table, field)
+    if unknown := [name for name in given if name not in joints[1:]]:
+        raise UnknownNameError("joint", unknown, joints[1:], table.path, table.where(field))
+
+
+def _lengths_and_offsets(table: BodyTable) -> dict[str, Any]:
+    """Return the fields of `Recording` that describe the skeleton, where they are given."""
+    joints = shipped(table.table).names
     for name in ("bone_lengths_m", "joint_offsets_m"):
-        unknown = [n for n in section.table(name).keys() if n not in joints[1:]]  # noqa: SIM118
-        if unknown:
-            raise UnknownNameError("joint", unknown, joints[1:], section.path, section.where(name))
-    lengths, offsets = section.table("bone_lengths_m"), section.table("joint_offsets_m")
-    if len(lengths):
-        fields["bone_lengths"] = {name: lengths.number(name) for name in lengths.keys()}  # noqa: SIM118
-    if len(offsets):
-        given = [offsets.array(name, (3,)) for name in joints[1:]]
-        fields["joint_offsets"] = np.array([np.zeros(3), *given])
-    return fields
+        _check_joints(table, name, joints)
+    found: dict[str, Any] = {"bone_lengths": table.bone_lengths_m} if table.bone_lengths_m else {}
+    if offsets := table.joint_offsets_m:
+        if missing := [name for name in joints[1:] if name not in offsets]:
+            raise FileFormatError(table.path, f"[skeleton.joint_offsets_m] {missing[0]}: missing; add 3 numbers")
+        found["joint_offsets"] = np.array([np.zeros(3), *(offsets[name] for name in joints[1:])])
+    return found
+
+
+def _truth_stream(table: TruthTable, skeleton: SkeletonModel, source: Source) -> Stream[PoseSequence]:
+    """Open known poses, joints in the skeleton's order."""
+    path = data_path(table)
+    arrays = source.npz(path, _TRUTH_AXES)
+    for name, shape in zip(TRUTH[:3], ("(T)", "(T, J, 3)", "(T, J, 3, 3)"), strict=True):
+        needed(path, arrays.shapes, name, shape)
+    times = arrays.column("times")
+    assert times is not None  # needed
+
+    def part(rows: slice) -> PoseSequence:
+        with naming(path):
+            return PoseSequence(names=skeleton.names, **arrays.rows(rows))  # type: ignore[arg-type]
+
+    return Stream(times, part)

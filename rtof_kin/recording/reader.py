@@ -13,12 +13,9 @@ import numpy as np
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
-from rtof_kin.recording.digest import recording_digest
-from rtof_kin.recording.files import naming
 from rtof_kin.recording.index import index_of, read_index
-from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.sources import OnDisk
-from rtof_kin.recording.streams import Streams, TimeAxis
+from rtof_kin.recording.recording import Recording, recording_digest
+from rtof_kin.recording.streams import OnDisk, Streams, TimeAxis, naming
 
 
 class RecordingSlices(Protocol):

@@ -5,7 +5,10 @@ The folder's format, ``recording.toml`` and the arrays that it names, is describ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import json
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,17 +30,14 @@ from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.imu_calibration_toml import calibration_table
-from rtof_kin.recording.digest import recording_digest
-from rtof_kin.recording.files import TRUTH, naming
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, body_of, index_of, read_index, shipped
+from rtof_kin.formats.video_arrays import VIDEO_CONSTANTS
+from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
+from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.session import Session
-from rtof_kin.recording.sources import InMemory
-from rtof_kin.recording.streams import ALL, Part, Stream, Streams, TimeAxis, rows_between
-from rtof_kin.recording.views import camera_and_keypoints, keypoint_file, keypoint_file_arrays
+from rtof_kin.recording.streams import ALL, InMemory, Part, Stream, Streams, TimeAxis, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
-"""File of every recording's folder."""
 _TRUTH: Final = "truth.npz"
 
 
@@ -322,3 +322,37 @@ class Recording(TimeAxis):
         if self.truth is not None:
             index["truth"] = {"file": _TRUTH}
         return index
+
+
+_LABELS: Final = ("name", "session", "notes")
+"""Fields and tables of ``recording.toml`` that nothing is computed from."""
+
+
+def recording_digest(index: str, streams: Streams) -> str:
+    """Return the SHA-256 of a recording's numbers; how its files hold them, and its labels, do not matter.
+
+    Args:
+        index: text of ``recording.toml``.
+    """
+    facts = {name: value for name, value in tomllib.loads(index).items() if name not in _LABELS}
+    lines = [json.dumps(facts, sort_keys=True)]
+    for number, view in enumerate((streams.keypoints, *streams.views)):
+        lines += _of_stream(f"keypoints {number}", view, keypoint_file_arrays)
+    lines += _of_stream("imus", streams.imus, imu_arrays)
+    lines += _of_stream("truth", streams.truth, lambda part: {name: getattr(part, name) for name in TRUTH})
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Mapping[str, Any]]) -> list[str]:
+    """Return a line with the digest of each array of a stream, whatever the blocks it is read in."""
+    digests: dict[str, Any] = {}
+    for block in () if stream is None else stream.blocks():
+        for name, values in arrays(block).items():
+            array, constant = np.ascontiguousarray(values), name in VIDEO_CONSTANTS
+            if name not in digests:
+                shape = array.shape if constant else array.shape[1:]
+                digests[name] = hashlib.sha256(f"{array.dtype.str} {shape}".encode())
+            elif constant:
+                continue
+            digests[name].update(array.tobytes())
+    return [f"{kind} {name} {digest.hexdigest()}" for name, digest in sorted(digests.items())]

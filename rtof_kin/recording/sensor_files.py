@@ -18,7 +18,6 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
-from rtof_kin.core.files.section import Section
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import CHOICES, SensorLog, SensorStream
 from rtof_kin.formats.imu_calibration_toml import calibration_of
@@ -27,9 +26,8 @@ from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
 from rtof_kin.formats.sensors.sensor_text import cells
 from rtof_kin.inertial.orientation import log_with_orientation
 from rtof_kin.inertial.segment_names import known_segment
-from rtof_kin.recording.files import csv_names, data_path, naming, needed, times_of
-from rtof_kin.recording.sources import Source
-from rtof_kin.recording.streams import ALL, Stream
+from rtof_kin.recording.streams import ALL, Source, Stream, csv_names, data_path, naming, needed, times_of
+from rtof_kin.recording.tables import OF_MAKERS, ImusTable
 
 IMUS: Final = "imus.npz"
 """File of a recording's sensors that this package writes."""
@@ -37,66 +35,63 @@ _QUATERNION_TOLERANCE: Final = 1e-3
 _IMU_COLUMNS: Final = ("_qw", "_qx", "_qy", "_qz", "_fx", "_fy", "_fz")
 _IMU_AXES: Final = {"quat_wxyz": 3, "R_inertial_sensor": 4, "f_sensor": 3, "times": 1}
 """Number of axes of the arrays."""
-_LARGEST_DRIFT: Final = 0.01
 _log = logging.getLogger(__name__)
 
 
 def imu_stream(
-    section: Section, skeleton: SkeletonModel, source: Source
+    table: ImusTable, skeleton: SkeletonModel, source: Source
 ) -> tuple[Stream[ImuSequence] | None, ImuCalibration | None]:
-    """Open sensor data, where the section names a file, and read their calibration, where it has one.
-
-    Args:
-        section: table ``[imus]``.
-    """
-    calibration = calibration_of(section.table("sensors"), skeleton)
-    imus = None
-    if section.has("file"):
-        names, imus = _opened(section, calibration, skeleton, source)
-        missing = [name for name in names if calibration is not None and name not in calibration.sensors]
-        if calibration is not None and missing:
-            where = f"sensor (it has no table [imus.sensors.*] in {section.path})"
-            raise UnknownNameError(where, missing, calibration.sensors)
-    section.close()
+    """Open sensor data, where the table names a file, and return their calibration, where it has one."""
+    calibration = calibration_of(table.sensors, skeleton)
+    if table.file is None:
+        return None, calibration
+    names, imus = _opened(table, calibration, skeleton, source)
+    missing = [name for name in names if calibration is not None and name not in calibration.sensors]
+    if calibration is not None and missing:
+        where = f"sensor (it has no table [imus.sensors.*] in {table.path})"
+        raise UnknownNameError(where, missing, calibration.sensors)
     return imus, calibration
 
 
 def _opened(
-    section: Section, calibration: ImuCalibration | None, skeleton: SkeletonModel, source: Source
+    table: ImusTable, calibration: ImuCalibration | None, skeleton: SkeletonModel, source: Source
 ) -> tuple[tuple[str, ...], Stream[ImuSequence]]:
     """Return the names of the sensors and their samples."""
-    path = data_path(section, or_folder=True)
+    path = data_path(table, or_folder=True)
     is_csv = _is_own_csv(path)
     if path.suffix.lower() != ".npz" and not is_csv:
-        log = read_log(section, skeleton, calibration.sensors if calibration is not None else ())
+        log = _read_log(table, skeleton, calibration.sensors if calibration is not None else ())
         with naming(path):
             imus = imus_of_log(log)
         return imus.names, source.keep(imus)
     if is_csv:
-        names, table = source.csv(path, _arranged)
+        for field in OF_MAKERS:
+            if table.has(field):
+                raise table.error(field, "is for the files of sensors' makers; leave it out, or name such a file")
+        if table.names is not None:
+            raise table.error("names", "a .csv names its sensors itself; leave the names out")
+        names, arrays = source.csv(path, _arranged)
     else:
-        table = source.npz(path, _IMU_AXES)
-        listed = section.optional_names("names")
+        arrays = source.npz(path, _IMU_AXES)
+        listed = table.names
         if listed is None and calibration is not None:
             listed = calibration.sensors
         if listed is None:
-            raise section.error("names", "missing; list the sensors in the file's order")
+            raise table.error("names", "missing; list the sensors in the file's order")
         names = listed
-    T, S = needed(path, table.shapes, "f_sensor", "(T, S, 3)")[:2]
+    T, S = needed(path, arrays.shapes, "f_sensor", "(T, S, 3)")[:2]
     if len(names) != S:
-        raise section.error(
-            "names", f"{len(names)} sensors are named, but {path} has {S}; list them in the file's order"
-        )
+        raise table.error("names", f"{len(names)} sensors are named, but {path} has {S}; list them in the file's order")
     with naming(path):
-        _check_rotations(path, table.shapes, len(names))
-        times, (drift, shift) = times_of(section, path, table, T), _clock(section)
-    times = times if drift == 0 else times + drift * (times - shift)
+        _check_rotations(path, arrays.shapes, len(names))
+        times, drift = times_of(table, path, arrays, T), table.clock_drift
+    times = times if drift == 0 else times + drift * (times - table.start_s)
 
     def part(rows: slice) -> ImuSequence:
-        arrays = table.rows(rows)
+        own = arrays.rows(rows)
         with naming(path):
-            R = _imu_rotations(path, arrays, names)
-            return ImuSequence(times[rows], R, arrays["f_sensor"], names, unit_checked=rows != ALL)
+            R = _imu_rotations(path, own, names)
+            return ImuSequence(times[rows], R, own["f_sensor"], names, unit_checked=rows != ALL)
 
     return names, Stream(times, part)
 
@@ -104,80 +99,47 @@ def _opened(
 # --- files of sensors' makers --------------------------------------------------------------------
 
 
-def read_log(section: Section, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
-    """Read the sensor files of a recording: those in use, by their places, on the recording's clock.
-
-    Args:
-        section: table ``[imus]``.
+def _read_log(table: ImusTable, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
+    """Read the sensor files of a recording: those in use, by the segments that carry them, on the recording's clock.
 
     Raises:
         FileFormatError, UnknownNameError: the message names file, field and remedy.
     """
-    path = data_path(section, or_folder=True)
-    log = read_sensor_log(path, **_declared(section))
-    with naming(section.path):
-        log = _placed(section, log, skeleton, named)
-    selected = section.optional_names("names") or log.names
+    path = data_path(table, or_folder=True)
+    declared = {name: getattr(table, name) for name in ("rate_hz", *CHOICES)}
+    log = read_sensor_log(path, **declared)
+    with naming(table.path):
+        log = _mapped(table, log, skeleton, named)
+    selected = table.names or log.names
     unknown = [name for name in selected if name not in log.names]
     if unknown:
-        raise UnknownNameError("sensor", unknown, log.names, section.path, section.where("names"))
+        raise UnknownNameError("sensor", unknown, log.names, table.path, table.where("names"))
     log = log.select(selected)
     for note in log.notes:
         _log.info("%s: %s", path, note)
-    return _on_clock(section, log)
+    drift, shift = table.clock_drift, table.start_s
+    if table.first_sample_s is not None:
+        first = min(float(stream.times[0]) for stream in log.streams)
+        shift = table.first_sample_s - first * (1 + drift)
+    return replace(log, streams=tuple(replace(one, times=one.times * (1 + drift) + shift) for one in log.streams))
 
 
-def _declared(section: Section) -> dict[str, Any]:
-    """Return the fields of `Declaration` that the table has."""
-    declared: dict[str, Any] = {"rate_hz": section.optional_number("rate_hz")}
-    for name, choices in CHOICES.items():
-        declared[name] = section.optional_text(name)
-        if declared[name] not in (None, *choices):
-            raise section.error(name, f"{declared[name]!r} is not one of {', '.join(choices)}")
-    return declared
-
-
-def _placed(section: Section, log: SensorLog, skeleton: SkeletonModel, named: Sequence[str]) -> SensorLog:
-    """Return the sensors that a map names, under the names of their places; all where there is no map."""
-    table = section.table("map")
-    if section.has("sensor_map") and len(table):
-        raise section.error("sensor_map", "stands beside [imus.map]; give only one of the two")
-    if section.has("sensor_map"):
-        where = data_path(section, field="sensor_map")
-        places = read_sensor_map(where)
-    elif len(table):
-        where = section.path
-        places = {serial: table.text(serial) for serial in table.keys()}  # noqa: SIM118
-    else:
+def _mapped(table: ImusTable, log: SensorLog, skeleton: SkeletonModel, named: Sequence[str]) -> SensorLog:
+    """Return the sensors that a map names, under the names of their segments; all where there is no map."""
+    if table.sensor_map is None and not table.map:
         return log
-    for place in places.values():
-        if place not in named:
-            known_segment(place, skeleton, where)
-    found = matched(places, log.names, where if section.has("sensor_map") else None)
+    if table.sensor_map is not None and table.map:
+        raise table.error("sensor_map", "stands beside [imus.map]; give only one of the two")
+    file = None if table.sensor_map is None else data_path(table, field="sensor_map")
+    segments = table.map if file is None else read_sensor_map(file)
+    for segment in segments.values():
+        if segment not in named:
+            known_segment(segment, skeleton, file or table.path)
+    found = matched(segments, log.names, file)
     left = [name for name in log.names if name not in found]
     if left:
-        _log.info("%s: the map of sensors leaves out %s", section.path, ", ".join(left))
+        _log.info("%s: the map of sensors leaves out %s", table.path, ", ".join(left))
     return log.select(list(found)).renamed(found)
-
-
-def _clock(section: Section) -> tuple[float, float]:
-    """Return clock_drift, s/s, and start_s: the recording's time is t + start_s + clock_drift * t."""
-    drift = section.number("clock_drift", 0.0)
-    if abs(drift) > _LARGEST_DRIFT:
-        raise section.error("clock_drift", f"{drift:g} s/s is no clock's; 0.00002 is 20 ppm")
-    return drift, section.number("start_s", 0.0)
-
-
-def _on_clock(section: Section, log: SensorLog) -> SensorLog:
-    """Put the times of a log on the recording's clock."""
-    drift, shift = _clock(section)
-    if section.has("first_sample_s"):
-        if section.has("start_s"):
-            raise section.error("first_sample_s", "stands beside start_s; give only one of the two")
-        first = min(float(stream.times[0]) for stream in log.streams)
-        shift = section.number("first_sample_s") - first * (1 + drift)
-    streams = tuple(replace(one, times=one.times * (1 + drift) + shift) for one in log.streams)
-    return replace(log, streams=streams)
 
 
 def imus_of_log(log: SensorLog) -> ImuSequence:

@@ -8,7 +8,6 @@ from datetime import date
 from typing import Any, Self
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.section import Section
 
 
 @dataclass(frozen=True)
@@ -59,17 +58,3 @@ class Session:
     def updated(self, other: Session) -> Session:
         """Return these labels, replaced by those of another session where it has them."""
         return Session.of(self.plain() | other.plain())
-
-
-def read_session(section: Section) -> Session:
-    """Read the labels of a table ``[session]``; all of its fields are optional.
-
-    Raises:
-        FileFormatError: a field is not text, or the date not a day. UnknownNameError: another field.
-    """
-    labels = {field.name: section.text(field.name, "") for field in fields(Session)}
-    section.close()
-    try:
-        return Session(**labels)
-    except InvalidInputError as error:
-        raise section.error("date", str(error)) from error

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
@@ -14,7 +15,7 @@ from rtof_kin.clinical.files import MARKER, write_analysis
 from rtof_kin.clinical.repetitions import Kind
 from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.core.packages import can_draw
-from rtof_kin.formats.motion_npz import MotionReader, motion_path
+from rtof_kin.reporting.document import Document, write_files
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 
@@ -41,6 +42,7 @@ def analyse(
     *,
     figures: bool = True,
     overwrite: bool = False,
+    documents: Sequence[Document] = (),
     inputs: Mapping[str, str] | None = None,
 ) -> MotionAnalysis:
     """Analyse a motion: joint angles by clinical names, ranges of motion, gait, repetitions and torques.
@@ -55,6 +57,7 @@ def analyse(
         motion: output folder of `reconstruct` or `run`, its motion file, or a motion.
         output: folder to write: tables of angles, ranges, gait cycles and torques, and figures.
         figures: draw figures, where matplotlib is installed. overwrite: replace an earlier analysis there.
+        documents: of the same motion, such as its gait scores, that are written below it.
         inputs: fingerprints for the folder's manifest.
 
     Raises:
@@ -73,7 +76,7 @@ def analyse(
         weight = weight if weight is not None else subject.get("mass_kg")
         sex = sex or (subject.get("sex") if weight is not None else None)
         with MotionReader(path) as reader:
-            analysis = _analysed(reader.source(), settings, weight, sex)
+            analysis = _analysed(reader, settings, weight, sex)
     if output is not None:
         with new_folder(output, MARKER, overwrite, inputs) as folder:
             write_analysis(analysis, folder)
@@ -81,6 +84,9 @@ def analyse(
                 from rtof_kin.reporting.clinical_figures import write_clinical_figures
 
                 write_clinical_figures(analysis, folder / "figures")
+            for document in documents:
+                (folder / document.name).mkdir()
+                write_files(document if figures else replace(document, figures=()), folder / document.name)
     return analysis
 
 

@@ -19,13 +19,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from rtof_kin.body.motion_file import motion_folder, motion_path
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
 from rtof_kin.core.files.manifest import file_digest
 from rtof_kin.core.files.text import load_json
 from rtof_kin.core.resources import LIFTERS, model_path
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.motion_npz import motion_folder, motion_path
+from rtof_kin.formats.measurements_file import measurements_path
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.session import Session
@@ -75,7 +75,7 @@ def write_result_archive(
         written = Path(temporary)
         bare.save(written / "recording")
         (written / "summary.json").write_text(_summary(summary, names), encoding="utf-8")
-        kept = (motion_path(result), folder / MEASUREMENTS, folder / "skeleton.urdf", written / "summary.json")
+        kept = (motion_path(result), measurements_path(folder), folder / "skeleton.urdf", written / "summary.json")
         members = {f"result/{file.name}": file for file in kept if file.is_file()}
         members |= {f"recording/{file.name}": file for file in (written / "recording").glob("[!.]*")}
         members = dict(sorted(members.items()))
@@ -85,7 +85,7 @@ def write_result_archive(
             for name, file in {SUMS: written / SUMS, **members}.items():
                 info = zipfile.ZipInfo(name)  # of 1980: the same contents give the same bytes
                 info.create_system, info.external_attr = 3, (stat.S_IFREG | 0o644) << 16
-                info.compress_type = zipfile.ZIP_STORED if file.suffix == ".npz" else zipfile.ZIP_DEFLATED
+                info.compress_type = zipfile.ZIP_STORED if file.suffix in (".h5", ".npz") else zipfile.ZIP_DEFLATED
                 archive.writestr(info, file.read_bytes())
     return Path(path)
 

@@ -16,18 +16,26 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from markupsafe import Markup
 
+from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical import comparison as clinical
-from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison, compared
-from rtof_kin.clinical.comparison_alignment import POOR, Alignment
-from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
+from rtof_kin.clinical.angles import opensim_angles
+from rtof_kin.clinical.comparison import (
+    AngleComparison,
+    By,
+    Compared,
+    Comparison,
+    agreement,
+    choose_axis,
+    compare_sides,
+    compared,
+)
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.comparison_samples import POOR, Alignment
 from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.formats.motion_npz import MOTION, motion_path, read_motion_npz
 from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
 from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
@@ -172,7 +180,7 @@ def read_compared(path: str | Path) -> Compared:
     """Read one side of a comparison.
 
     Args:
-        path: output folder of reconstruct or run, a ``motion.npz``, or an OpenSim ``.mot`` or ``.sto``.
+        path: output folder of reconstruct or run, a ``motion.h5``, or an OpenSim ``.mot`` or ``.sto``.
 
     Raises:
         FileFormatError: it is none of these, or damaged.
@@ -185,11 +193,11 @@ def read_compared(path: str | Path) -> Compared:
     if (summary := file.parent / SUMMARY).is_file():
         found = read_summary(summary)
         recording, mode = found.recording, found.mode
-    found_motion = read_motion_npz(file)
-    mode = mode or found_motion.mode
-    named = path.resolve().parent if path.name == MOTION and not path.is_dir() else path.resolve()
+    with MotionReader(file) as reader:
+        motion, mode = reader.read(), mode or reader.mode
+    named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
     name = named.name + (f" ({mode})" if mode else "")
-    return compared(name, found_motion.motion(), recording)
+    return compared(name, motion, recording)
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:

@@ -25,6 +25,7 @@ from markupsafe import Markup
 from rtof_kin.core.files.folder import new_file, new_folder
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.packages import can_draw
+from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.html import render
 
 if TYPE_CHECKING:
@@ -34,6 +35,15 @@ if TYPE_CHECKING:
 Cell = str | float | None
 STYLES: Final = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 """Grade -> style of a badge on the terminal."""
+GRADE_WORDS: Final = {
+    Grade.PASS: "good",
+    Grade.WARN: "use with care",
+    Grade.FAIL: "do not use",
+    Grade.WEAK: "not verified",
+    Grade.NOT_CHECKED: "not checked",
+    Grade.INFORMATION: "for information",
+}
+"""What a grade means to the reader of a page."""
 _CHARTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 
@@ -268,7 +278,16 @@ def page(document: Document, pictures: Mapping[str, bytes] | None = None) -> str
     )
 
 
-# --- numbers and words ---------------------------------------------------------------------------
+# --- grades, numbers and words ------------------------------------------------------------------
+
+
+def badge(grade: Grade, word: str = "") -> Badge:
+    """Return the badge of a grade.
+
+    Args:
+        word: in place of that of `GRADE_WORDS`.
+    """
+    return Badge(word or GRADE_WORDS[grade], grade.value.replace(" ", "-"))
 
 
 def number(value: Any, digits: int = 6) -> float | None:

@@ -1,8 +1,8 @@
 """Export of a reconstruction to a folder.
 
 ============================  ==================================================================
-motion.npz                    the motion with validity and provenance (`formats.motion_npz`)
-measurements.npz              what it was computed from, and the reference (`formats.measurements_npz`)
+motion.h5                    the motion with validity and provenance (`body.motion_file`)
+measurements.h5              what it was computed from, and the reference (`formats.measurements_file`)
 skeleton.urdf                 the subject's skeleton
 files.json                    convention and names of all files (`formats.motion_files`)
 joint_trajectory.csv, .json   configurations with named columns, and their units
@@ -27,13 +27,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.measurements_writer import MeasurementsWriter
+from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.formats.motion_npz import MOTION, MotionReader
-from rtof_kin.formats.motion_writer import MotionWriter
 from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit import audit
@@ -44,7 +42,7 @@ from rtof_kin.reporting.summary_file import SIGMAS
 
 MARKER: Final = MOTION
 MOST_SECONDS: Final = 600.0
-"""[s] Longest motion that is also written as text, which takes five times the space of motion.npz."""
+"""[s] Longest motion that is also written as text, which takes five times the space of motion.h5."""
 
 
 def export(
@@ -59,7 +57,7 @@ def export(
 
     Args:
         result: of `reconstruct`. overwrite: replace an earlier export there.
-        formats: of the motion's files beside motion.npz, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
+        formats: of the motion's files beside motion.h5, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
             motions up to `MOST_SECONDS`, none of longer ones.
         inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
 
@@ -120,7 +118,7 @@ def export_parts(
         if formats is None:
             formats = DEFAULT if statistics.seconds <= MOST_SECONDS else ()
         with MotionReader(temporary / MARKER) as reader:
-            write_motion_files(temporary, reader.source(), formats)
+            write_motion_files(temporary, reader, formats)
         contents = summary(statistics) | ({} if run is None else {"run": dict(run())})
         text = json.dumps(contents, indent=2)
         (temporary / "summary.json").write_text(text + "\n", encoding="utf-8")

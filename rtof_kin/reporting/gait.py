@@ -15,17 +15,24 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MotionReader, file_in, motion_folder, motion_path
 from rtof_kin.clinical.angle_table import SIDES
-from rtof_kin.clinical.gait_deviation_index import DeviationIndex, deviation_index, gait_features
-from rtof_kin.clinical.gait_reference import FEW
-from rtof_kin.clinical.gait_scores import GaitScores, Score, gait_scores, people_scores
+from rtof_kin.clinical.gait_scores import (
+    FEW,
+    DeviationIndex,
+    GaitScores,
+    Score,
+    deviation_index,
+    gait_features,
+    gait_scores,
+    people_scores,
+)
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.gait_reference import NAMES, PERCENT, STANDING_ZERO, VARIABLES, GaitReference
 from rtof_kin.formats.gait_reference_json import read_gait_reference
-from rtof_kin.formats.motion_npz import MOTION, MotionReader, motion_folder, motion_path
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label
 from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.document import Document, Figure, Section, Table, number
@@ -123,7 +130,7 @@ def read_cycles(path: str | Path, from_standing: bool = False) -> tuple[GaitCycl
         FileFormatError: it is none of these, or damaged.
     """
     with MotionReader(motion_path(path)) as reader:
-        source = reader.source()
+        source = reader
         return gait_cycles(source, from_standing=from_standing), source.skeleton.name
 
 
@@ -172,7 +179,7 @@ def _places(folder: Path) -> Iterator[Path]:
     """Folders with a motion, and those with an analysis alone; hidden ones are not searched."""
     for place, inner, files in os.walk(folder):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
-        if MOTION in files or (_ANALYSED in files and not (Path(place).parent / MOTION).is_file()):
+        if file_in(Path(place)) or (_ANALYSED in files and not file_in(Path(place).parent)):
             yield Path(place)
 
 
@@ -182,8 +189,8 @@ def _person(place: Path, name: str) -> str:
     Raises:
         InvalidInputError: there is no motion, or its audit failed.
     """
-    if not (place / MOTION).is_file():
-        raise InvalidInputError("an analysis without its motion.npz; name the output of reconstruct or run")
+    if file_in(place) is None:
+        raise InvalidInputError("an analysis without its motion.h5; name the output of reconstruct or run")
     if not (path := place / SUMMARY).is_file():
         return name
     summary = read_summary(path)

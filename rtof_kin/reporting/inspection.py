@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
@@ -28,7 +29,6 @@ from rtof_kin.formats.bvh import read_bvh
 from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_npz import motion_path, read_motion_npz
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.sensors.files import read_sensor_log
@@ -108,6 +108,8 @@ def _inspector(path: Path) -> Callable[[Path], Inspection] | None:
             motion_path(path)
             return _motion
         return _keypoints if any(path.glob("*_keypoints.json")) else None
+    if path.suffix.lower() == ".h5":
+        return _motion
     if path.suffix.lower() == ".npz":
         return _motion if {"schema_version", "q"} <= set(npz_names(path)) else _keypoints
     return _BY_SUFFIX.get(path.suffix.lower())
@@ -176,13 +178,13 @@ def _recording(path: Path) -> Inspection:
 
 
 def _motion(path: Path) -> Inspection:
-    file = read_motion_npz(motion_path(path))
-    poses = file.poses
-    bones = bodies.skeleton_bones(poses.names, file.motion().skeleton.parents)
+    with MotionReader(path) as file:
+        poses, skeleton, mode = file.read(confidence=False).poses, file.skeleton, file.mode
+    bones = bodies.skeleton_bones(poses.names, skeleton.parents)
     contents = (
         ("frames", _span(poses.times)),
-        ("skeleton", f"{file.skeleton}, {len(poses.names)} joints, {len(file.dof_names)} angles"),
-        ("mode", file.mode or "not stated"),
+        ("skeleton", f"{skeleton.name}, {len(poses.names)} joints, {len(skeleton.dof_names)} angles"),
+        ("mode", mode or "not stated"),
         ("valid", f"{_percent(poses.valid)} of the joints"),
     )
     return _with_body(Inspection(path, "reconstructed motion", contents), poses.p_world_joint, bones)

@@ -16,8 +16,7 @@ import numpy as np
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import SIDES, AngleTable
-from rtof_kin.clinical.comparison import Comparison, with_strides
-from rtof_kin.clinical.comparison_axis import compare_sides
+from rtof_kin.clinical.comparison import Comparison, compare_sides, with_strides
 from rtof_kin.clinical.comparison_change import LEVEL
 from rtof_kin.clinical.gait import GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion

@@ -16,8 +16,8 @@ import numpy as np
 from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import AngleTable
 from rtof_kin.clinical.comparison_change import Verdict
-from rtof_kin.clinical.gait_recognition import FEWEST as FEWEST_STRIDES
-from rtof_kin.clinical.gait_recognition import LEAST_SHARE
+from rtof_kin.clinical.gait import FEWEST as FEWEST_STRIDES
+from rtof_kin.clinical.gait import LEAST_SHARE
 from rtof_kin.clinical.repetitions import find_repetitions
 from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.data.confidence import BAND_95

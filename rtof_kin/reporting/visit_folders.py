@@ -1,4 +1,4 @@
-"""Visits in folders: ``DIR/VISIT/TRIAL/motion.npz``, and what ``DIR/follow.toml`` says about them.
+"""Visits in folders: ``DIR/VISIT/TRIAL/motion.h5``, and what ``DIR/follow.toml`` says about them.
 
 A folder in DIR with one output of reconstruct or run, or more, at any depth, is a visit, and each output a
 trial. Visits are ordered by their day: that of ``follow.toml``, else the one in the name of the folder
@@ -29,20 +29,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from datetime import date
+from datetime import date, datetime
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Annotated, Any, Final, cast
 
 import numpy as np
+from pydantic import Strict
 
-from rtof_kin.clinical.measurement_error import BandShares
-from rtof_kin.clinical.visit_measures import BETTERS, MOVEMENTS, Better, Movement
-from rtof_kin.clinical.visits import Setup, Trial, Visit, trial
+from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
+from rtof_kin.clinical.follow_up import BandShares
+from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Better, Movement, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.section import Section
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, MeasurementsReader
-from rtof_kin.formats.motion_npz import MOTION, MotionReader
+from rtof_kin.core.files.input_table import InputTable, Names, Number
+from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
 from rtof_kin.reporting.audit_results import Grade
 from rtof_kin.reporting.headline import headline
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
@@ -73,6 +73,34 @@ class Plan:
     shares: BandShares = field(default_factory=BandShares)
 
 
+class VisitTable(InputTable):
+    """A table ``[[visit]]``."""
+
+    folder: str
+    name: str | None = None
+    date: Any = None
+    """A day of TOML, or its text."""
+
+
+class BandsTable(InputTable):
+    """See `BandShares`."""
+
+    all_visits: Number = 0.0
+    visit: Number = 1.0
+
+
+class PlanTable(InputTable):
+    """The file ``follow.toml``."""
+
+    baseline: str = ""
+    by: str = ""
+    repetitions: str = ""
+    measures: Names = ()
+    visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
+    better: dict[str, str] = {}
+    bands: BandsTable = BandsTable()
+
+
 @dataclass(frozen=True)
 class FoundVisits:
     """Visits in a folder."""
@@ -93,47 +121,35 @@ def read_plan(folder: str | Path) -> Plan:
     path = Path(folder) / PLAN
     if not path.exists():
         return Plan()
-    top = Section.of_file(path)
-    names, days = {}, {}
-    for one in top.tables("visit"):
-        own = one.text("folder")
-        names[own] = one.text("name", own)
-        if one.has("date"):
-            days[own] = _declared_day(one)
-        one.close()
-    by, better, bands = top.text("by", ""), top.table("better"), top.table("bands")
-    directions = {name: better.text(name) for name in better.keys()}  # noqa: SIM118
-    for chosen, known, what in (
-        ([by] if by else [], MOVEMENTS, f"choice in {path}, by"),
-        (directions.values(), BETTERS, f"direction in {path}, [better]"),
-    ):
-        indices_of(what, list(chosen), known)
+    top = PlanTable.read(path)
+    indices_of(f"direction in {path}, [better]", [*top.better.values()], BETTERS)
+    if top.by:
+        indices_of(f"choice in {path}, by", [top.by], MOVEMENTS)
     try:
-        shares = BandShares(bands.number("all_visits", 0.0), bands.number("visit", 1.0))
+        shares = BandShares(top.bands.all_visits, top.bands.visit)
     except InvalidInputError as error:
         raise top.error("bands", str(error)) from error
-    plan = Plan(
-        tuple(names),
-        names,
-        days,
-        top.text("baseline", ""),
-        cast("Movement | None", by or None),
-        top.text("repetitions", ""),
-        top.optional_names("measures") or (),
-        cast("dict[str, Better]", directions),
+    return Plan(
+        tuple(one.folder for one in top.visit),
+        {one.folder: one.folder if one.name is None else one.name for one in top.visit},
+        {one.folder: _declared_day(one) for one in top.visit if one.date is not None},
+        top.baseline,
+        cast("Movement | None", top.by or None),
+        top.repetitions,
+        top.measures,
+        cast("dict[str, Better]", top.better),
         shares,
     )
-    bands.close()
-    top.close()
-    return plan
 
 
-def _declared_day(one: Section) -> date:
-    value = one.data["date"]
+def _declared_day(one: VisitTable) -> date:
+    value = one.date
+    if isinstance(value, datetime):
+        return value.date()
     if isinstance(value, date):
-        return value if type(value) is date else date(value.year, value.month, value.day)
+        return value
     try:
-        return date.fromisoformat(one.text("date"))
+        return date.fromisoformat(str(value))
     except ValueError as error:
         raise one.error("date", "not a day; write year, month and day, as 2026-01-31") from error
 
@@ -180,11 +196,11 @@ def _motions(folder: Path) -> dict[str, list[Path]]:
     """Folder of each visit -> its motions."""
     if not folder.is_dir():
         raise FileFormatError(folder, "there is no such folder")
-    if (folder / MOTION).exists():
+    if file_in(folder):
         raise FileFormatError(folder, "is one motion; give the folder that has a folder for each visit")
     out = {}
     for place in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
-        if motions := sorted(place.rglob(MOTION)):
+        if motions := sorted(path for name in (MOTION, EARLIER) for path in place.rglob(name)):
             out[place.name] = motions
     return out
 
@@ -194,9 +210,9 @@ def _trial(path: Path, visit: Path) -> Trial:
     name = place.relative_to(visit).as_posix()
     summary = read_summary(path.parent / SUMMARY) if (path.parent / SUMMARY).is_file() else None
     with MotionReader(path) as reader:
-        found = trial(visit.name if name == "." else name, reader.source())
+        found = trial(visit.name if name == "." else name, reader)
         mode = reader.mode
-    view = _view(found, path.parent / MEASUREMENTS)
+    view = _view(found, measurements_path(path.parent))
     return Trial(**{**vars(found), "setup": _setup(summary, mode, view)})
 
 
@@ -234,11 +250,8 @@ def _view(found: Trial, path: Path) -> float:
     mean = np.mean(np.exp(1j * heading[np.isfinite(heading)])) if np.isfinite(heading).any() else 0.0
     if abs(mean) < _STEADY or not path.is_file():
         return float("nan")
-    reader = MeasurementsReader(path)
-    try:
-        views = reader.block(0, 1).views
-    finally:
-        reader.close()
+    with MeasurementsReader(path) as reader:
+        views = reader.read(0, 1).views
     if not views:
         return float("nan")
     ahead = views[0].camera.R_camera_world[2]

@@ -17,9 +17,8 @@ from markupsafe import Markup
 from scipy import stats
 
 from rtof_kin.clinical.comparison_change import LEVEL
-from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, follow_up
-from rtof_kin.clinical.measurement_error import Sem
-from rtof_kin.clinical.visit_measures import Measure, Movement
+from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
+from rtof_kin.clinical.visits import Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name

@@ -344,7 +344,7 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
         return _Video((camera.width_px, camera.height_px), Field(None, Origin.FILE), settings.rate_hz, None)
     raise InvalidInputError(
         f"{sources.keypoints}: keypoints do not say how large the image is; give the video beside them, its "
-        "calibration by --camera, or --size 1920x1080"
+        "calibration, or --size 1920x1080"
     )
 
 

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
 import shutil
-import urllib.error
-import urllib.request
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from http.client import HTTPException
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from filelock import FileLock
@@ -29,7 +26,7 @@ from rtof_kin.core.resources import cache_folder, model_path
 Progress = Callable[[str, int, int], None]
 _PIECE = 2**18  # bytes
 _WAIT = 30.0  # [s] for the server
-_AGAIN = "run the same command again to go on where it stopped"
+_AGAIN = "run the same command again"
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,7 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
                 done += file.megabytes
     except RtofError:
         raise
-    except (OSError, HTTPException) as error:
+    except OSError as error:  # also of the connection
         raise RtofError(f"{wanted.title}: not downloaded ({error}); {_AGAIN}") from error
     found = cached_models(wanted)
     if found is None:
@@ -181,60 +178,49 @@ def fetch_models(wanted: ModelSet, progress: Progress | None = None) -> Path:
 
 
 def _fetch(file: ModelFile, folder: Path, report: Callable[[int], None]) -> None:
-    """Download a file, go on with an earlier part of it, and put it into its place when it is right."""
-    part = folder / f"{file.name}.part"
-    _download(file, part, report)
-    _check(part, file.url, file.sha256, "nothing was kept; try again later, or give models of your own", True)
-    if file.member is not None:
-        inner = folder / f"{file.name}.member"
-        _unpack(file, part, inner)
-        _check(inner, file.url, file.checksum, "nothing was kept", True)
-        part.unlink()
-        part = inner
-    os.replace(part, folder / file.name)
+    """Download a file, and move it into its folder when it is right."""
+    import pooch  # type: ignore[import-untyped]  # slow to import
+
+    pooch.get_logger().setLevel("ERROR")
+    with TemporaryDirectory(dir=folder, prefix=".download-") as fresh:
+        downloader = pooch.HTTPDownloader(progressbar=_Progress(file, report), timeout=_WAIT, chunk_size=_PIECE)
+        found = Path(pooch.retrieve(file.url, None, "whole", fresh, downloader=downloader))
+        _check(found, file.url, file.sha256, "nothing was kept; try again later, or give models of your own")
+        if file.member is not None:
+            archive, found = found, Path(fresh, "member")
+            with zipfile.ZipFile(archive) as members:
+                (member,) = (name for name in members.namelist() if Path(name).name == file.member)
+                with members.open(member) as source, found.open("wb") as whole:
+                    shutil.copyfileobj(source, whole)
+            _check(found, file.url, file.checksum, "nothing was kept")
+        found.replace(folder / file.name)
 
 
-def _download(file: ModelFile, part: Path, report: Callable[[int], None]) -> None:
-    there = part.stat().st_size if part.is_file() else 0
-    limit = int(file.megabytes * 1e6)
-    headers = {"User-Agent": "rtof_kin", **({"Range": f"bytes={there}-"} if there else {})}
-    request = urllib.request.Request(file.url, headers=headers)
-    try:
-        answer = urllib.request.urlopen(request, timeout=_WAIT)
-    except urllib.error.HTTPError as error:
-        if error.code != 416:  # the part is the whole file, which its checksum will tell
-            raise RtofError(f"{file.url}: the server answers {error.code} {error.reason}; {_AGAIN}") from error
-        return
-    with answer, part.open("ab" if answer.status == 206 else "wb") as target:
-        start = size = target.tell()
-        while piece := answer.read(min(_PIECE, limit + 1 - size)):
-            target.write(piece)
-            size += len(piece)
-            report(size)
-            if size > limit:
-                break
-    if size > limit:
-        part.unlink()
-        raise RtofError(f"{file.url}: larger than {file.megabytes} MB, so not the file that was published")
-    announced = answer.headers.get("Content-Length", "")
-    if announced.isdigit() and size < start + int(announced):
-        raise RtofError(f"{file.url}: ended after {size / 1e6:.0f} MB; {_AGAIN}")
+class _Progress:
+    """Progress bar for `pooch` that reports bytes, and stops a file larger than the published one."""
+
+    def __init__(self, file: ModelFile, report: Callable[[int], None]) -> None:
+        self._file, self._report = file, report
+        self.total = self._size = 0
+
+    def update(self, size: int) -> None:
+        self._size = min(self._size + size, self.total or self._size + size)
+        if max(self._size, self.total) > self._file.megabytes * 1e6:
+            name, size_mb = self._file.url, self._file.megabytes
+            raise RtofError(f"{name}: larger than {size_mb} MB, so not the file that was published")
+        self._report(self._size)
+
+    def reset(self) -> None:
+        self._size = 0
+
+    def close(self) -> None:
+        pass
 
 
-def _unpack(file: ModelFile, archive: Path, target: Path) -> None:
-    """Unpack a member of an archive whose checksum was compared."""
-    with zipfile.ZipFile(archive) as members:
-        (member,) = (name for name in members.namelist() if Path(name).name == file.member)
-        with members.open(member) as source, target.open("wb") as whole:
-            shutil.copyfileobj(source, whole)
-
-
-def _check(path: Path, name: str | Path, expected: str, remedy: str, remove: bool = False) -> None:
+def _check(path: Path, name: str | Path, expected: str, remedy: str) -> None:
     """Compare the checksum of a file."""
     with path.open("rb") as stream:
         found = hashlib.file_digest(stream, "sha256").hexdigest()
     if found != expected:
-        if remove:
-            path.unlink()
         difference = f"its SHA-256 {found[:12]}... is not the published {expected[:12]}..."
         raise FileFormatError(name, f"{difference}; {remedy}")

@@ -34,7 +34,7 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
         members = {name: archive.read(name) for name in archive.namelist()}
     sums = dict(reversed(line.split("  ")) for line in members.pop("SHA256SUMS").decode().splitlines())
     assert sums == {name: hashlib.sha256(content).hexdigest() for name, content in members.items()}
-    assert {"recording/recording.toml", "result/motion.npz", "result/summary.json"} <= set(members)
+    assert {"recording/recording.toml", "result/motion.h5", "result/summary.json"} <= set(members)
     text = b"\n".join(members.values()).decode("latin1")
     assert not re.search(r"jane|\broe\b|otto|gait lab|2026-01-31|take 7|\.mp4|" + re.escape(str(tmp_path)), text, re.I)
     kept = json.loads(members["result/summary.json"])
@@ -44,7 +44,7 @@ def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Pa
     again = tmp_path / "again"
     bare = tmp_path / "unpacked" / "recording"
     assert cli("reconstruct", bare, "-o", again, "--mode", "sf2", "--no-figures").code == 0
-    assert (again / "motion.npz").read_bytes() == members["result/motion.npz"]
+    assert (again / "motion.h5").read_bytes() == members["result/motion.h5"]
 
 
 def test_another_recording_and_an_existing_file_are_refused(

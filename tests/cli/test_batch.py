@@ -17,7 +17,7 @@ import pytest
 
 from rtof_kin.recording.recording import Recording
 
-CHAIN = "reconstruct --no-figures, analyse --no-figures, report --subject 'A, B'"
+CHAIN = "reconstruct --no-figures, report --no-figures --subject 'A, B'"
 
 
 @pytest.fixture(scope="module")
@@ -62,20 +62,24 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
 
     shutil.rmtree(takes / "garbage")
     shutil.rmtree(takes / "s1" / "cut")
-    inode = (out / "s1/good/motion/motion.npz").stat().st_ino
+    inode = (out / "s1/good/motion/motion.h5").stat().st_ino
     again = cli("batch", takes, "-o", out, "--chain", CHAIN, "--workers", 1)
     assert again.code == 0
     assert "1/1" in again.err
     assert table(out) == {"s1/good": good}
-    assert (out / "s1/good/motion/motion.npz").stat().st_ino == inode
+    assert (out / "s1/good/motion/motion.h5").stat().st_ino == inode
 
 
 @pytest.mark.parametrize(
     "arguments, named",
     [
-        (["--chain", "reconstruct --framez 3"], "s1/good, reconstruct: unrecognized arguments: --framez 3"),
+        (
+            ["--chain", "reconstruct --framez 3"],
+            "s1/good, reconstruct: Unknown option: --framez. Did you mean --frames?",
+        ),
         (["--chain", "reconstruct --help"], "asks for help"),
         (["--chain", "batch"], "batch is no command"),
+        (["--chain", "reconstruct,analyse"], "chain: analyse is now rtof-kin report OUT --analysis FOLDER"),
         (["--chain", "view"], "what view reads and writes is not known"),
         (["--address", "host:6379"], "add --engine ray"),
         (["--shard", "2/1"], "shard 2/1"),

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.cli.terminal import log_handler
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, plain
 from rtof_kin.core.files.manifest import MANIFEST
-from rtof_kin.formats.motion_npz import read_motion_npz
 from rtof_kin.recording.recording import Recording
 
 COMMANDS = (
@@ -63,7 +63,7 @@ def wrong(short: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     arrays = dict(np.load(short / "imus.npz"))
     np.savez(folder / "in_g" / "imus.npz", **arrays | {"f_sensor": arrays["f_sensor"] / 9.81})
     (folder / "broken.pt").write_bytes(os.urandom(1000))
-    (folder / "motion.npz").write_bytes(b"PK\x03\x04 not a zip")
+    (folder / "motion.h5").write_bytes(b"PK\x03\x04 not a zip")
     return folder
 
 
@@ -110,7 +110,7 @@ def test_ctrl_c_exits_with_130_even_while_importing(module: str) -> None:
         ("study {short} -o {out} --paper --space joint", "leave out --space joint"),
         ("study {short} -o {out} --frames 7", "even"),
         ("study {wrong}/camera_only -o {out}", "no IMUs"),
-        ("evaluate {wrong}/motion.npz --truth {short}", "motion.npz"),
+        ("evaluate {wrong}/motion.h5 --truth {short}", "motion.h5"),
         ("simulate {mocap} -o {out} --sensors L_LowrArm", "'L_LowArm'"),
         ("export {motion} {out} --to fbx", "'fbx'"),
         ("export {motion} {out} -o {out}", "-o OUT"),
@@ -146,7 +146,7 @@ def test_unwritable_output_is_refused_before_the_work(
     "command, own, named",
     [
         ("reconstruct {short} -o {out}", (), "--overwrite"),
-        ("export {out} {out} --to bvh --overwrite", (), "motion.npz"),
+        ("export {out} {out} --to bvh --overwrite", (), "motion.h5"),
         ("export {out} {out} --to bvh --overwrite", OWN, "clinical/, notes.txt, report.html"),
         ("demo -o {out} --overwrite", OWN, "clinical/, notes.txt, report.html"),
     ],
@@ -167,7 +167,7 @@ def test_files_of_the_user_and_of_other_commands_are_not_overwritten(
 
 def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
     assert names_in(reconstructed) == {
-        "motion.npz",
+        "motion.h5",
         "skeleton.urdf",
         "joint_trajectory.csv",
         "joint_trajectory.json",
@@ -176,15 +176,15 @@ def test_reconstruct_writes_the_whole_output(reconstructed: Path) -> None:
         "motion.csv",
         "files.json",
         "summary.json",
-        "measurements.npz",
+        "measurements.h5",
         MANIFEST,
     }
     summary = json.loads((reconstructed / "summary.json").read_text())
     assert summary["mode"] == "rtof"
     assert set(summary["metrics"]) == {"lift", "sf2", "rtof"}
     assert summary["metrics"]["rtof"]["mpjpe_rr_mm"] < 90
-    assert len(read_motion_npz(reconstructed / "motion.npz").q) == 120
-    sizes = [(reconstructed / name).stat().st_size for name in ("motion.npz", "measurements.npz")]
+    assert len(Motion.load(reconstructed / "motion.h5").q) == 120
+    sizes = [(reconstructed / name).stat().st_size for name in ("motion.h5", "measurements.h5")]
     assert sum(sizes) / 120 * 3600 <= 4e6  # bytes a minute at 60 Hz; docs/output.md has those of a longer one
 
 
@@ -249,7 +249,7 @@ def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: 
         "ros_base_trajectory.json",
         MANIFEST,
     }
-    export = ("export", reconstructed / "motion.npz", every, "--to")
+    export = ("export", reconstructed / "motion.h5", every, "--to")
     done = cli(*export, "mot, trc,osim,c3d,bvh,csv,parquet")
     assert done.code == 0
     assert "motion.parquet" in done.out

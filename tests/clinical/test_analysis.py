@@ -15,6 +15,7 @@ from clinical_support import walk, walking
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from report_support import certain_to
 
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
@@ -24,7 +25,6 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reporting.clinical_figures import SHOWN, angles_over_time, gait_cycles
 
 BODY = SkeletonModel.default()
@@ -58,8 +58,8 @@ def folder(analysis: MotionAnalysis, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture(scope="module")
 def motion_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("motion") / "motion.npz"
-    write_motion_npz(path, walk(), mode="rtof")
+    path = tmp_path_factory.mktemp("motion") / "motion.h5"
+    write_motion(path, walk(), mode="rtof")
     return path
 
 
@@ -256,8 +256,8 @@ def test_command_writes_the_folder_and_prints_tables(
 
 def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two strides on a treadmill are too few; their numbers are in the files all the same."""
-    path = tmp_path / "motion.npz"
-    write_motion_npz(path, walking(2.4, treadmill=True), mode="rtof")
+    path = tmp_path / "motion.h5"
+    write_motion(path, walking(2.4, treadmill=True), mode="rtof")
     assert main(["report", str(path), "--analysis", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "gait: Only 2 complete strides of walking" in text

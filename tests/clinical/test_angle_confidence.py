@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.clinical.angle_confidence import UNIFORM_SIGMA, angle_rates, reliable_samples, turns_too_fast
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
+from rtof_kin.clinical.decomposition import UNIFORM_SIGMA, angle_rates, decompose, reliable_samples, turns_too_fast
 from rtof_kin.clinical.files import write_analysis
-from rtof_kin.clinical.joint_coordinate_systems import decompose
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.metrics import flexion
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import angle_table, clinical_name
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core import rotations as so3

@@ -14,8 +14,16 @@ from numpy.typing import NDArray
 from report_support import certain_to
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.comparison import AngleComparison, Comparison, compare, compared, sides_of
-from rtof_kin.clinical.comparison_axis import agreement, choose_axis, compare_sides
+from rtof_kin.clinical.comparison import (
+    AngleComparison,
+    Comparison,
+    agreement,
+    choose_axis,
+    compare,
+    compare_sides,
+    compared,
+    sides_of,
+)
 from rtof_kin.clinical.comparison_change import Verdict
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError

@@ -12,7 +12,7 @@ from comparison_support import angles_of
 from numpy.typing import NDArray
 
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.clinical.comparison_alignment import align
+from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.errors import InvalidInputError
 
 NAMES = ("right_knee_flexion", "left_knee_flexion", "right_hip_flexion", "right_elbow_flexion")

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from clinical_support import walk
 
-from rtof_kin.clinical.angles import clinical_angles
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.angles import clinical_angles, opensim_angles
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.opensim_mot import write_mot, write_sto
 from rtof_kin.formats.opensim_table import OpenSimTable, read_opensim_table

@@ -10,10 +10,8 @@ from clinical_support import squatting
 from follow_support import visit, walk_at
 
 from rtof_kin.clinical.comparison_change import Measured
-from rtof_kin.clinical.follow_up import Followed, Outcome, Repeated, follow_measures, follow_up
-from rtof_kin.clinical.measurement_error import BandShares
-from rtof_kin.clinical.visit_measures import Better, Measure, measures_of
-from rtof_kin.clinical.visits import Setup, Visit, incomparable, trial
+from rtof_kin.clinical.follow_up import BandShares, Followed, Outcome, Repeated, follow_measures, follow_up
+from rtof_kin.clinical.visits import Better, Measure, Setup, Visit, incomparable, measures_of, trial
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
 ANGLE = Measure("right_knee_flexion_range", "deg")

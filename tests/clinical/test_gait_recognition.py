@@ -11,9 +11,8 @@ from clinical_support import squatting, walk, walking
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angles import all_observed
-from rtof_kin.clinical.gait import GaitAnalysis, analyse_gait
+from rtof_kin.clinical.gait import GaitAnalysis, StrideShape, analyse_gait, departures, stride_shape
 from rtof_kin.clinical.gait_events import gait_events
-from rtof_kin.clinical.gait_recognition import StrideShape, departures, stride_shape
 from rtof_kin.clinical.paths import body_paths
 from rtof_kin.data.poses import Provenance
 

@@ -16,9 +16,14 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import foot_table
 from rtof_kin.clinical.angles import angles_of
 from rtof_kin.clinical.decomposition import DecomposedAngles
-from rtof_kin.clinical.gait_deviation_index import deviation_index, gait_features
-from rtof_kin.clinical.gait_reference import build_reference
-from rtof_kin.clinical.gait_scores import gait_scores, people_scores, side_curves
+from rtof_kin.clinical.gait_scores import (
+    build_reference,
+    deviation_index,
+    gait_features,
+    gait_scores,
+    people_scores,
+    side_curves,
+)
 from rtof_kin.clinical.gait_variables import GaitCycles, gait_cycles, joined_cycles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError

@@ -14,8 +14,7 @@ from scipy.optimize import linprog
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import analyse_motion
-from rtof_kin.clinical.foot_contacts import Contact
-from rtof_kin.clinical.ground_reaction import GroundReaction, _hull_distance, _shares
+from rtof_kin.clinical.ground_reaction import Contact, GroundReaction, _hull_distance, _shares
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.poses import PoseSequence
 

@@ -100,32 +100,25 @@ MEASURED = """
 import resource, sys
 from rtof_kin.clinical.analysis import analyse_motion
 from rtof_kin.formats.motion_files import write_motion_files
-from rtof_kin.formats.motion_npz import MotionReader
+from rtof_kin.body.motion_file import MotionReader
 
 def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 before = peak()
 with MotionReader(sys.argv[1]) as reader:
-    write_motion_files(sys.argv[2], reader.source(), ["mot"])
+    write_motion_files(sys.argv[2], reader, ["mot"])
     written = peak()
-    analyse_motion(reader.source())
+    analyse_motion(reader)
     print(written - before, peak() - before)
 """
 
 
 @pytest.fixture(scope="module")
 def four_minutes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file that repeats a minute of walking; its arrays are not compressed, which takes long."""
-    path = tmp_path_factory.mktemp("long") / "motion.npz"
-    write_repeated(path, walk(), 1)
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    frames = len(arrays["times"])
-    for name, array in arrays.items():
-        if array.shape[:1] == (frames,):
-            arrays[name] = np.concatenate([array] * 4)
-    np.savez(path, **arrays | {"times": np.arange(4 * frames) / 60})
+    """A file that repeats a minute of walking."""
+    path = tmp_path_factory.mktemp("long") / "motion.h5"
+    write_repeated(path, walk(), 4)
     return path
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from rtof_kin.clinical.comparison_change import Measured
-from rtof_kin.clinical.measurement_error import (
+from rtof_kin.clinical.follow_up import (
     BandShares,
     MeasurementErrors,
     mean_square_within,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rtof_kin.clinical.mixed_error import MixedError
+from rtof_kin.clinical.comparison_change import MixedError
 
 LEVELS = (0.05, 0.01, 0.002)
 

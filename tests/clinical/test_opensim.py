@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical import joint_coordinate_systems as jcs
+from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed, clinical_angles
 from rtof_kin.data.poses import PoseSequence

@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics
-from rtof_kin.clinical.pose_errors import ErrorSpectrum, error_gains
+from rtof_kin.clinical.body_dynamics import UNKNOWN, BodyDynamics, ErrorSpectrum, error_gains
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.body_dynamics import UNKNOWN
-from rtof_kin.clinical.foot_contacts import single_support
 from rtof_kin.clinical.gait import analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
+from rtof_kin.clinical.ground_reaction import single_support
 from rtof_kin.clinical.paths import body_paths
 from rtof_kin.clinical.torques import JointTorques, joint_torques
 from rtof_kin.core.errors import InvalidInputError

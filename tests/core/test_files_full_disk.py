@@ -14,14 +14,15 @@ from matplotlib.figure import Figure
 
 from lifting.checkpoint import save_tensors
 from lifting.curves import write_curves
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.cli import files
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.joint_trajectory import write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.formats.motion_table import write_motion_parquet
 from rtof_kin.formats.motion_views import landmark_markers
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reporting.figures import save_figures
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.video import write_detections
@@ -38,7 +39,7 @@ def motion() -> Motion:
 WRITERS: dict[str, Callable[[Path, Motion], object]] = {
     "page.html": lambda path, motion: write_text(path, "x" * 2 * ROOM, overwrite=True),
     "motion.c3d": lambda path, motion: write_c3d(path, landmark_markers(motion), overwrite=True),
-    "motion.npz": write_motion_npz,
+    "motion.h5": write_motion,
     "motion.parquet": lambda path, motion: write_motion_parquet(path, motion, overwrite=True),
     "trajectory.csv": write_joint_trajectory_csv,
     "ros_joint_trajectory.json": lambda path, motion: write_ros_trajectory(path.parent, motion),

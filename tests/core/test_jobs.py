@@ -204,7 +204,7 @@ def test_a_folder_with_other_files_is_not_changed(mark: str | None, overwrite: b
 def test_overwriting_removes_motions_of_other_settings_only(tmp_path: Path) -> None:
     save = tmp_path / "motions"
     opened(tmp_path / "out", save=save)
-    motion = save / "S1" / "walking2" / "cam1" / "lift" / "motion.npz"
+    motion = save / "S1" / "walking2" / "cam1" / "lift" / "motion.h5"
     motion.parent.mkdir(parents=True)
     motion.write_text("")
     (save / "note.txt").write_text("")

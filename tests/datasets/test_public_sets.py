@@ -11,7 +11,7 @@ import public_sets as made
 import pytest
 from public_sets import known
 
-from rtof_kin.clinical.comparison_opensim import opensim_angles
+from rtof_kin.clinical.angles import opensim_angles
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.datasets.gaitex import Gaitex
 from rtof_kin.datasets.joint_centres import hinge_table, hip_centres

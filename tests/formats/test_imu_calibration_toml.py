@@ -83,7 +83,7 @@ def test_known_sensor_has_default_segment_and_position(tmp_path: Path, skeleton:
         (ONE.replace("[1, 0, 0, 0]", "[2, 0, 0, 0]"), FileFormatError, "has norm 2, not 1"),
         (ONE.replace("[0, 0, 1]]", "[0, 0, 2]]"), FileFormatError, "R_sensor_bone is not a rotation"),
         (ONE.replace("[1, 0, 0, 0]", "[nan, 0, 0, 0]"), FileFormatError, "not finite"),
-        (ONE + "mounting_sd_deg = -1", FileFormatError, "of L_UpArm: mounting_sd_deg is -1, no standard"),
+        (ONE + "mounting_sd_deg = -1", FileFormatError, r"L_UpArm\] mounting_sd_deg: -1 is no standard"),
         (ONE + "[camera]", UnknownNameError, "unknown field .* 'camera'"),
         ("sensors = 3", FileFormatError, "not a table"),
         ("= [", FileFormatError, "not readable as TOML"),

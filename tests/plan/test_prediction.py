@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtof_kin.clinical.angle_confidence import angle_sigmas
 from rtof_kin.clinical.angle_table import angle_table
-from rtof_kin.clinical.joint_coordinate_systems import relative_rotations
+from rtof_kin.clinical.decomposition import angle_sigmas, relative_rotations
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import identifiability

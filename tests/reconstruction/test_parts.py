@@ -10,11 +10,11 @@ import pytest
 
 import rtof_kin.reconstruction.parts
 import rtof_kin.reconstruction.pipeline
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.resources import model_path
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.measurements_file import read_measurements
 from rtof_kin.reconstruction import parts
 from rtof_kin.reconstruction.parts import is_long, parts_of, reconstruct_in_parts
 from rtof_kin.reconstruction.pipeline import reconstruct
@@ -135,8 +135,8 @@ def test_a_part_in_which_nobody_is_seen_is_marked_and_written_like_the_others(
     assert any("not reconstructed" in text and "no person was seen" in text for text in statistics.warnings)
     assert statistics["invalid"].mean_of_all > 0.2
     assert any("not reconstructed" in result.note for result in audit(statistics))
-    measured = read_measurements_npz(tmp_path / "out" / "measurements.npz")
-    times = read_motion_npz(tmp_path / "out" / "motion.npz").poses.times
+    measured = read_measurements(tmp_path / "out" / "measurements.h5")
+    times = Motion.load(tmp_path / "out" / "motion.h5").poses.times
     np.testing.assert_allclose(times, seen.times - 0.02, atol=1e-9)
     np.testing.assert_allclose(measured.views[0].video_times, seen.times, atol=1e-9)
     np.testing.assert_array_equal(measured.views[0].seen.any(axis=1), ~absent)

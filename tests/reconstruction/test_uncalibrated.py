@@ -19,7 +19,6 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import excerpt, with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.page.quality import camera_table
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 
@@ -155,11 +154,9 @@ def test_the_audit_lists_the_unknowns_of_the_camera() -> None:
     assert not [r for r in audit(true) if "assumed, " in r.note]
 
 
-def test_the_report_shows_the_camera() -> None:
-    page = camera_table(input_provenance(ReconstructionStatistics(results("rtof")[1]))["camera_estimate"])
-    assert "not calibrated" in page
-    assert "focal length" in page
-    assert camera_table(None) == ""
+def test_the_report_has_the_camera() -> None:
+    found = input_provenance(ReconstructionStatistics(results("rtof")[1]))["camera_estimate"]
+    assert any("focal length" in row for row in found["rows"])
 
 
 def test_further_cameras_move_rigidly_with_the_first() -> None:

@@ -92,7 +92,7 @@ def test_other_focal_length_than_that_of_the_motion_is_warned_of(
     [
         ('file = "none.npz"', "there is no file"),
         ('file = "camera_motion.npz"\nstart_s = 60.0', "put it on their clock"),
-        ('file = "gyro.csv"\nheld = "sideways"', "'sideways' is not known; write one of portrait"),
+        ('file = "gyro.csv"\nheld = "sideways"', "'sideways' is not one of portrait"),
         ('file = "camera_motion.npz"\nmagic = 1', "magic"),
     ],
 )

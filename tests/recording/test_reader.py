@@ -185,8 +185,8 @@ def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 def both(folder: Path) -> Iterator[tuple[Recording, RecordingReader]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rtof_kin.recording.streams.BLOCK", 128)  # several blocks in ten seconds
-        patch.setattr("rtof_kin.recording.sources.BLOCK", 128)
-        patch.setattr("rtof_kin.recording.sources._SPACING", 2**16)
+        patch.setattr("rtof_kin.recording.streams.BLOCK", 128)
+        patch.setattr("rtof_kin.recording.streams._SPACING", 2**16)
         with RecordingReader.open(folder) as reader:
             yield Recording.load(folder), reader
 

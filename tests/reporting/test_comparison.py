@@ -15,8 +15,7 @@ from clinical_support import walk
 from comparison_support import one
 from report_support import BROWSER, Page, certain_to, folder_of, plotted_data, unpacked
 
-from rtof_kin.clinical.comparison import Compared, Comparison, compare
-from rtof_kin.clinical.comparison_axis import agreement
+from rtof_kin.clinical.comparison import Compared, Comparison, agreement, compare
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.opensim_mot import write_mot
 from rtof_kin.reporting.comparison import COLUMNS, distinct, document, read_compared
@@ -155,19 +154,19 @@ def test_outputs_motions_and_coordinates_are_read(tmp_path: Path) -> None:
     out = folder_of(motion, tmp_path / "out")
     inside = folder_of(motion, tmp_path / "run" / "motion")
     write_mot(tmp_path / "walk.mot", walk())
-    found = [read_compared(p) for p in (out, out / "motion.npz", inside.parent, tmp_path / "walk.mot")]
+    found = [read_compared(p) for p in (out, out / "motion.h5", inside.parent, tmp_path / "walk.mot")]
     assert [one.name for one in found] == ["out (rtof)", "out (rtof)", "run (rtof)", "walk.mot"]
     assert [one.recording for one in found] == ["walk", "walk", "walk", ""]
     assert [one.other_system for one in found] == [False, False, False, True]
     assert (
-        distinct(found[0], found[1], (out, out / "motion.npz"))[0]
-        != distinct(found[0], found[1], (out, out / "motion.npz"))[1]
+        distinct(found[0], found[1], (out, out / "motion.h5"))[0]
+        != distinct(found[0], found[1], (out, out / "motion.h5"))[1]
     )
     paths = (tmp_path / "before" / "out", tmp_path / "after" / "out")
     assert distinct(found[0], found[0], paths) == ("before/out", "after/out")  # a page is passed on
     exported = compare(found[0], found[3], "time")
     assert max(abs(c.difference) for angle in exported.angles for c in angle.changes) < 1e-6
-    with pytest.raises(FileFormatError, match=r"motion\.npz"):
+    with pytest.raises(FileFormatError, match=r"motion\.h5"):
         read_compared(tmp_path)
 
 

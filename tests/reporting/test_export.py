@@ -11,11 +11,11 @@ import numpy as np
 import planted
 import pytest
 
+from rtof_kin.body.motion_file import MotionReader, motion_folder, motion_path
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, UnknownNameError
 from rtof_kin.core.files.manifest import MANIFEST
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.motion_npz import motion_folder, motion_path, read_motion_npz
+from rtof_kin.formats.measurements_file import read_measurements
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -27,7 +27,7 @@ from rtof_kin.reporting.headline import headline
 BODY = SkeletonModel.default().with_height(1.66)
 T = 16
 FILES = {
-    "motion.npz",
+    "motion.h5",
     "skeleton.urdf",
     "joint_trajectory.csv",
     "joint_trajectory.json",
@@ -36,7 +36,7 @@ FILES = {
     "summary.json",
     "files.json",
     "motion.csv",
-    "measurements.npz",
+    "measurements.h5",
     MANIFEST,
 }
 
@@ -77,7 +77,7 @@ def test_all_files_are_written_and_figures_on_request(
     assert written == ["figures"]
     names = {path.name for path in (tmp_path / "out").iterdir()}
     pieces = {"motion_1.mot", "motion_2.mot"}  # one for each side of the gap
-    assert names >= pieces | {"skeleton.osim", "motion.trc", "motion.npz"}
+    assert names >= pieces | {"skeleton.osim", "motion.trc", "motion.h5"}
     assert not any(name.endswith(".csv") for name in names)
     with pytest.raises(UnknownNameError, match="'dae'"):
         export(result, tmp_path / "other", formats=("dae",))
@@ -85,16 +85,17 @@ def test_all_files_are_written_and_figures_on_request(
 
 
 def test_motion_file_contains_the_motion(result: Reconstruction, folder: Path) -> None:
-    read = read_motion_npz(folder / "motion.npz")
+    with MotionReader(folder) as file:
+        read = file.read()
+        assert (file.mode, file.first_frame) == ("rtof", 300)
     np.testing.assert_allclose(read.q, result.motion.q, rtol=0, atol=3e-8)
-    assert (read.mode, read.first_frame) == ("rtof", 300)
     assert not read.poses.valid[4:8].any()
     np.testing.assert_array_equal(read.poses.provenance, result.motion.poses.provenance)
     assert SkeletonModel.from_urdf(folder / "skeleton.urdf").height == pytest.approx(1.66, abs=1e-6)
 
 
 def test_measurements_are_those_that_were_used(result: Reconstruction, folder: Path) -> None:
-    found, poses = read_measurements_npz(folder / "measurements.npz"), result.motion.poses
+    found, poses = read_measurements(folder / "measurements.h5"), result.motion.poses
     np.testing.assert_array_equal(found.times, poses.times)
     (view,) = found.views
     assert result.keypoints is not None
@@ -112,8 +113,8 @@ def test_measurements_are_those_that_were_used(result: Reconstruction, folder: P
 def test_the_motion_is_found_in_the_output_of_reconstruct_and_run(folder: Path, tmp_path: Path) -> None:
     of_run = tmp_path / "run"
     (of_run / "motion").mkdir(parents=True)
-    (of_run / "motion" / "motion.npz").touch()
-    assert motion_path(folder) == motion_path(folder / "motion.npz") == folder / "motion.npz"
+    (of_run / "motion" / "motion.h5").touch()
+    assert motion_path(folder) == motion_path(folder / "motion.h5") == folder / "motion.h5"
     assert motion_folder(of_run) == of_run / "motion"
     with pytest.raises(FileFormatError, match="output folder of reconstruct or run"):
         motion_path(tmp_path)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.resources import model_path
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.motion_npz import read_motion_npz
+from rtof_kin.formats.measurements_file import read_measurements
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
@@ -26,10 +26,10 @@ def parts() -> list[Reconstruction]:
 
 def test_the_files_have_the_motion_of_all_parts(parts: list[Reconstruction], tmp_path: Path) -> None:
     found = export_parts(parts, tmp_path / "out")
-    motion = read_motion_npz(tmp_path / "out" / "motion.npz").motion()
+    motion = Motion.load(tmp_path / "out" / "motion.h5")
     p = np.concatenate([part.motion.poses.p_world_joint for part in parts])
     np.testing.assert_allclose(motion.poses.p_world_joint, p, atol=1e-5)
-    measured = read_measurements_npz(tmp_path / "out" / "measurements.npz")
+    measured = read_measurements(tmp_path / "out" / "measurements.h5")
     np.testing.assert_allclose(measured.times, motion.times)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["frames"] == found.frames == len(motion.times)
@@ -46,8 +46,8 @@ def test_long_motions_are_not_written_as_text_unless_asked_for(
     export_parts(parts, tmp_path / "out")
     assert sorted(path.name for path in (tmp_path / "out").glob("[a-z]*")) == [
         "files.json",
-        "measurements.npz",
-        "motion.npz",
+        "measurements.h5",
+        "motion.h5",
         "skeleton.urdf",
         "summary.json",
     ]

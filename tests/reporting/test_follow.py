@@ -13,8 +13,7 @@ import pytest
 from follow_support import visit_folders, walk_at
 from report_support import Page, folder_of
 
-from rtof_kin.clinical.follow_up import FollowUp, Outcome, follow_up
-from rtof_kin.clinical.measurement_error import BandShares
+from rtof_kin.clinical.follow_up import BandShares, FollowUp, Outcome, follow_up
 from rtof_kin.clinical.visits import Visit, trial
 from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError
 from rtof_kin.reporting.audit_results import AuditResult
@@ -116,7 +115,7 @@ def test_wrong_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="is one motion"):
         read_visits(tmp_path / "a" / "out")
     (tmp_path / "follow.toml").write_text('[[visit]]\nfolder = "a"\n[[visit]]\nfolder = "c"\n')
-    with pytest.raises(FileFormatError, match="visit 'c' has no motion.npz; there are a"):
+    with pytest.raises(FileFormatError, match="visit 'c' has no motion.h5; there are a"):
         read_visits(tmp_path)
     small(tmp_path, ("c",))
     (tmp_path / "follow.toml").write_text('baseline = "aa"\n')

@@ -11,6 +11,7 @@ import numpy as np
 import planted
 import pytest
 
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
 from rtof_kin.core.checks import Verdict
@@ -20,7 +21,6 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.formats.trc import write_trc
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import inspect
@@ -114,8 +114,8 @@ def test_recordings_are_checked_by_reference_and_sensors(demo: Path, tmp_path: P
 
 def test_motions_list_their_skeleton_and_have_constant_bones(tmp_path: Path) -> None:
     motion = planted.moving(SkeletonModel.default(), 12)
-    write_motion_npz(tmp_path / "motion.npz", motion, mode="rtof")
-    found = inspect(tmp_path / "motion.npz")
+    write_motion(tmp_path / "motion.h5", motion, mode="rtof")
+    found = inspect(tmp_path / "motion.h5")
     assert (found.title, found.failed) == ("reconstructed motion", ())
     assert dict(found.contents)["mode"] == "rtof"
     assert len(found.bone_lengths) == 20

@@ -111,6 +111,14 @@ def test_the_header_names_the_session_and_says_how_good(html: str, page: Page) -
         assert text in recording
 
 
+def test_a_camera_that_is_not_calibrated_has_a_table(page: Page, tmp_path: Path) -> None:
+    assert "not calibrated" not in page.text["calibration"]
+    estimate = {"columns": ["quantity", "value"], "rows": [["focal length", "900 px"]]}
+    text = text_of(folder_of(walk(), tmp_path / "out", inputs={"camera_estimate": estimate}), "calibration")
+    assert "The camera is not calibrated" in text
+    assert "focal length 900 px" in text
+
+
 def test_notes_of_the_recording_are_shown_line_by_line(html: str, tmp_path: Path) -> None:
     assert "How the recording was made" not in html
     inputs = INPUTS | {"notes": "doubtful: <b>its heading\nassumed: the floor is flat"}

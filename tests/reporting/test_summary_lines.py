@@ -14,8 +14,7 @@ from report_support import certain_to
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
 from rtof_kin.clinical.angle_table import angle_table
-from rtof_kin.clinical.comparison import compared
-from rtof_kin.clinical.comparison_axis import compare_sides
+from rtof_kin.clinical.comparison import compare_sides, compared
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import BAND_95

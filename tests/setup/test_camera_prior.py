@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.section import Section
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.recording.camera_table import read_camera
+from rtof_kin.recording.cameras import read_camera
+from rtof_kin.recording.tables import CameraTable
 from rtof_kin.setup.camera import (
     HEIGHT,
     SIGMA_HEIGHT,
@@ -31,7 +31,7 @@ LENS = LensPrior(1480.123, 0.1, -0.0123, 0.05, "a phone's lens")
 
 def read_back(found: SetupCamera) -> Camera:
     table = tomllib.loads(recording_text(found.fields, "camera"))
-    return read_camera(Section(Path("recording.toml"), table, "camera"))
+    return read_camera(CameraTable.of(table, Path("recording.toml"), "camera"))
 
 
 def assert_same(one: Camera, other: Camera) -> None:

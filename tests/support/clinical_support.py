@@ -12,7 +12,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed
-from rtof_kin.clinical.joint_coordinate_systems import anatomical_posture
+from rtof_kin.clinical.decomposition import anatomical_posture
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.mocap import read_mocap

@@ -24,7 +24,8 @@ import sensor_files
 import total_capture_support
 import xdf_file
 
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.motion_file import write_motion
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.pickles import read_object_npz
@@ -39,8 +40,6 @@ from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
 from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.motion_npz import read_motion_npz
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.formats.opencap import read_opencap
 from rtof_kin.formats.opencv_yaml import read_opencv_yaml
 from rtof_kin.formats.opensim_mot import write_mot
@@ -265,7 +264,7 @@ TC = functools.partial(functools.partial, total_capture_file)
 READERS = (
     given("npz", "a.npz", lambda: npz(a=UV, b=np.eye(3)), read_npz),
     given("csv", "a.csv", b"time,b\n0.0,1e3\n0.1,\n0.2,-3\n", read_csv),
-    written("motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), read_motion_npz),
+    written("motion.h5", "motion.h5", lambda p: write_motion(p, motion()), Motion.load),
     written("joint trajectory", "a.csv", lambda p: write_joint_trajectory_csv(p, motion()), read_joint_trajectory_csv),
     given(
         "object npz",
@@ -360,7 +359,7 @@ READERS = (
     Reader("recording of sensor files", _with_sensor_files, Recording.load),
     given("sources", "a.json", OPENPOSE, lambda p: Sources.of([p])),
     # --- any of them
-    written("inspect motion.npz", "motion.npz", lambda p: write_motion_npz(p, motion()), inspect),
+    written("inspect motion.h5", "motion.h5", lambda p: write_motion(p, motion()), inspect),
     written("inspect a.trc", "a.trc", lambda p: write_trc(p, _markers()), inspect),
     written("inspect a.c3d", "a.c3d", lambda p: write_c3d(p, _markers()), inspect),
     given("inspect a.bvh", "a.bvh", lambda: real("mocap", "10_01_excerpt.bvh"), inspect),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.clinical.gait_reference import build_reference
+from rtof_kin.clinical.gait_scores import build_reference
 from rtof_kin.clinical.gait_variables import GaitCycles
 from rtof_kin.data.gait_reference import NAMES, PERCENT, SHAPE, GaitReference
 

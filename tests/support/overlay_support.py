@@ -14,14 +14,14 @@ import numpy as np
 import planted
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.measurements_writer import write_measurements_npz
-from rtof_kin.formats.motion_writer import write_motion_npz
+from rtof_kin.formats.measurements_file import write_measurements
 
 Image = NDArray[np.uint8]
 CELL = 24
@@ -76,7 +76,7 @@ def write_output(
 ) -> Path:
     """What `reconstruct` writes and an overlay reads."""
     folder.mkdir(parents=True)
-    write_motion_npz(folder / "motion.npz", motion, mode=mode)
+    write_motion(folder / "motion.h5", motion, mode=mode)
     poses = motion.poses
     views = []
     for camera in cameras:
@@ -87,7 +87,7 @@ def write_output(
             )
         )
     made = Measurements(poses.times, tuple(views), faults=tuple(faults))
-    write_measurements_npz(folder / "measurements.npz", made)
+    write_measurements(folder / "measurements.h5", made)
     summary = {"recording": "John Doe", "mode": mode} | ({"verdict": verdict} if verdict else {})
     (folder / "summary.json").write_text(json.dumps(summary))
     return folder

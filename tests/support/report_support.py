@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.data.confidence import Confidence
-from rtof_kin.formats.motion_writer import write_motion_npz
 from rtof_kin.reporting.plot_data import MISSING
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -27,7 +27,7 @@ _VOID = {"meta", "input", "br", "img"}
 def folder_of(motion: Motion, folder: Path, **fields: Any) -> Path:
     """Folder of a reconstruction with fields of its summary."""
     folder.mkdir(parents=True)
-    write_motion_npz(folder / "motion.npz", motion, mode="rtof")
+    write_motion(folder / "motion.h5", motion, mode="rtof")
     summary = {"recording": "walk", "mode": "rtof", "acknowledgement": "", "inputs": {}, "audit": []}
     (folder / "summary.json").write_text(json.dumps(summary | fields))
     return folder

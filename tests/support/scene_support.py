@@ -7,16 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MOTION, write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.measurements_writer import write_measurements_npz
-from rtof_kin.formats.motion_npz import MOTION
-from rtof_kin.formats.motion_writer import write_motion_npz
+from rtof_kin.formats.measurements_file import MEASUREMENTS, write_measurements
 
 RATE = 50.0
 SPEED = 1.0  # m/s along x
@@ -95,9 +93,9 @@ def measured(motion: Motion, cameras: int = 1, truth: bool = True) -> Measuremen
 def written(folder: Path, motion: Motion, measurements: Measurements | None = None) -> Path:
     """The output folder of a motion."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_motion_npz(folder / MOTION, motion, mode="rtof")
+    write_motion(folder / MOTION, motion, mode="rtof")
     if measurements is not None:
-        write_measurements_npz(folder / MEASUREMENTS, measurements)
+        write_measurements(folder / MEASUREMENTS, measurements)
     (folder / "summary.json").write_text(
         '{"recording": "glide <b>", "verdict": {"grade": "fail", "headline": "planted & bad"}}'
     )

@@ -22,7 +22,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExist
 from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.imu_stream import FaultKind, StreamFault  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
-from rtof_kin.formats.measurements_npz import read_measurements_npz  # noqa: E402
+from rtof_kin.formats.measurements_file import read_measurements  # noqa: E402
 from rtof_kin.view.overlay import film_writer  # noqa: E402
 from rtof_kin.view.overlay.film import write_overlay  # noqa: E402
 from rtof_kin.view.overlay.settings import OverlaySettings  # noqa: E402
@@ -363,12 +363,12 @@ def test_sensors_alone_have_a_virtual_camera_and_no_video(skeleton: SkeletonMode
 
 def test_an_older_output_says_what_to_do(skeleton: SkeletonModel, camera: Camera, tmp_path: Path) -> None:
     folder = write_output(tmp_path / "out", motion_with(skeleton, 3), [camera])
-    (folder / "measurements.npz").unlink()
-    with pytest.raises(FileFormatError, match=r"measurements.npz.*earlier version.*reconstruct"):
+    (folder / "measurements.h5").unlink()
+    with pytest.raises(FileFormatError, match=r"measurements.h5.*earlier version.*reconstruct"):
         write_overlay(folder, tmp_path / "o.mp4")
     other = write_output(tmp_path / "other", motion_with(skeleton, 4), [camera])
-    (folder / "measurements.npz").write_bytes((other / "measurements.npz").read_bytes())
-    with pytest.raises(FileFormatError, match="not of the motion.npz beside it"):
+    (folder / "measurements.h5").write_bytes((other / "measurements.h5").read_bytes())
+    with pytest.raises(FileFormatError, match="not of the motion.h5 beside it"):
         write_overlay(folder, tmp_path / "o.mp4")
 
 
@@ -387,7 +387,7 @@ def test_a_video_of_a_stabilised_camera_with_unknown_turning_is_refused(
 ) -> None:
     still = replace(camera, stabilised=True)
     folder = write_output(tmp_path / "out", motion_with(skeleton, 3), [still])
-    assert read_measurements_npz(folder / "measurements.npz").views[0].camera.stabilised
+    assert read_measurements(folder / "measurements.h5").views[0].camera.stabilised
     with pytest.raises(InvalidInputError, match="handheld"):
         write_overlay(folder, tmp_path / "o.mp4", video)
     assert write_overlay(folder, tmp_path / "o.mp4").frames == 3

@@ -183,7 +183,7 @@ def test_looking_through_the_camera_puts_the_image_behind_the_person(scene: Moti
 def test_measurements_of_another_motion_are_refused(server: Any, out: Path, tmp_path: Path) -> None:
     motion = walking(60)
     other = written(tmp_path / "c", motion)
-    (other / "measurements.npz").write_bytes((out / "measurements.npz").read_bytes())
+    (other / "measurements.h5").write_bytes((out / "measurements.h5").read_bytes())
     with MotionFiles(other) as opened, pytest.raises(InvalidInputError, match="120 frames, the motion 60"):
         MotionScene(server, opened.motion, opened.measurements)
 
@@ -222,8 +222,7 @@ def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_mov
     monkeypatch.setattr("rtof_kin.view.scene.angle_blocks.WHOLE_S", 1.0)
     monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._PART_S", 2.0)
     monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._MARGIN_S", 0.2)
-    with MotionBlocks(written(tmp_path, motion) / "motion.npz") as blocks:
-        blocks.wait(300)
+    with MotionBlocks(written(tmp_path, motion) / "motion.h5") as blocks:
         angles = AngleBlocks(blocks)
         assert angles.in_parts
         first = angles.part(0, 20.0)

@@ -25,9 +25,17 @@ def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) ->
         FileFormatError: it is too large, or large and compressed beyond any recording.
     """
     full = sum(member.file_size for member in members)
-    packed = sum(member.compress_size for member in members)
     if full > limit:
         raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
+    check_ratio(path, full, sum(member.compress_size for member in members))
+
+
+def check_ratio(path: Path, full: int, packed: int) -> None:
+    """Raise `FileFormatError` for what is large and compressed beyond any recording.
+
+    Args:
+        full, packed: bytes of memory and of the file.
+    """
     if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
         raise FileFormatError(path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened")
 

@@ -87,7 +87,7 @@ def open_runs(
             False; then neither folder is changed. RtofError: one of them cannot be written.
     """
     settings = _MADE_BY | dict(settings)
-    owned = {folder: "runs/*.json"} | ({save: "*/*/*/*/motion.npz"} if save else {})
+    owned = {folder: "runs/*.json"} | ({save: "*/*/*/*/motion.h5"} if save else {})
     outdated = {path: _holds_other_results(path, settings, overwrite) for path in owned}
     for path, results in owned.items():
         try:

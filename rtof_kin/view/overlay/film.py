@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MotionReader, motion_folder
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
 from rtof_kin.data.keypoints import Measurements
-from rtof_kin.formats.measurements_npz import MEASUREMENTS, read_measurements_npz
-from rtof_kin.formats.motion_npz import MOTION, motion_folder, read_motion_npz
+from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path, read_measurements
 from rtof_kin.view.overlay.angle_labels import angle_labels
 from rtof_kin.view.overlay.canvas import Image
 from rtof_kin.view.overlay.captions import CaptionTexts
@@ -82,17 +82,19 @@ def read_result(folder: str | Path) -> ResultFiles:
             what to do.
     """
     folder = motion_folder(folder)
-    saved = read_motion_npz(folder / MOTION)
-    if not (folder / MEASUREMENTS).is_file():
+    with MotionReader(folder) as reader:
+        motion, mode = reader.read(), reader.mode
+    path = measurements_path(folder)
+    if not path.is_file():
         raise FileFormatError(
             folder / MEASUREMENTS,
             "is missing, which has the cameras and the times of the video: this "
             "output is of an earlier version; run rtof-kin reconstruct (or run) again",
         )
-    measurements = read_measurements_npz(folder / MEASUREMENTS)
-    if not np.array_equal(measurements.times, saved.poses.times):
-        raise FileFormatError(folder / MEASUREMENTS, "is not of the motion.npz beside it; reconstruct again")
-    return ResultFiles(saved.motion(), saved.mode, measurements, read_verdict(folder))
+    measurements = read_measurements(path)
+    if not np.array_equal(measurements.times, motion.times):
+        raise FileFormatError(path, "is not of the motion.h5 beside it; reconstruct again")
+    return ResultFiles(motion, mode, measurements, read_verdict(folder))
 
 
 def write_overlay(

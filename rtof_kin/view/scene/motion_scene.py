@@ -81,13 +81,12 @@ class MotionScene:
         Raises:
             InvalidInputError: the measurements are of another motion. FileFormatError: a damaged file.
         """
-        if measurements is not None and measurements.length != len(motion):
+        if measurements is not None and len(measurements) != len(motion):
             raise InvalidInputError(
-                f"{measurements.path}: has {measurements.length} frames, the motion {len(motion)}; reconstruct again"
+                f"{measurements.path}: has {len(measurements)} frames, the motion {len(motion)}; reconstruct again"
             )
         self._server, self._motion, self._measurements, self._second = server, motion, measurements, second
         given = None if measurements is None else measurements.first
-        motion.wait(1)
         start = motion.frames(0, min(len(motion), motion.available, 60))
         self.stage = Stage(server, start.poses, motion.skeleton, given)
         self.person = Person(server, "/world/motion", motion.skeleton, start.confidence is not None)
@@ -266,7 +265,7 @@ class MotionScene:
     def _compute_path(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         margin = int(_PATH_S * self._motion.rate_hz)
         start, stop = max(start - margin, 0), min(stop + margin, len(self._motion))
-        p, provenance = self._motion.root(start, stop, max((stop - start) // _PATH_POINTS, 1))
+        p, provenance = self._motion.thinned_root(start, stop, max((stop - start) // _PATH_POINTS, 1))
         return p, PALETTE[provenance]
 
     def _show_path(self, frame: int) -> None:

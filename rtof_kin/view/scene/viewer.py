@@ -12,9 +12,9 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from rtof_kin.body.motion_file import motion_path
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.formats.measurements_npz import MEASUREMENTS
-from rtof_kin.formats.motion_npz import motion_path
+from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path
 from rtof_kin.view.scene.angle_blocks import AngleBlocks
 from rtof_kin.view.scene.controls import Controls
 from rtof_kin.view.scene.curves import Curves
@@ -61,8 +61,8 @@ class MotionFiles:
             folder, notes = self._path.parent, []
             motion = stack.enter_context(MotionBlocks(self._path))
             measurements = None
-            if (folder / MEASUREMENTS).is_file():
-                measurements = stack.enter_context(MeasurementBlocks(folder / MEASUREMENTS))
+            if (beside := measurements_path(folder)).is_file():
+                measurements = stack.enter_context(MeasurementBlocks(beside))
             else:
                 notes.append(
                     f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "

@@ -1,21 +1,27 @@
-"""``measurements.npz``: what is written is read back, also of a handheld camera."""
+"""``measurements.h5``: what is written is read back, also of a handheld camera."""
 
 from dataclasses import replace
 
 import npz_v1
 import numpy as np
 import pytest
+from scene_support import measured, walking
 
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
+from rtof_kin.core.files.arrays import write_npz
+from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import Measurements
-from rtof_kin.formats.measurements_npz import read_measurements_npz
-from rtof_kin.formats.measurements_writer import write_measurements_npz
+from rtof_kin.formats.measurements_file import (
+    MeasurementsReader,
+    MeasurementsWriter,
+    read_measurements,
+    write_measurements,
+)
 from rtof_kin.recording.recording import Recording
 
 FRAMES = 12
@@ -54,8 +60,8 @@ def filmed(keypoints):
 
 
 def test_what_is_written_is_read_back(measurements, tmp_path):
-    write_measurements_npz(tmp_path / "m.npz", measurements)
-    found = read_measurements_npz(tmp_path / "m.npz")
+    write_measurements(tmp_path / "m.h5", measurements)
+    found = read_measurements(tmp_path / "m.h5")
     assert (found.sensors, found.segments) == (measurements.sensors, measurements.segments)
     assert (found.faults, found.floor_height) == (measurements.faults, -0.5)
     np.testing.assert_allclose(found.R_world_sensor, measurements.R_world_sensor, atol=4e-5)
@@ -75,7 +81,7 @@ def test_what_is_written_is_read_back(measurements, tmp_path):
 def test_file_of_version_1_is_read(measurements, filmed, tmp_path):
     given = replace(measurements, views=(stabilised(*filmed),))
     npz_v1.write_measurements(tmp_path / "m.npz", given)
-    found = read_measurements_npz(tmp_path / "m.npz")
+    found = read_measurements(tmp_path / "m.npz")
     (view,), (own,) = found.views, given.views
     np.testing.assert_allclose(view.uv_px, own.uv_px, atol=1e-3)
     np.testing.assert_allclose(view.confidence, own.confidence, atol=1e-6)
@@ -86,8 +92,8 @@ def test_file_of_version_1_is_read(measurements, filmed, tmp_path):
 
 
 def test_nothing_measured_is_read_back(tmp_path):
-    write_measurements_npz(tmp_path / "m.npz", Measurements(np.array([0.0, 0.1])))
-    found = read_measurements_npz(tmp_path / "m.npz")
+    write_measurements(tmp_path / "m.h5", Measurements(np.array([0.0, 0.1])))
+    found = read_measurements(tmp_path / "m.h5")
     assert (found.views, found.sensors, found.truth, found.faults) == ((), (), None, ())
 
 
@@ -98,8 +104,8 @@ def test_points_of_a_handheld_camera_return_to_its_video(filmed, measurements, t
     kept = still.seen
     whole = np.arange(FRAMES)
     np.testing.assert_allclose(still.in_video(whole)[kept], seen.uv_px[kept], atol=1e-3)
-    write_measurements_npz(tmp_path / "m.npz", replace(measurements, views=(still,)))
-    (view,) = read_measurements_npz(tmp_path / "m.npz").views
+    write_measurements(tmp_path / "m.h5", replace(measurements, views=(still,)))
+    (view,) = read_measurements(tmp_path / "m.h5").views
     np.testing.assert_allclose(view.in_video(whole)[kept], seen.uv_px[kept], atol=0.012)
 
 
@@ -141,8 +147,8 @@ def test_a_saved_recording_keeps_video_times_and_turning(filmed, tmp_path):
 
 def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
     path = tmp_path / "m.npz"
-    write_measurements_npz(path, measurements)
-    arrays = read_npz_as_saved(path, kinds="fiubU")
+    write_measurements(tmp_path / "m.h5", measurements)
+    arrays = read_arrays(tmp_path / "m.h5")
     for name, array, what in (
         ("times", None, "times"),
         ("header", np.array("{"), "Expecting"),
@@ -156,7 +162,7 @@ def test_damaged_and_newer_files_are_refused(measurements, tmp_path):
         changed = {k: v for k, v in arrays.items() if k != name} | ({} if array is None else {name: array})
         write_npz(path, changed, overwrite=True)
         with pytest.raises(FileFormatError, match=what):
-            read_measurements_npz(path)
+            read_measurements(path)
 
 
 def test_measurements_check_their_shapes(measurements):
@@ -164,3 +170,54 @@ def test_measurements_check_their_shapes(measurements):
         replace(measurements, times=measurements.times + 1)
     with pytest.raises(InvalidInputError, match="segments"):
         replace(measurements, segments=("Spine",))
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return walking(300, shaking=0.2)
+
+
+def part_of(m, frames):
+    return replace(
+        m,
+        times=m.times[frames],
+        views=tuple(view[frames] for view in m.views),
+        R_world_sensor=m.R_world_sensor[frames],
+        truth=m.truth and m.truth[frames],
+    )
+
+
+@pytest.mark.parametrize("size", [1, 97, 300])
+def test_measurements_are_written_and_read_by_slices(walk, tmp_path, size):
+    given = measured(walk, cameras=2)
+    write_measurements(tmp_path / "whole.h5", given)
+    with MeasurementsWriter(tmp_path / "m.h5") as writer:
+        for start in range(0, 300, size):
+            writer.append(part_of(given, slice(start, start + size)))
+    found, expected = read_arrays(tmp_path / "m.h5"), read_arrays(tmp_path / "whole.h5")
+    assert all(np.array_equal(found[name], expected[name], equal_nan=name != "header") for name in {*found, *expected})
+    whole = read_measurements(tmp_path / "m.h5")
+    with MeasurementsReader(tmp_path / "m.h5") as reader:
+        block, part = reader.read(50, 70), part_of(whole, slice(50, 70))
+        np.testing.assert_array_equal(block.R_world_sensor, part.R_world_sensor)
+        np.testing.assert_array_equal(block.views[1].uv_px, part.views[1].uv_px)
+        np.testing.assert_array_equal(block.truth.R_world_bone, part.truth.R_world_bone)
+        with pytest.raises(InvalidInputError, match="it has 300"):
+            reader.read(299, 301)
+
+
+def test_other_cameras_are_refused(walk, tmp_path):
+    given = measured(walk)
+    other = replace(given.views[0], camera=replace(given.views[0].camera, width_px=640))
+    first, second = (slice(0, 100), slice(100, 200))
+    for second_part in (
+        part_of(replace(given, views=(other,)), second),
+        part_of(replace(given, truth=None), second),
+        part_of(replace(given, p_bone_sensor=given.p_bone_sensor + 0.1), second),
+        part_of(given, first),
+    ):
+        with pytest.raises(InvalidInputError, match=r"other cameras|do not follow"):  # noqa: SIM117
+            with MeasurementsWriter(tmp_path / "m.h5") as writer:
+                writer.append(part_of(given, first))
+                writer.append(second_part)
+    assert not list(tmp_path.iterdir())

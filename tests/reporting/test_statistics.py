@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtof_kin.core import column_statistics
-from rtof_kin.core.column_statistics import ColumnStatistics
 from rtof_kin.core.errors import ShapeError
+from rtof_kin.reporting import statistics
+from rtof_kin.reporting.statistics import ColumnStatistics
 
 
 def in_blocks(times: np.ndarray, values: np.ndarray, sizes: list[int]) -> ColumnStatistics:
@@ -41,7 +41,7 @@ def test_blocks_give_the_figures_of_the_whole(sizes: list[int]) -> None:
 
 
 def test_medians_of_many_rows_are_those_of_evenly_spaced_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(column_statistics, "KEPT_ROWS", 100)
+    monkeypatch.setattr(statistics, "KEPT_ROWS", 100)
     times = np.arange(1234.0)
     found = in_blocks(times, times[:, None], [7, 93, 500, 34, 600])
     assert found.median[0] == np.median(times[::16])  # the rows kept do not depend on the blocks

@@ -1,0 +1,376 @@
+"""`InputTable`: base of the models of TOML and JSON files that people write.
+
+A model is the only source of a table's fields, types, units, defaults and documentation. What a file has wrong is one
+error of the package with file, table, field and remedy; `json_schema` is the same for editors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, Self, TypeVar, cast
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    PrivateAttr,
+    Strict,
+    ValidationError,
+    model_validator,
+)
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, RtofError, UnknownNameError, did_you_mean
+from rtof_kin.core.files.text import LARGEST_NUMBER, load_toml, measurable
+
+Node = Mapping[str, Any]
+"""A part of a JSON Schema."""
+_LONGEST: Final = 40
+"""Most characters of a wrong value in a message."""
+_PROBLEMS: Final = {
+    "string": "is not text; put it in quotes",
+    "number": "is not a finite number",
+    "integer": "is not a whole number",
+    "boolean": "is neither true nor false",
+}
+"""What is wrong with a value that is not of a type of JSON."""
+
+
+# --- types of fields -----------------------------------------------------------------------------
+
+
+class ArrayOf:
+    """Annotation of an array of finite numbers of a shape; (None,) is a row of one or more."""
+
+    def __init__(self, *shape: int | None, also: tuple[tuple[int, ...], ...] = (), remedy: str = ""):
+        """Take the shape, others that are read too, and the end of the sentence about any other one."""
+        self.shape, self._shapes, self._remedy = shape, (shape, *also), remedy
+        self.size = " x ".join(map(str, shape)) if None not in shape else "one or more"
+
+    def checked(self, value: Any) -> Array:
+        """Return the array of nested lists."""
+        try:
+            if any(isinstance(one, str | bool) for one in np.array(value, dtype=object).flat):
+                raise ValueError("text and truth values are no numbers")  # NumPy would convert them
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise _fault(f"not {self.size} numbers in brackets ({error})") from error
+        if not any(self._fits(array.shape, shape) for shape in self._shapes):
+            raise _fault(f"expected {self.size} numbers, got shape {array.shape}{self._remedy}")
+        if array.size == 0:
+            raise _fault("not a row of numbers in brackets")
+        if not (np.all(np.isfinite(array)) and measurable(array)):
+            raise _fault("contains a number that is not finite; every one is needed")
+        return array
+
+    @staticmethod
+    def _fits(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+        return len(shape) == len(wanted) and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))
+
+    def __get_pydantic_core_schema__(self, _: Any, __: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.checked)
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, __: GetJsonSchemaHandler) -> JsonSchemaValue:
+        node: dict[str, Any] = {"type": "number"}
+        for n in reversed(self.shape):
+            items = {"minItems": 1, "items": node} if n is None else {"minItems": n, "maxItems": n, "items": node}
+            node = {"type": "array", **items}
+        return node
+
+
+class OneOf:
+    """Annotation of a text that is one of some choices."""
+
+    def __init__(self, known: Callable[[], Iterable[str]]):
+        """Take the choices, which are asked for anew for every value."""
+        self.known = known
+
+    def checked(self, value: str) -> str:
+        """Return the value."""
+        if value not in self.known():
+            raise PydanticCustomError("literal_error", "is no choice")
+        return value
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self.checked, handler(str))
+
+    def __get_pydantic_json_schema__(self, _: CoreSchema, __: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return {"type": "string", "enum": [*self.known()]}
+
+
+def _whole(value: Any) -> Any:
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+def explained_by(problem: str) -> Any:
+    """Return the annotation with what an error says of any wrong value of a field."""
+    return Field(json_schema_extra={"errorMessage": problem})
+
+
+Number = Annotated[float, Field(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST_NUMBER), explained_by("is not a positive number")]
+Integer = Annotated[int, Field(ge=-(10**20), le=10**20), BeforeValidator(_whole)]
+Count = Annotated[int, Field(ge=1, le=10**20), BeforeValidator(_whole), explained_by("is not a positive whole number")]
+Vector2 = Annotated[Array, ArrayOf(2)]
+Vector3 = Annotated[Array, ArrayOf(3)]
+Quaternion = Annotated[Array, ArrayOf(4)]
+Vector5 = Annotated[Array, ArrayOf(5)]
+Matrix3 = Annotated[Array, ArrayOf(3, 3)]
+Row = Annotated[Array, ArrayOf(None)]
+Names = Annotated[tuple[str, ...], Strict(False), explained_by('is not a list of names; write e.g. ["Hips", "Spine"]')]
+
+
+# --- tables --------------------------------------------------------------------------------------
+
+
+class Rule(NamedTuple):
+    """What a table must or must not have beside other fields."""
+
+    problem: str = ""
+    """Rest of the error's sentence about the first field that is excluded or missing."""
+    given: tuple[str, ...] = ()
+    """It holds where one of these is given,"""
+    absent: tuple[str, ...] = ()
+    """none of these is given,"""
+    ending: str = ""
+    """and the field ``file`` ends so."""
+    excluded: tuple[str, ...] = ()
+    required: tuple[str, ...] = ()
+
+    def check(self, table: InputTable) -> None:
+        """Raise `PydanticCustomError` if a table does not keep it."""
+        if (self.given and not any(map(table.has, self.given))) or any(map(table.has, self.absent)):
+            return
+        if self.ending and not str(getattr(table, "file", "")).lower().endswith(self.ending):
+            return
+        for field in self.excluded:
+            if table.has(field):
+                raise _fault(self.problem, field)
+        for field in self.required:
+            if not table.has(field):
+                raise _fault(self.problem, field)
+
+    def schema(self) -> dict[str, Any]:
+        """Return it as a JSON Schema."""
+        conditions: list[dict[str, Any]] = []
+        if self.given:
+            conditions.append({"anyOf": [{"required": [field]} for field in self.given]})
+        conditions += [{"not": {"required": [field]}} for field in self.absent]
+        if self.ending:
+            letters = "".join(f"[{c}{c.upper()}]" for c in self.ending[1:])
+            named = {"file": {"type": "string", "pattern": rf"\.{letters}$"}}
+            conditions.append({"required": ["file"], "properties": named})
+        told = {"errorMessage": self.problem} if self.problem else {}
+        then: dict[str, Any] = {"required": list(self.required), **told} if self.required else {}
+        if self.excluded:
+            then["properties"] = {field: {"not": {}, **told} for field in self.excluded}
+        return {"if": {"allOf": conditions} if len(conditions) > 1 else conditions[0], "then": then}
+
+
+class InputTable(BaseModel):
+    """A table of a file that people write; other fields than those of the model are refused."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
+    )
+    rules: ClassVar[tuple[Rule, ...]] = ()
+    _path: Path = PrivateAttr(default=Path())
+    _name: str = PrivateAttr(default="")
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a TOML file.
+
+        Raises:
+            FileFormatError, UnknownNameError: it does not exist, is not TOML or has something wrong; the message names
+                file, field and remedy.
+        """
+        return cls.of(load_toml(path), Path(path))
+
+    @classmethod
+    def of(cls, data: Any, path: Path, name: str = "") -> Self:
+        """Make a table of plain data.
+
+        Args:
+            path: file, for messages. name: of the table in the file; '' for the top level.
+
+        Raises:
+            FileFormatError, UnknownNameError: as for `read`.
+        """
+        try:
+            table = cls.model_validate(data)
+        except ValidationError as error:
+            raise _explained(error, cls, data, path, name) from error
+        _locate(table, path, name)
+        return table
+
+    @property
+    def path(self) -> Path:
+        """File."""
+        return self._path
+
+    def where(self, field: str) -> str:
+        """Return the name of a field in messages, e.g. ``[camera] width_px``."""
+        return f"[{self._name}] {field}" if self._name else field
+
+    def error(self, field: str, problem: str) -> FileFormatError:
+        """Return an error about a field."""
+        return FileFormatError(self._path, f"{self.where(field)}: {problem}")
+
+    def has(self, field: str) -> bool:
+        """Return whether a field is given."""
+        return field in self.model_fields_set
+
+    @model_validator(mode="after")
+    def _keeps_rules(self) -> Self:
+        for rule in self.rules:
+            rule.check(self)
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        schema = handler.resolve_ref_schema(handler(core))
+        if cls.rules:
+            schema["allOf"] = [rule.schema() for rule in cls.rules]
+        return schema
+
+
+AnyTable = TypeVar("AnyTable", bound=InputTable)
+
+
+def _fault(problem: str, field: str = "") -> PydanticCustomError:
+    return PydanticCustomError("fault", "{problem}", {"problem": problem, "field": field})
+
+
+def _locate(table: InputTable, path: Path, name: str) -> None:
+    """Write file and name into a table and those inside it."""
+    table._path, table._name = path, name
+    for field in table.model_fields_set & set(type(table).model_fields):
+        value, inner = getattr(table, field), f"{name}.{field}" if name else field
+        if isinstance(value, InputTable):
+            _locate(value, path, inner)
+        elif isinstance(value, dict | tuple):
+            rows = value.items() if isinstance(value, dict) else enumerate(value, start=1)
+            for key, row in rows:
+                if isinstance(row, InputTable):
+                    _locate(row, path, f"{inner}.{key}")
+
+
+# --- schema --------------------------------------------------------------------------------------
+
+
+class _Schema(GenerateJsonSchema):
+    """A schema without titles, and without null, which TOML does not have."""
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
+        node = super().default_schema(schema)
+        if not isinstance(node.get("default"), bool | int | float) and node.get("default") in (None, "", [], {}):
+            node.pop("default", None)
+        return node
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
+        return False
+
+
+def json_schema(model: type[InputTable]) -> dict[str, Any]:
+    """Return the JSON Schema (2020-12) of a table; ``errorMessage`` is also known to editors."""
+    content = model.model_json_schema(schema_generator=_Schema)
+    for node in (content, *content.get("$defs", {}).values()):
+        node.pop("title", None)
+        for one in (node, *node["properties"].values()):
+            if "description" in one:
+                one["description"] = " ".join(one["description"].split())
+            if isinstance(one.get("default"), dict):  # of a table: those of its fields
+                del one["default"]
+    return content
+
+
+@cache
+def inlined_schema(model: type[InputTable]) -> Node:
+    """Return the JSON Schema of a table, with what it refers to in place of its references."""
+    content = json_schema(model)
+    definitions = content.pop("$defs", {})
+
+    def resolved(node: Any) -> Any:
+        if isinstance(node, list):
+            return [resolved(one) for one in node]
+        if not isinstance(node, dict):
+            return node
+        if "$ref" in node:
+            node = definitions[node["$ref"].rsplit("/", 1)[1]] | {k: node[k] for k in node if k != "$ref"}
+        return {key: resolved(value) for key, value in node.items()}
+
+    return cast(Node, resolved(content))
+
+
+def shape_of(node: Node) -> tuple[int, ...]:
+    """Return the shape of an array of numbers in a schema."""
+    return () if node.get("type") != "array" else (node["minItems"], *shape_of(node["items"]))
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+def _explained(found: ValidationError, model: type[InputTable], data: Any, path: Path, name: str) -> RtofError:
+    """Return the package's error about what is wrong first: unknown fields, which may be required ones misspelt."""
+    first = min(found.errors(include_url=False), key=lambda error: error["type"] != "extra_forbidden")
+    steps: list[Any] = list(first["loc"])
+    context = first.get("ctx", {})
+    steps += [context["field"]] if context.get("field") else []
+    table, node, label = data, inlined_schema(model), name
+    while len(steps) > 1 and isinstance(table, dict):
+        inner, step = table.get(steps[0]), str(steps[0])
+        if isinstance(inner, list) and isinstance(steps[1], int):
+            inner, step = inner[steps[1]], f"{step}.{steps.pop(1) + 1}"
+        if not isinstance(inner, dict):
+            break
+        table, node, label = inner, _field(node, steps.pop(0)), f"{label}.{step}" if label else step
+        node = node.get("items", node)
+    if not steps:
+        return FileFormatError(path, "not a table of fields with values")
+    field, title = str(steps[0]), f"[{label}] " if label else ""
+    if first["type"] == "extra_forbidden":
+        known = sorted(node["properties"])
+        return UnknownNameError("field", [one for one in table if one not in known], known, path, title.strip())
+    node = _field(node, field)
+    problem = context.get("problem") or _problem(node, table, field, f"{label}.{field}" if label else field)
+    return FileFormatError(path, f"{title}{field}: {problem}")
+
+
+def _field(node: Node, field: str) -> Node:
+    """Return the schema of a field of a table."""
+    own = node.get("properties", {})
+    return cast(Node, own[field] if field in own else node["additionalProperties"])
+
+
+def _problem(node: Node, table: Node, field: str, name: str) -> str:
+    """Return what is wrong with a field that is missing or of another kind, and the remedy."""
+    kind, rows = node.get("type", "string"), node.get("items", {}).get("type")
+    if field not in table:
+        examples = {"string": f'add e.g. {field} = "..."', "integer": f"add e.g. {field} = 1"}
+        examples["object"] = f"write its fields under [{name}]"
+        if kind == "array":
+            return f"missing; add {ArrayOf(*shape_of(node)).size} numbers"
+        return f"missing; {examples.get(kind, f'add e.g. {field} = 1.0')}"
+    value = str(table[field]) if kind == "number" else repr(table[field])
+    value = value[:_LONGEST]
+    if "errorMessage" in node:
+        return f"{value} {node['errorMessage']}"
+    if "enum" in node or "const" in node:
+        known = [str(one) for one in node.get("enum", [node.get("const")])]
+        hint = did_you_mean([str(table[field])], known)
+        return f"{value} is not one of {', '.join(known)}{'.' if hint else ''}{hint}"
+    if kind == "array" and rows == "object":
+        return f"not tables in a row; begin each with [[{name}]]"
+    return f"not a table; write its fields under [{name}]" if kind == "object" else f"{value} {_PROBLEMS[kind]}"
