@@ -95,7 +95,8 @@ def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Pat
     level[..., feet] = False
     blind = replace(motion, poses=replace(motion.poses, orientation_observed=level))
     folder_of(blind, tmp_path / "motion")
-    done = cli(
+    out, reference = tmp_path / "out", tmp_path / "other.json"
+    done = cli("report", tmp_path / "motion", "--gait-reference", reference, "--analysis", out)
         "report", tmp_path / "motion", "--gait-reference", tmp_path / "other.json", "--analysis", tmp_path / "out"
     )
     assert done.code == 0, done.err
