@@ -364,12 +364,11 @@ def plan(
         search: compare cameras, sensors and lengths for the calibration too, not predict only
     """
     from lifting.predict import Lifter
-    from rtof_kin.core.files.folder import new_folder
-    from rtof_kin.plan.files import MARKER, write_plan
+    from rtof_kin.plan.document import MARKER, document, write_plan
     from rtof_kin.plan.movements import MOVEMENTS
     from rtof_kin.plan.plan import plan as predict
-    from rtof_kin.plan.sentences import advice, cautions, headline
-    from rtof_kin.plan.sources import planned
+    from rtof_kin.plan.setup import planned
+    from rtof_kin.reporting.document import show
 
     limit_threads(threads)
     if movements:
@@ -388,29 +387,7 @@ def plan(
         found = predict(
             protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=workers, progress=update
         )
-    out.print(headline(found), style="bold", soft_wrap=True)
-    for sentence in cautions(found):
-        out.print(f"caution: {sentence}", style="yellow", soft_wrap=True)
-    _print_angles(found)
-    for sentence in advice(found):
-        out.print(sentence, soft_wrap=True)
+    show(document(found), out)
     if output is not None:
-        with new_folder(output, MARKER, overwrite) as new:
-            write_plan(found, new)
+        write_plan(found, output, overwrite)
         print_files(output)
-
-
-def _print_angles(found: Any) -> None:
-    import numpy as np
-
-    from rtof_kin.data.confidence import BAND_95
-
-    weak = {weakness.angle for weakness in found.weaknesses}
-    own = found.prediction.select(found.shown)
-    table = Table("angle [deg]", "sd", "\u00b1 95 %", "simulated error", "")
-    for name, sigma, error in zip(own.names, np.degrees(own.sigma), np.degrees(own.error), strict=True):
-        known = np.isfinite(sigma)
-        cells = [f"{v:.1f}" if known else "" for v in (sigma, BAND_95 * sigma, error)]
-        remark = "not observed" if not known else "not identifiable" if name in weak else ""
-        table.add_row(name.replace("_", " "), *cells, remark)
-    out.print(table)

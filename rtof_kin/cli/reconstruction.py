@@ -29,7 +29,7 @@ from rtof_kin.reporting.audit_results import AuditResult
 from rtof_kin.reporting.headline import headline
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.setup.run import ReconstructionTask, reconstruct_folder
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 
 
 def solver_settings(

@@ -45,8 +45,8 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.tables import RECOGNISE
 from rtof_kin.reporting.document import Cell, Document
 from rtof_kin.simulation.simulate import LIMB_SENSORS
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.vision.layouts import detector_table
 
 TEST_TAKES = ("walking2", "acting3", "freestyle3")

@@ -12,11 +12,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 
 
 def measurements_of(result: Reconstruction) -> Measurements:
-    """Return the measurements at the times of the motion, corrected by the calibration that was applied.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Return the measurements at the times of the motion, corrected by the calibration that was applied."""
     recording, times = result.recording, result.motion.poses.times
     seen = () if result.keypoints is None else (result.keypoints, *recording.views)
     measured, calibration = result.bone_imus, recording.calibration

@@ -28,7 +28,14 @@ from rtof_kin.reconstruction.part_results import Seam, lost, sample
 from rtof_kin.reconstruction.pipeline import calibrate_camera, run
 from rtof_kin.reconstruction.prepare import Progress, even_times
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import ClockOffset, estimated, excerpt, find_offset, with_camera
+from rtof_kin.reconstruction.self_calibration import (
+    ClockOffset,
+    Knowledge,
+    estimated,
+    excerpt,
+    find_offset,
+    with_camera,
+)
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.reader import RecordingSlices
@@ -179,7 +186,7 @@ class _Once:
 
     def run(self, job: Job, mode: Mode, first: bool) -> Reconstruction:
         """Reconstruct a part; the first one has the warnings of the calibration."""
-        found = run(job, mode, calibration=self.calibration, camera=self.camera, clocks=self.clocks)
+        found = run(job, mode, Knowledge(calibration=self.calibration, camera=self.camera, clocks=self.clocks))
         choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
         warnings = (*self.warnings, *found.warnings) if first else found.warnings
         return replace(found, choices=choices, warnings=warnings)

@@ -29,7 +29,7 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.reader import RecordingReader, RecordingSlices
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.analysis import AnalysisSettings, analyse
+from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
 from rtof_kin.reporting.export import MARKER, export_parts
 from rtof_kin.reporting.page import PAGE, report
 from rtof_kin.reporting.statistics import ReconstructionStatistics
@@ -176,9 +176,7 @@ def run(
     step(MOTION, lambda *made: solved(*made), own, str(task), str(settings))
     step(
         ANGLES,
-        lambda output, overwrite, inputs: analyse(
-            folder / MOTION, output, analysis, figures=task.figures, overwrite=overwrite, inputs=inputs
-        ),
+        lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),
         folder / MOTION,
         str(analysis),
         task.figures,

@@ -97,8 +97,6 @@ def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Pat
     folder_of(blind, tmp_path / "motion")
     out, reference = tmp_path / "out", tmp_path / "other.json"
     done = cli("report", tmp_path / "motion", "--gait-reference", reference, "--analysis", out)
-        "report", tmp_path / "motion", "--gait-reference", tmp_path / "other.json", "--analysis", tmp_path / "out"
-    )
     assert done.code == 0, done.err
     assert "The reference is of another system (Plug-in Gait; zero: static trial)" in done.out
     assert "GPS not computed" in done.out
