@@ -115,8 +115,7 @@ def _calibrate(options: argparse.Namespace) -> None:
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
     from rtof_kin.reporting.audit import calibration_results
-    from rtof_kin.reporting.audit_results import AuditResult
-    from rtof_kin.reporting.headline import headline
+    from rtof_kin.reporting.audit_results import AuditResult, headline
 
     settings = settings_of(options, "calibrate")
     if options.recording_output is not None:
@@ -219,7 +218,7 @@ def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -
 def _reconstruct_to(recording: RecordingSlices, mode: Mode, options: argparse.Namespace) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
     from rtof_kin.reporting.audit import audit
-    from rtof_kin.reporting.headline import headline
+    from rtof_kin.reporting.audit_results import headline
 
     found = reconstruct_and_export(recording, mode, options)
     verdict = headline(audit(found))

@@ -393,6 +393,6 @@ def _camera_found(summary: Any) -> list[str]:
 
 
 def _headline(summary: Any) -> str:
-    from rtof_kin.reporting.headline import headline
+    from rtof_kin.reporting.audit_results import headline
 
     return headline(summary.results).line
