@@ -185,7 +185,7 @@ def _draw(found: Any, target: Path, overwrite: bool) -> None:
     from rtof_kin.core.packages import optional
 
     canvas = optional("matplotlib.backends.backend_agg", "figures", "a picture")
-    from rtof_kin.reporting.inspection_figures import picture
+    from rtof_kin.reporting.inspection import picture
 
     figure = picture(found)
     if figure is None:

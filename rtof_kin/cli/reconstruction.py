@@ -25,8 +25,7 @@ from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit, calibration_results
-from rtof_kin.reporting.audit_results import AuditResult
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import AuditResult, headline
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.setup.run import ReconstructionTask, reconstruct_folder
 from rtof_kin.solve.settings import CartesianSettings

@@ -180,7 +180,7 @@ def _print_findings(found: Findings) -> None:
 
 
 def _print_run(done: Run, seconds: float) -> None:
-    from rtof_kin.reporting.headline import headline
+    from rtof_kin.reporting.audit_results import headline
 
     _print_findings(done.findings)
     for note in done.joined:

@@ -24,7 +24,7 @@ from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.reporting.headline import Headline
+    from rtof_kin.reporting.audit_results import Headline
     from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 # Units stand in square brackets, and paths may: nothing printed is markup.

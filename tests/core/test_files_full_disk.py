@@ -51,7 +51,7 @@ WRITERS: dict[str, Callable[[Path, Motion], object]] = {
 
 
 def test_figure_of_inspect_is_complete_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtof_kin.reporting.inspection_figures.picture", lambda found: Figure())
+    monkeypatch.setattr("rtof_kin.reporting.inspection.picture", lambda found: Figure())
     with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
         files._draw(None, tmp_path / "wrong.png", False)
     assert list(tmp_path.iterdir()) == []
