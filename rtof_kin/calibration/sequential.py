@@ -38,11 +38,11 @@ from rtof_kin.calibration.unknowns import Delay, Heading, Mounting, Posture, Sam
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.core.numerics.banded import Factor
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.observations import bone_axis
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Sensors = tuple[Array, Array, Array, Array]  # What `sensor_unknowns.Sampled` returns
 _REACH = 2.0  # Delays that are tried reach so many standard deviations of the prior to both sides
@@ -330,7 +330,7 @@ class SequentialCalibration:
             w_torso=p.weight_poses * rows["w_torso"],
         )
 
-    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
         """The window after some steps of its states, and the last factor."""
         problem = self._problem
         energy = problem.total(fragment.x)
@@ -347,9 +347,7 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
-    def _searched(
-        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[Array]:
+    def _searched(self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor) -> Slices[Array]:
         """Energies of a window at other delays, each after a step of the states."""
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
@@ -442,7 +440,7 @@ def _is_known(quantity: Quantity) -> bool:
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
-    sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
+    sensors = tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors)
     if priors.sigma_heading is not None and sensors:
         found.append(Heading(sensors, priors.sigma_heading, None))
     if priors.sigma_swing is not None and sensors:
