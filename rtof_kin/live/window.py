@@ -25,12 +25,12 @@ from rtof_kin.data.poses import LONGEST_BRIDGE, PoseSequence, Provenance
 from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
 from rtof_kin.live.samples import FrameSample
 from rtof_kin.live.sensor_buffer import SensorBuffer
-from rtof_kin.solve.joint_space.covariance import confidence_of
 from rtof_kin.solve.initial_guess import InitialGuess
+from rtof_kin.solve.joint_space.covariance import confidence_of
 from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.uncertainty import CovarianceInflation, ResidualStatistics
 from rtof_kin.solve.settings import JointSpaceSettings
+from rtof_kin.solve.uncertainty import CovarianceInflation, ResidualStatistics
 from rtof_kin.vision.image_points import measurements
 
 if TYPE_CHECKING:
