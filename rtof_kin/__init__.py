@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
-    from rtof_kin.live.estimation.online_settings import OnlineSettings
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.online_settings import OnlineSettings
     from rtof_kin.live.samples import FrameSample, ImuSample
     from rtof_kin.reconstruction.parts import reconstruct_in_parts
     from rtof_kin.reconstruction.pipeline import reconstruct
@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from rtof_kin.recording.reader import RecordingReader
     from rtof_kin.recording.recording import Recording
     from rtof_kin.reporting.export import export, export_parts
-    from rtof_kin.solve.cartesian.settings import CartesianSettings
     from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-    from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-    from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+    from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
+    from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 _MODULES = {
     "body.metrics": ("Metrics", "evaluate"),
@@ -45,8 +44,8 @@ _MODULES = {
     "data.imu": ("BoneImuSequence", "ImuCalibration", "ImuSequence"),
     "data.keypoints": ("KeypointSequence",),
     "data.poses": ("PoseSequence", "Provenance"),
-    "live.estimation.estimator": ("OnlineEstimator",),
-    "live.estimation.online_settings": ("OnlineSettings",),
+    "live.estimator": ("OnlineEstimator",),
+    "live.online_settings": ("OnlineSettings",),
     "live.samples": ("FrameSample", "ImuSample"),
     "reconstruction.parts": ("reconstruct_in_parts",),
     "reconstruction.pipeline": ("reconstruct",),
@@ -56,10 +55,9 @@ _MODULES = {
     "recording.reader": ("RecordingReader",),
     "recording.recording": ("Recording",),
     "reporting.export": ("export", "export_parts"),
-    "solve.cartesian.settings": ("CartesianSettings",),
     "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
-    "solve.inertial_ik": ("InertialGuidedIK", "InertialGuidedIKSettings"),
-    "solve.joint_space.settings": ("JointSpaceSettings",),
+    "solve.initial_guess": ("InertialGuidedIK", "InertialGuidedIKSettings"),
+    "solve.settings": ("CartesianSettings", "JointSpaceSettings"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [

@@ -47,7 +47,7 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.observations import low_passed, sensor_data
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _NORMAL_MEDIAN = 1.177  # Median norm of a normal error in two dimensions, in standard deviations of an axis
 _USUAL_HEIGHT_PX = 500.0  # [px] Height of the person that `sigma_image_bias` is for

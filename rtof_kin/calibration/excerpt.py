@@ -18,9 +18,9 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements, merge_faults
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _MISALIGNED_FRACTION = 0.8  # Minimum fraction of the excerpt over which a sensor must disagree to count as misaligned
 

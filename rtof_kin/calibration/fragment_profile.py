@@ -21,12 +21,12 @@ import numpy as np
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes, Residuals
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
+from rtof_kin.core.numerics.banded import Factor
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Attached
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _FRAMES = 13  # Frames that are added in one slice
 _Result = TypeVar("_Result")
@@ -147,8 +147,8 @@ class ProfiledFragment:
     ) -> Slices[UnknownsHessian]:
         """Return the blocks of the Hessian by unknowns; arguments are those of `profile`."""
         problem, given, N = self.problem, self.observations, len(self.x)
-        shape, s, rate = problem.energy.shape, self.settings, given.rate_hz
-        at = CalibrationResiduals(problem.space, Attached.of(shape), given, self.first, self.x)
+        energy, s, rate = problem.energy, self.settings, given.rate_hz
+        at = CalibrationResiduals(problem.space, Attached.of(energy), given, self.first, self.x)
         changes = [u.changes(at, y[c]) for u, c in zip(unknowns, columns, strict=True)]
         out = UnknownsHessian(N, problem.space.size, columns, changes)
         by, values = out.by_unknowns, given.fragment(self.first, N)
@@ -164,11 +164,11 @@ class ProfiledFragment:
             image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
             yield from out.add_in_parts(pixels, image)
         if changed("turns"):
-            turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
+            turns, by_turn = at.turns(weights["w_sensor"], energy["orientation"].robust)
             yield
             yield from out.add_in_parts(turns, by("turns", turns.value, by_turn))
-        if changed("feet") and shape.feet and weights["w_floor"].any():
-            feet = at.feet(weights["w_floor"], shape.floor_cutoff)
+        if changed("feet") and energy["floor"].feet and weights["w_floor"].any():
+            feet = at.feet(weights["w_floor"], energy["floor"].cutoff)
             out.add(feet, by("feet", feet.value))
             yield
         if changed("sensors", "accelerations"):
@@ -187,7 +187,7 @@ class ProfiledFragment:
         return out
 
 
-def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor | StoredFactor) -> Slices[tuple[Array, Array]]:
+def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor) -> Slices[tuple[Array, Array]]:
     G = len(own.gradient)
     right = np.column_stack([own.columns.reshape(-1, G), slope.ravel()])
     half = np.empty_like(right)  # L^-1 of it, where A = L L^T

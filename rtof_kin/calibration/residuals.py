@@ -2,7 +2,7 @@
 
 `CalibrationObservations` are those of `Observations`, corrected by unknowns (`unknowns`).
 `CalibrationResiduals` are the residuals of one fragment that an unknown can change, with derivatives by
-the states and by what the unknown changes. They are those of `energy.frame_energy` and `energy.problem`.
+the states and by what the unknown changes. They are those of `solve.joint_space`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.solve.energy.problem import FragmentData
-from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.fragment import FragmentData
 from rtof_kin.solve.joint_space.observations import Attached, Observations, fragment_of
+from rtof_kin.solve.joint_space.state import StateSpace
 
 _CUTOFF_HZ = 2.0  # [Hz] Low-pass of accelerations before differentiation
 

@@ -47,10 +47,10 @@ from rtof_kin.calibration.unknowns import (
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.core.numerics.banded import Factor
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Sensors = tuple[Array, Array, Array, Array]  # What `Sampled` returns
 _REACH = 2.0  # Delays that are tried reach so many standard deviations of the prior to both sides
@@ -334,7 +334,7 @@ class SequentialCalibration:
             w_torso=p.weight_poses * rows["w_torso"],
         )
 
-    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
         problem = self._problem
         energy = problem.total(fragment.x)
         for _ in range(_STEPS):
@@ -350,9 +350,7 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
-    def _searched(
-        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[Array]:
+    def _searched(self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor) -> Slices[Array]:
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
         for i, k in enumerate(late.steps.tolist()):
@@ -433,7 +431,7 @@ def _is_known(quantity: Quantity) -> bool:
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
-    if sensors := tuple(skeleton.names[j] for j in problem.energy.shape.sensors):
+    if sensors := tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors):
         found += open_sensors(replace(priors, sigma_heading_drift=None, sigma_lever_arm=None), skeleton, sensors)
     if priors.sigma_posture is not None:
         found.append(Posture.of(problem.space.names, priors.sigma_posture))

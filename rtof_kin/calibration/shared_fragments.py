@@ -32,8 +32,8 @@ from rtof_kin.calibration.unknowns import Unknown, columns_of, corrected
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu_stream import StreamFault
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 
 _INNER = 8  # Iterations of a fragment's states after the first round
 _LIVELY = 6  # Fragments used by the search for a delay

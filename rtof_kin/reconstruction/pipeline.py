@@ -37,10 +37,9 @@ from rtof_kin.reconstruction.self_calibration import (
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
-from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit
+from rtof_kin.solve.uncertainty import leg_misfit
 
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""

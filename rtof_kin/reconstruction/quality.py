@@ -16,11 +16,9 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution, misfits
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
-from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit, leg_spread, residual_statistics
+from rtof_kin.solve.uncertainty import CovarianceInflation, LegMisfit, disagreement, leg_spread, residual_statistics
 
 _SURE_DEG = 4.0  # [deg] Largest standard deviation of a hinge's zero without a warning
 

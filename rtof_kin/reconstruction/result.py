@@ -20,8 +20,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
 _NOT_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")

@@ -38,7 +38,7 @@ from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared, Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 
 def calibrate_recording(

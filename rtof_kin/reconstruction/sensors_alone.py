@@ -32,7 +32,7 @@ from rtof_kin.inertial.root_path import (
 )
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _LOW = 0.75  # Fraction of the standing root height below which a person sits, kneels or lies
 _LONG = 1.0  # [s] of that, or without contact, that causes a warning

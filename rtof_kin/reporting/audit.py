@@ -25,7 +25,7 @@ from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.reporting.statistics import ReconstructionStatistics
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
 _MODEL: Final = JointSpaceSettings()

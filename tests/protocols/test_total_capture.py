@@ -37,7 +37,7 @@ from rtof_kin.protocols.total_capture import (
     length_name,
     weight_name,
 )
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.vision.layouts import detector_table
 
 NAMES = SkeletonModel.default().names

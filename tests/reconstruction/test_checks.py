@@ -37,8 +37,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.audit_results import Grade
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 Plant = Callable[[Recording], Recording]

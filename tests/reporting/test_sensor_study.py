@@ -22,8 +22,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Choices
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.audit_results import Grade, SectionVerdict
-from rtof_kin.reporting.headline import Headline
+from rtof_kin.reporting.audit_results import Grade, Headline, SectionVerdict
 from rtof_kin.reporting.sensor_study import runs as sensor_runs
 from rtof_kin.reporting.sensor_study.accuracy import PARTS, measure_set
 from rtof_kin.reporting.sensor_study.figures import error_by_number, write_study_figures
@@ -31,7 +30,7 @@ from rtof_kin.reporting.sensor_study.files import study_data, write_study
 from rtof_kin.reporting.sensor_study.part import Part, liveliest_part
 from rtof_kin.reporting.sensor_study.sentences import NO_ERROR, sentences
 from rtof_kin.reporting.sensor_study.study import SensorStudy, identity_of, number_of_runs, study_sensors
-from rtof_kin.solve.compiled import fragment_energy
+from rtof_kin.solve.joint_space import fragment as fragment_energy
 
 Array = NDArray[np.float64]
 LOSSES = np.radians([8.0, 6.0, 1.0])

@@ -21,7 +21,7 @@ from rtof_kin.reconstruction.checks.sensors import check_sensor_evidence, check_
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit
+from rtof_kin.solve.uncertainty import LegMisfit
 
 
 def before(recording: Recording) -> tuple[Check, ...]:

@@ -27,7 +27,7 @@ from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.body_checks import check_camera
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit
+from rtof_kin.solve.uncertainty import LegMisfit
 
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
 """[m] Tolerance of that height without and with sensors, and per m of distance (one degree of camera tilt)."""
