@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import argparse
 import logging
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
-
-from rich.table import Table
 
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import add_model, add_output, command, decimal, job_progress, out, print_headline
@@ -45,10 +42,9 @@ def _study(options: argparse.Namespace) -> None:
     use_threads(options)
     from lifting.predict import Lifter
     from rtof_kin.core.jobs import open_runs
-    from rtof_kin.core.packages import can_draw
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.sensor_study.files import remove_results, unused_removed, write_study
-    from rtof_kin.reporting.sensor_study.sentences import sentences
+    from rtof_kin.reporting.document import show
+    from rtof_kin.reporting.sensor_study.document import document, remove_results, unused_removed, write_study
     from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
     folder, recording = Path(options.output), Recording.load(options.recording)
@@ -73,15 +69,8 @@ def _study(options: argparse.Namespace) -> None:
             progress=update,
         )
     print_headline(study.verdict, "all sensors: ")
-    written = []
-    if not options.no_figures and can_draw():
-        from rtof_kin.reporting.sensor_study.figures import write_study_figures
-
-        written += write_study_figures(study, folder / "figures")
-    written += write_study(study, folder)
-    _print_way_down(study)
-    for sentence in sentences(study):
-        out.print(sentence, soft_wrap=True)
+    written = write_study(study, folder, not options.no_figures)
+    show(document(study), out)
     out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
 
 
@@ -95,16 +84,6 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(before)
-
-
-def _print_way_down(study: Any) -> None:
-    what = "error" if study.has_truth else "difference"
-    table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
-    for before, found in zip((study.path[0], *study.path), study.path, strict=False):
-        gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
-        kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
-        table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
-    out.print(table)
 
 
 # --- their arguments -----------------------------------------------------------------------------
