@@ -63,8 +63,7 @@ def add_commands(commands: Any) -> None:
 
 def _batch(options: argparse.Namespace) -> int:
     import rtof_kin
-    from rtof_kin.batch.chain import read_chain
-    from rtof_kin.batch.recordings import Shard, find_recordings
+    from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
     from rtof_kin.batch.run import Batch, check_chain, run_batch
     from rtof_kin.batch.work import process  # noqa: F401  # what workers do is loaded before they start
     from rtof_kin.cli import command_names, dispatch
@@ -111,8 +110,7 @@ def _check(line: list[str]) -> None:
 
 def _print_rows(rows: list[Row], folder: Path) -> int:
     """Print the verdicts and where they are; return the exit code."""
-    from rtof_kin.batch.index import INDEX_PAGE
-    from rtof_kin.batch.rows import ERROR, WORST_FIRST
+    from rtof_kin.batch.rows import ERROR, INDEX_PAGE, WORST_FIRST
     from rtof_kin.batch.run import TABLE
 
     counts = Counter(row.verdict for row in rows)
