@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,9 +36,8 @@ REPEATED = ("frames", "space", "backend", "paper", "guards", "lift_with_sensors"
 
 if TYPE_CHECKING:
     from rtof_kin.body.skeleton import Motion
-    from rtof_kin.reconstruction.result import Reconstruction
-    from rtof_kin.recording.reader import RecordingSlices
     from rtof_kin.recording.recording import Recording
+    from rtof_kin.recording.streams import RecordingSource
     from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 
@@ -98,7 +97,7 @@ def _reconstruct(options: argparse.Namespace) -> None:
 
 
 @contextmanager
-def opened(folder: str | Path) -> Iterator[RecordingSlices]:
+def opened(folder: str | Path) -> Iterator[RecordingSource]:
     """Yield the recording in a folder, a long one as a reader of its parts."""
     from rtof_kin.reconstruction.parts import is_long
     from rtof_kin.recording.reader import RecordingReader
@@ -158,7 +157,7 @@ def _known(options: argparse.Namespace) -> Any:
 
 
 def reconstruct_and_export(
-    recording: RecordingSlices, mode: Mode, options: argparse.Namespace, inputs: Mapping[str, str] | None = None
+    recording: RecordingSource, mode: Mode, options: argparse.Namespace, inputs: Mapping[str, str] | None = None
 ) -> ReconstructionStatistics:
     """Reconstruct and export; a folder that may not be written is refused first.
 
@@ -168,9 +167,7 @@ def reconstruct_and_export(
     """
     from rtof_kin.core.files.folder import check_replaceable
     from rtof_kin.reconstruction.parts import reconstruct_in_parts
-    from rtof_kin.reconstruction.pipeline import reconstruct
-    from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.export import MARKER, export_parts
+    from rtof_kin.reporting.export import MARKER, export
 
     check_replaceable(options.output, MARKER, options.overwrite)
     digest = recording.digest()
@@ -182,12 +179,8 @@ def reconstruct_and_export(
         "known": _known(options),
     }
     with progress() as update, warnings_in_summary():
-        if isinstance(recording, Recording):
-            parts: Iterable[Reconstruction] = [reconstruct(recording, progress=update, **how)]
-        else:
-            parts = reconstruct_in_parts(recording, progress=update, **how)
-        return export_parts(
-            parts,
+        return export(
+            reconstruct_in_parts(recording, progress=update, **how),
             options.output,
             options.overwrite,
             not options.no_figures,
@@ -216,7 +209,7 @@ def run_record(mode: Mode, options: argparse.Namespace, recording_digest: str) -
     }
 
 
-def _reconstruct_to(recording: RecordingSlices, mode: Mode, options: argparse.Namespace) -> ReconstructionStatistics:
+def _reconstruct_to(recording: RecordingSource, mode: Mode, options: argparse.Namespace) -> ReconstructionStatistics:
     """Reconstruct, export and print the summary."""
     from rtof_kin.reporting.audit import audit
     from rtof_kin.reporting.headline import headline
