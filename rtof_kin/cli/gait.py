@@ -23,7 +23,7 @@ def add_commands(commands: Any) -> None:
 
 def _reference(options: argparse.Namespace) -> None:
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.formats.gait_reference_json import write_gait_reference
+    from rtof_kin.formats.gait_reference import write_gait_reference
 
     check_new_file(Path(options.output), options.overwrite)
     build = _from_table if Path(options.source_files).is_file() else _from_recordings
@@ -83,7 +83,7 @@ def _notes(recordings: dict[str, list[str]], people: dict[str, Any]) -> tuple[st
 def _from_table(options: argparse.Namespace) -> GaitReference:
     """Reference from a table of means."""
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.formats.gait_reference_table import read_gait_reference_table
+    from rtof_kin.formats.gait_reference import read_gait_reference_table
 
     needed = {"--people": options.people, "--system": options.system, "--zero": options.zero}
     if absent := [name for name, value in needed.items() if not value]:

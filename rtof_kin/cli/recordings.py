@@ -234,7 +234,7 @@ def _evaluate(options: argparse.Namespace) -> None:
     from rtof_kin.body.metrics import aligned_worlds, comparable, evaluate
     from rtof_kin.body.motion_file import MotionReader
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.formats.opensim_table import SUFFIXES
+    from rtof_kin.formats.opensim import SUFFIXES
     from rtof_kin.recording.recording import Recording
 
     with MotionReader(options.motion) as reader:

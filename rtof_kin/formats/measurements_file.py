@@ -45,7 +45,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, video_arrays, with_video
+from rtof_kin.formats.camera_motion import VIDEO_ARRAYS, video_arrays, with_video
 
 MEASUREMENTS: Final = "measurements.h5"
 _EARLIER: Final = "measurements.npz"

@@ -10,7 +10,7 @@ from rtof_kin.clinical.angle_errors import AngleErrors, angle_differences, error
 from rtof_kin.clinical.angles import all_observed, clinical_angles, opensim_angles
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.datasets.public_sets import Movement
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
 from rtof_kin.protocols.tables import Table
 from rtof_kin.protocols.validation import clock_shift

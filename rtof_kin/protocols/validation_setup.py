@@ -15,7 +15,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.public_sets import Take, TakeInputs
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.formats.sensors.opensense_sto import write_opensense_sto
+from rtof_kin.formats.sensors.tables import write_opensense_sto
 from rtof_kin.inertial.pose_calibration import calibrate_by_pose
 from rtof_kin.inertial.segment_names import known_segment
 from rtof_kin.reconstruction.lift import LifterLike

@@ -23,7 +23,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.reader import RecordingReader
 from rtof_kin.recording.recording import Recording
