@@ -1,4 +1,6 @@
-"""Motion of a handheld camera as an .npz file.
+"""Motion of a handheld camera as an .npz file, and the arrays that relate keypoints to their video.
+
+A file of the motion has
 
 ==================  ============  ==============================================================
 times               (T,)          s, on the clock of the keypoints
@@ -8,6 +10,16 @@ drift_rad_s         ()            standard deviation of a steady drift of the he
 up_first            (3,)          up in the axes of the fixed orientation; optional
 focal_px            ()            focal length that images were turned with; optional
 ==================  ============  ==============================================================
+
+Beside ``uv_px`` in an .npz file of keypoints stand
+
+====================  ============  ==============================================================
+video_times           (T,)          s since the first frame of the video, if not `times`
+R_still_camera        (T, 3, 3)     `CameraTurning.R_still_camera`, where the camera was handheld
+K_still               (3, 3)        px, `CameraTurning.K_still`
+video_K               (3, 3)        px, of the camera that turned
+video_distortion      (5,)          of the camera that turned
+====================  ============  ==============================================================
 """
 
 from __future__ import annotations

@@ -1,4 +1,33 @@
-"""One camera from a calibration file of any supported format."""
+"""Cameras from calibration files: this package's TOML, OpenCV's YAML and JSON, OpenCap's pickles.
+
+YAML or JSON, as OpenCV's FileStorage, ROS and people write them::
+
+    image_width: 1920
+    image_height: 1080
+    camera_matrix: !!opencv-matrix        # rows, cols, dt and data: [1250., 0., 960., ...]
+    distortion_coefficients: !!opencv-matrix
+    R: !!opencv-matrix                    # world to camera: a matrix or a rotation vector, rad
+    T: !!opencv-matrix                    # p_camera = R p_world + T
+
+`_NAMES` lists the other names of these entries; plain lists are accepted for matrices. A file holds one
+camera, a table for each of several, or a stereo pair (M1, D1, M2, D2, R, T), whose world is the first
+camera. The file states neither its up axis nor its unit of length: the caller does. Unknown tags are
+refused, and aliases, by which a small file can grow without end.
+
+OpenCap: ``cameraIntrinsicsExtrinsics.pickle``, one file a camera, by the name of its folder. A pickled dictionary of
+arrays; nothing in it is executed (`rtof_kin.core.files.pickles`):
+
+=====================  =====================================================================
+intrinsicMat           (3, 3) px
+distortion             (1, 5) OpenCV's k1, k2, p1, p2, k3
+imageSize              (2, 1) height, width, px
+rotation, translation  (3, 3) and (3, 1) mm: p_camera = R p_board + t, in axes of the checkerboard
+=====================  =====================================================================
+
+The origin is a corner of the checkerboard, and which of its axes points up depends on how it was put up.
+OpenCap's board stands upright in an upright image: unless the caller says otherwise, up is the axis of the
+board that is nearest to the image's upward direction. The height of the floor is not in the file.
+"""
 
 from __future__ import annotations
 
@@ -322,7 +351,7 @@ def read_camera(
 
     Args:
         name: the camera's name; needed where the file holds several.
-        up: the file's axis that points up, see `world_axes.UP`; by default z, and what `rtof_kin.formats.opencap`
+        up: the file's axis that points up, see `world_axes.UP`; by default z, and what the module
             finds.
         metres_per_unit: length of the file's unit, m; by default 1, and 0.001 for OpenCap.
 

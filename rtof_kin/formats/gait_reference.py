@@ -20,7 +20,10 @@
 Required are all of the first block but speed and notes, and one variable. `zero` is "model" (the anatomical posture of
 the model), "standing" (each person's quiet standing) or, of another system, its definition. `positive` and the zero of
 a variable are for readers; the signs are those of `VARIABLES`. Unknown fields are refused.
-"""
+
+A table of normal curves (CSV) gives means and standard deviations alone: columns ``variable`` (a name of
+`VARIABLES`), ``percent`` of the gait cycle, ``mean`` and ``sd``, in degrees; ``sd`` may be absent or empty. Instants
+from 0 to 100 % that are at most 5 % apart; others than the 51 of the scores are interpolated linearly."""
 
 from __future__ import annotations
 

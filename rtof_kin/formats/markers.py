@@ -1,4 +1,13 @@
-"""`MarkerSequence`: points in space over time, as in TRC and C3D files."""
+"""Points in space over time, and their files: track row columns (``.trc``) and ``.c3d``.
+
+In a ``.trc``, as OpenSim and Pose2Sim write them, cells are separated by tabs. After ``PathFileType`` come a line of
+keys and one of their values, a line with the name of a marker in every third cell, a line ``X1 Y1 Z1 X2 ...``,
+perhaps an empty one, and a line for each frame: its number, its time in s and three coordinates for each marker. A
+missing marker has three empty cells; their tabs stay.
+
+Of a ``.c3d`` points are read; analog channels (force plates, EMG) are not. A file has blocks of 512 bytes: a header,
+parameters in groups, then the frames (user guide at c3d.org). The library c3d, in pure Python, parses header and
+parameters. ezc3d, in C++, crashes the interpreter on damaged files, so it only writes."""
 
 from __future__ import annotations
 

@@ -1,9 +1,24 @@
-"""``.osim``: the skeleton as a model for OpenSim 4, for its motions, markers and inverse dynamics.
+"""OpenSim 4: the skeleton as a model (``.osim``), motions (``.mot``, states in ``.sto``), and the reader of both tables.
+tables.
 
 Bodies are the URDF's segments, with the same link frames and masses, without the light links between revolutes: a
 joint's three revolutes are one CustomJoint about the same axes in the same order. A marker stands at each landmark,
 under its name in the .trc. The joint of the root takes the world (z up) to OpenSim's ground (y up).
-"""
+
+The skeleton table has OpenSim's names. With a leading minus, as in ``-hip_flexion_r``, a coordinate turns
+about the opposite of the revolute's axis, so that its values have OpenSim's sign; a revolute without a name
+in OpenSim keeps the URDF's. Every angle is zero in the T-pose. The root has OpenSim's pelvis_tilt, _list,
+_rotation, _tx, _ty and _tz: rotations about z, x, y and translations along x, y, z of its ground, y up.
+
+Both files are tables for the .osim of the same skeleton: a header that ends with ``endheader``, then tab-separated
+columns, the first one time in s. OpenSim needs even times and takes a NaN for the end of the file, so a motion with
+gaps becomes several files. A ``.mot`` lacks the coordinates that were never observed, for which OpenSim's tools take
+the model's zero; a ``.sto`` must have all states, so its header names them.
+
+``.mot`` and ``.sto`` of any model are read: lines of ``key=value`` up to ``endheader``, then a line of column names,
+the first one ``time`` in s, and a row of numbers for each frame, separated by tabs or blanks. ``inDegrees`` in the
+header is the unit of all rotations; translations are in m. States ``/jointset/JOINT/NAME/value`` are read as
+``NAME``."""
 
 from __future__ import annotations
 

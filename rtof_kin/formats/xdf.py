@@ -4,6 +4,10 @@ Inertial sensors are the streams whose channels are labelled as in `channels`; d
 ``<landmark>_x``, ``_y``, ``_confidence`` in px. Other streams are left aside. Times are the stamps, mapped to
 the recorder's clock by the offsets in the file. They are not made equally spaced: where packets are lost that
 would shift the others by some of them. A declared rate does it, for senders whose stamps jitter.
+
+A file is ``XDF:`` and chunks of a length, a tag and content (https://github.com/sccn/xdf/wiki/Specifications). Every
+length is checked against the others before anything is decoded, so that a damaged file is an error and neither fills
+the memory nor gives wrong numbers. Recorders that crash leave the last chunk incomplete; what precedes it is intact.
 """
 
 from __future__ import annotations

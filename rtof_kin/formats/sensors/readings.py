@@ -1,4 +1,9 @@
-"""Numbers of sensors as they are in a file, and their conversion by a declaration to a log."""
+"""Numbers of sensors as they are in a file, and their conversion by a declaration to a log.
+
+Radios lose packets and send some late or twice, and counters of 16 or 32 bits restart at 0 when they are
+full. Each of these is reported in a sentence. A counter that restarts for another reason is an error: two
+recordings in one file have no clock in common.
+"""
 
 from __future__ import annotations
 

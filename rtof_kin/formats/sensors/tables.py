@@ -1,8 +1,8 @@
-"""Plain CSV of inertial sensors, for any logger.
+"""Text tables of inertial sensors: plain CSV, Noraxon, x-IMU3, phones, OpenSense.
 
-The first line names the columns, the others hold numbers; commas, decimal points, UTF-8; an empty cell
-or ``nan`` is a missing sample. ``time`` is in seconds and increases; without it the rate is declared, and
-the first line is 0 s. NAME is a sensor's, of any characters but commas:
+Plain CSV is for any logger. The first line names the columns, the others hold numbers; commas, decimal points, UTF-8;
+an empty cell or ``nan`` is a missing sample. ``time`` is in seconds and increases; without it the rate is declared,
+and the first line is 0 s. NAME is a sensor's, of any characters but commas:
 
 =====================================  =============================================================
 NAME_fx, NAME_fy, NAME_fz              specific force, sensor axes: 9.81 m/s^2 upwards at rest
