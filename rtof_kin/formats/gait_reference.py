@@ -23,7 +23,8 @@ a variable are for readers; the signs are those of `VARIABLES`. Unknown fields a
 
 A table of normal curves (CSV) gives means and standard deviations alone: columns ``variable`` (a name of
 `VARIABLES`), ``percent`` of the gait cycle, ``mean`` and ``sd``, in degrees; ``sd`` may be absent or empty. Instants
-from 0 to 100 % that are at most 5 % apart; others than the 51 of the scores are interpolated linearly."""
+from 0 to 100 % that are at most 5 % apart; others than the 51 of the scores are interpolated linearly.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,8 @@ missing marker has three empty cells; their tabs stay.
 
 Of a ``.c3d`` points are read; analog channels (force plates, EMG) are not. A file has blocks of 512 bytes: a header,
 parameters in groups, then the frames (user guide at c3d.org). The library c3d, in pure Python, parses header and
-parameters. ezc3d, in C++, crashes the interpreter on damaged files, so it only writes."""
+parameters. ezc3d, in C++, crashes the interpreter on damaged files, so it only writes.
+"""
 
 from __future__ import annotations
 

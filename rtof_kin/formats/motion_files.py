@@ -23,7 +23,8 @@ trc, c3d    motion.trc, motion.c3d                       empty cells, residual -
 The table of csv and parquet has one row per frame. Columns: time, pose of the root link, every revolute of the URDF,
 coordinates of every landmark; for every joint whether its position is valid and its provenance; for the root link's
 orientation, every revolute and every other landmark whether it was observed. Unknown values are empty cells or nulls;
-bridged values and those of a prior alone are present and not valid."""
+bridged values and those of a prior alone are present and not valid.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""OpenSim 4: the skeleton as a model (``.osim``), motions (``.mot``, states in ``.sto``), and the reader of both tables.
-tables.
+"""OpenSim 4: the skeleton as a model (``.osim``), motions (``.mot``, states in ``.sto``), and a reader of both tables.
 
 Bodies are the URDF's segments, with the same link frames and masses, without the light links between revolutes: a
 joint's three revolutes are one CustomJoint about the same axes in the same order. A marker stands at each landmark,
@@ -18,7 +17,8 @@ the model's zero; a ``.sto`` must have all states, so its header names them.
 ``.mot`` and ``.sto`` of any model are read: lines of ``key=value`` up to ``endheader``, then a line of column names,
 the first one ``time`` in s, and a row of numbers for each frame, separated by tabs or blanks. ``inDegrees`` in the
 header is the unit of all rotations; translations are in m. States ``/jointset/JOINT/NAME/value`` are read as
-``NAME``."""
+``NAME``.
+"""
 
 from __future__ import annotations
 

@@ -3,7 +3,8 @@
 Cells are separated by tabs, commas or semicolons, and may stand in double quotes.
 
 Of dates and times at which files say that they began, only what states its zone becomes a time in UTC. A time of an
-unknown zone is a note for the reader."""
+unknown zone is a note for the reader.
+"""
 
 from __future__ import annotations
 
