@@ -53,7 +53,7 @@ from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.observations import Observations, low_passed, sensor_data
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 SESSIONS = {
     "16": ("16_15", "16_16", "16_21", "16_22", "16_31", "16_32", "16_47", "16_58"),

@@ -14,7 +14,7 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.solution import SolverStatus
 
 SECONDS = 6.0

@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from rtof_kin.reconstruction.settings import ReconstructionSettings
     from rtof_kin.recording.recording import Recording
     from rtof_kin.reporting.export import export
-    from rtof_kin.solve.cartesian.settings import CartesianSettings
     from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-    from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-    from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+    from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
+    from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 _MODULES = {
     "body.metrics": ("Metrics", "evaluate"),
@@ -52,10 +51,9 @@ _MODULES = {
     "reconstruction.self_calibration": ("calibrate_recording",),
     "recording.recording": ("Recording",),
     "reporting.export": ("export",),
-    "solve.cartesian.settings": ("CartesianSettings",),
     "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
-    "solve.inertial_ik": ("InertialGuidedIK", "InertialGuidedIKSettings"),
-    "solve.joint_space.settings": ("JointSpaceSettings",),
+    "solve.initial_guess": ("InertialGuidedIK", "InertialGuidedIKSettings"),
+    "solve.settings": ("CartesianSettings", "JointSpaceSettings"),
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [

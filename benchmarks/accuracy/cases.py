@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.accuracy.faults import FAULTS, NOMINAL
 from benchmarks.harness import KEYPOINTS, SENSOR_SETS
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _HUGE = 1e4
 _USUAL = JointSpaceSettings()

@@ -28,10 +28,10 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InertialGuidedIK
+from rtof_kin.solve.joint_space.terms import TORSO
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Row = dict[str, Any]
 FIGURES = {

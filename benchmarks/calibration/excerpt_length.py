@@ -38,7 +38,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 PEOPLE = SESSIONS["validation"] | {"figure of eight": ["pymo_8walk_meredith"]}
 BODY = BUT + "clock drift, heading, heading drift, lever arm, place, focal length, camera tilt"

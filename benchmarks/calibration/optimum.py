@@ -28,8 +28,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.reconstruction.prepare import prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.initial_guess import initial_guess
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import initial_guess
+from rtof_kin.solve.settings import JointSpaceSettings
 
 
 def row(given: Recording, known: Mapping[tuple[str, str], Array], job: Job, lifter: Lifter) -> Row:

@@ -26,10 +26,10 @@ from benchmarks.confidence.study import rows
 from benchmarks.confidence.tables import report
 from rtof_kin.core.resources import CHECKOUT
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
+from rtof_kin.solve.uncertainty import CovarianceInflation
 
 HEAD = """\
-# Inflation of the Hessian's covariances; see rtof_kin/solve/uncertainty/covariance_inflation.py.
+# Inflation of the Hessian's covariances; see rtof_kin/solve/uncertainty.py.
 # Made by: python -m benchmarks confidence --corpus DIR --fit{more}
 # from {count} recordings of {people} people with the simulated detector, half of them re-posed on another
 # rig with their own neutral posture, see benchmarks/confidence/motions.py.

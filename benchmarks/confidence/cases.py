@@ -21,9 +21,14 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.simulation.mocap import MocapClip
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, ResidualStatistics, outer_squares
-from rtof_kin.solve.uncertainty.disagreement import Disagreement, disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import residual_statistics
+from rtof_kin.solve.uncertainty import (
+    CovarianceInflation,
+    Disagreement,
+    ResidualStatistics,
+    disagreement,
+    outer_squares,
+    residual_statistics,
+)
 
 EVERY = 4
 """Step between the frames evaluated; neighbours are correlated."""

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from benchmarks.confidence.cases import Case, Errors, errors
 from rtof_kin.core.array_types import Array
-from rtof_kin.solve.uncertainty.covariance_inflation import (
+from rtof_kin.solve.uncertainty import (
     OTHER,
     SEEN,
     WHITE_FACTOR,
@@ -130,7 +130,7 @@ def sharpest(
     """Fit the factor k >= 1, the floor b >= least and the factors a of `shared` of normal errors (n,).
 
     The variance is ``K^2 variance + B^2 + a^2 shared + more``, see
-    `rtof_kin.solve.uncertainty.covariance_inflation`; the score is the continuous ranked probability
+    `rtof_kin.solve.uncertainty`; the score is the continuous ranked probability
     (Gneiting & Raftery 2007, eq. 21), robust to outliers.
 
     Args:

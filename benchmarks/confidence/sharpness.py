@@ -17,7 +17,7 @@ from benchmarks.confidence.cases import Case, errors
 from benchmarks.verdicts.scores import rank_correlation
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
+from rtof_kin.solve.uncertainty import CovarianceInflation
 
 Row = dict[str, Any]
 KINDS = {"relative": ("mm", 1e3), "position": ("mm", 1e3), "turn": ("deg", np.degrees(1.0))}

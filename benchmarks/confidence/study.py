@@ -13,7 +13,7 @@ from scipy.stats import norm
 from benchmarks.confidence.cases import Case, angle_errors, errors
 from benchmarks.harness import bootstrap
 from rtof_kin.core.array_types import Array
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, unsided
+from rtof_kin.solve.uncertainty import CovarianceInflation, unsided
 
 Row = dict[str, Any]
 NOMINAL = (0.5, 0.68, 0.8, 0.9, 0.95, 0.99)

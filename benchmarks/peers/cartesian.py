@@ -14,9 +14,9 @@ from benchmarks.peers.residuals import Residuals, Window, built, column, symbols
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.inertial.initial_poses import refit_root
-from rtof_kin.solve import residuals as energies
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve import terms as energies
 from rtof_kin.solve.cartesian.solver import CartesianSolver
+from rtof_kin.solve.settings import CartesianSettings
 
 
 class CartesianScene:

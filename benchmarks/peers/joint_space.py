@@ -17,13 +17,12 @@ from benchmarks.peers.residuals import Residuals, Window, built, cauchy, column,
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.solve import residuals as energies
-from rtof_kin.solve.energy.problem import FragmentData, JointProblem
-from rtof_kin.solve.energy.state import StateSpace
-from rtof_kin.solve.joint_space.initial_guess import initial_guess
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve import terms as energies
+from rtof_kin.solve.initial_guess import initial_guess
+from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits, StateSpace
+from rtof_kin.solve.settings import JointSpaceSettings
 
 
 class JointScene:
@@ -42,7 +41,7 @@ class JointScene:
         m, self.settings, self.frames = material, settings, frames
         guess = initial_guess(m.start, m.keypoints, m.imus, m.skeleton, refit_root=settings.refit_root)
         self.observations = Observations(m.skeleton, frames, settings, guess, m.keypoints, m.imus)
-        self.problem: JointProblem = self.observations.problem
+        self.problem: FragmentEnergy = self.observations.problem
         self.space: StateSpace = self.observations.space
         assert self.observations.limits is not None
         self.limits: Limits = self.observations.limits
@@ -57,7 +56,7 @@ class JointScene:
         return Fragment(first, self.observations.start[index], data)
 
     def score(self, fragment: Fragment, x: Array, multipliers: Array | None = None) -> Score:
-        """Score by `JointProblem.total` and `gradient`; with multipliers the Lagrangian's gradient."""
+        """Score by `FragmentEnergy.total` and `gradient`; with multipliers the Lagrangian's gradient."""
         self.problem.bind(fragment.data)
         energy, gradient = self.problem.total(x), self.problem.gradient(x)
         angles = self.limits.values(x)
@@ -119,26 +118,26 @@ class JointScene:
         return p, q
 
     def _frame(self) -> Window:
-        energy, shape = self.problem.energy, self.problem.energy.shape
+        energy = self.problem.energy
         x, z = ca.SX.sym("x", 3 + 4 * len(self.space.joints)), ca.SX.sym("z", self.space.size)
         O = symbols(**{name: v.shape for name, v in energy.observation.items()})
         C = symbols(**{name: v.shape for name, v in energy.constant.items()})
         p_root, quats = self._moved(x, z)
         p, q = self._posed(p_root, quats, C["offsets"])
         rows = []
-        for i, (j, is_joint) in enumerate(shape.landmarks):
+        for i, (j, is_joint) in enumerate(energy["visual"].landmarks):
             point = p[j] if is_joint else p[j] + energies.quat_matrix(q[j]) @ C["places"][:, i]
             camera = C["R_camera_world"] @ point + C["t_camera_world"]
             r = energies.reprojection(camera, O["uv_px"][:, i], C["K"])
             rows.append(huber(r, O["w_visual"][i], O["knee_visual"]))
-        for s, j in enumerate(shape.sensors):
+        for s, j in enumerate(energy["orientation"].sensors):
             r = energies.orientation(q[j], O["quat_sensor"][:, s])
             r = ca.reshape(C["whitening"][:, s], 3, 3) @ r
-            rows.append(huber(r, O["w_sensor"][s], shape.robust_orientation))
-        for i, j in enumerate(shape.torso):
+            rows.append(huber(r, O["w_sensor"][s], energy["orientation"].robust))
+        for i, j in enumerate(energy["torso"].segments):
             r = energies.orientation(q[j], O["quat_torso"][:, i])
             rows.append(cauchy(r, O["w_torso"][i]))
-        for i, (j, child) in enumerate(shape.bones):
+        for i, (j, child) in enumerate(energy["bone"].bones):
             r = energies.bone_vector(p[j], p[child], O["b_world"][:, i])
             rows.append(cauchy(r, O["w_bone"][i]))
         rows.append(cauchy(energies.position(p[0], O["p_root"]), O["w_root"]))
@@ -158,13 +157,14 @@ class JointScene:
         return Window("joint_frame", 1, ca.vertcat(*rows), z, given, parameters)
 
     def _acceleration(self) -> Window:
-        energy, shape, A = self.problem.energy, self.problem.energy.shape, len(self.space.joints)
-        S, robust = len(shape.sensors), self.settings.robust_acceleration
+        energy, A = self.problem.energy, len(self.space.joints)
+        sensors = energy["orientation"].sensors
+        S, robust = len(sensors), self.settings.robust_acceleration
         x, z = ca.SX.sym("x", 3 + 4 * A, 3), ca.SX.sym("z", self.space.size, 3)
         P = symbols(a_world=(3, S), w=(S, 1), rate_hz=(1, 1), offsets=energy.constant["offsets"].shape, levers=(3, S))
         frames = [self._posed(*self._moved(x[:, t], z[:, t]), P["offsets"]) for t in range(3)]
         rows = []
-        for s, j in enumerate(shape.sensors):
+        for s, j in enumerate(sensors):
             path = ca.horzcat(*(p[j] + energies.quat_matrix(q[j]) @ P["levers"][:, s] for p, q in frames))
             r = energies.acceleration(path, P["a_world"][:, s], P["rate_hz"])
             rows.append(huber(r, P["w"][s], robust))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -11,7 +12,7 @@ import numpy as np
 
 from benchmarks.peers.fragments import Fragment
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.numerics.c_compiler import compiled
+from rtof_kin.core.numerics import c_compiler
 
 
 @dataclass(frozen=True)
@@ -84,3 +85,19 @@ def cauchy(r: Any, weight: Any) -> Any:
     """Residuals whose squares sum to `energies.cauchy` of the weighted square."""
     squared = weight * ca.sumsqr(r) + 1e-12
     return ca.sqrt(weight) * ca.sqrt(ca.log1p(squared) / squared) * r
+
+
+def compiled(functions: list[Any]) -> list[Any]:
+    """CasADi functions as scalar machine code; as they are where it cannot be compiled."""
+
+    def source() -> str:
+        generator = ca.CodeGenerator("energy.c")
+        for function in functions:
+            generator.add(function)
+        return str(generator.dump())
+
+    def loaded(library: Path) -> list[Any]:
+        return [ca.external(function.name(), str(library)) for function in functions]
+
+    made_of = "".join(function.serialize() for function in functions)
+    return c_compiler.built(made_of, source, loaded) or functions

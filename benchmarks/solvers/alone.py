@@ -18,10 +18,9 @@ from benchmarks.peers.fragments import Material
 from benchmarks.peers.joint_space import JointScene
 from benchmarks.solvers.measuring import PAPER_FPS, Effort, Notify, spread
 from benchmarks.solvers.side_by_side import CARTESIAN_BACKENDS, IPOPT_CAP, JOINT_SETTINGS, Joint, N
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.joint_space.ipopt import Ipopt
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
 SETTINGS: dict[str, CartesianSettings | JointSpaceSettings] = {

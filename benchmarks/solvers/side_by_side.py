@@ -17,11 +17,10 @@ from benchmarks.peers.joint_space import JointScene
 from benchmarks.peers.solvers import Ceres, Lbfgs, Scene, ScipyLeastSquares
 from benchmarks.solvers.measuring import Choice, Effort, Entry, Notify, Row, compared, curve, rising, spread, summaries
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.joint_space.ipopt import Ipopt
-from rtof_kin.solve.joint_space.limits import Limits
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
 N = 50

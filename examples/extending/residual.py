@@ -1,18 +1,20 @@
-"""A residual of one's own in both solvers: ``python examples/extending/residual.py``.
+"""Terms of one's own in the energy: ``python examples/extending/residual.py``.
 
-A radio ranging anchor (UWB) at a known place measures its distance to a tag on the pelvis. One camera hardly
-sees how far away the person is; the distance tells. One second of the demo is solved from a start that is
-30 cm too far away, without and with the distances.
+A radio ranging anchor (UWB) at a known location measures its distance to a tag on the pelvis. One camera hardly sees
+how far away the person is; the distance tells. One second of the demo is solved from a start that is 30 cm too far
+away, without and with the distances. An inclinometer on the chest is a term of another kind.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
 
 from rtof_kin import CartesianSettings, FragmentSolver, JointSpaceSettings, Recording
 from rtof_kin.core.resources import model_path
-from rtof_kin.solve.point_terms import PointData, PointTerm
+from rtof_kin.solve.joint_space.energy import Frame
+from rtof_kin.solve.terms import ObservedTerm, PointData, PointTerm, pseudo_huber_loss, quat_matrix
 
 FRAMES = 60
 
@@ -24,6 +26,31 @@ def to_anchor(p_world, observed):
 
 
 RANGE = PointTerm("anchor", "Hips", to_anchor, size=4, robust=2.0)
+# [end]
+
+
+# [term]
+@dataclass(frozen=True)
+class Inclination(ObservedTerm):
+    """The vertical in a segment's axes minus that of an inclinometer on it."""
+
+    joint: str
+    size: int = 3
+    unit = "1"
+
+    def add(self, frame: Frame) -> None:
+        """Add the residual of a frame: a function of a small rotation of the segment."""
+        (segment,) = frame.index(self.joint)
+        residual = partial(to_vertical, frame, segment, frame.O[self.observed])
+        frame.turn(self, segment, residual, frame.O[self.weight], pseudo_huber_loss(3.0))
+
+
+def to_vertical(frame: Frame, segment: int, observed, rotation):
+    """Vertical in the axes of the turned segment minus the measured one (3, 1)."""
+    return quat_matrix(frame.turned(segment, rotation))[2, :].T - observed
+
+
+TILT = Inclination("tilt", "Spine3")
 # [end]
 
 

@@ -44,19 +44,13 @@ _RATE_HZ: Final = 20.0
 _LEAST_SECONDS: Final = 2.0
 _LONGEST_GAP: Final = 0.1
 _SWING: Final = float(np.radians(10.0))
-_TWIST: Final = float(np.radians(30.0))
-"""[rad] Standard deviations of lifted orientations across the bone and about it."""
-_FREEDOM: Final = 3.0
-"""Degrees of freedom of Student's t."""
+_TWIST = float(np.radians(30.0))  # [rad] Standard deviations of lifted orientations across the bone and about it
+_FREEDOM = 3.0  # Degrees of freedom of Student's t
 _GRID: Final = 36
-_MEMORY: Final = 0.6
-"""[s] Correlation time of the differences."""
-_BIAS: Final = float(np.radians(6.0))
-"""[rad] Error of a heading from lifted orientations that does not average out."""
-_CHANCE: Final = 1e-3
-"""Largest probability that headings agree by chance, where sensors are taken to share a reference."""
-_SHARED_SIGMA: Final = float(np.radians(6.0))
-"""[rad] Spread of headings in a shared, magnetic reference."""
+_MEMORY = 0.6  # [s] Correlation time of the differences
+_BIAS = float(np.radians(6.0))  # [rad] Error of a heading from lifted orientations that does not average out
+_CHANCE = 1e-3  # Largest probability that headings agree by chance, where sensors are taken to share a reference
+_SHARED_SIGMA = float(np.radians(6.0))  # [rad] Spread of headings in a shared, magnetic reference
 _PRIORS: Final = CalibrationPriors(
     sigma_heading=float(np.radians(20.0)),
     sigma_swing=float(np.radians(10.0)),
@@ -64,10 +58,8 @@ _PRIORS: Final = CalibrationPriors(
     sigma_size=0.02,
     sigma_proportion=0.03,
 )
-SURE: Final = float(np.radians(4.0))
-"""[rad] Largest standard deviation of a heading that is not in doubt."""
-_MARGIN: Final = 3.0
-"""[nats] Least margin of a heading over those more than 45 degrees away."""
+SURE: Final = float(np.radians(4.0))  # [rad] Largest standard deviation of a heading that is not in doubt
+_MARGIN = 3.0  # [nats] Least margin of a heading over those more than 45 degrees away
 
 
 @dataclass(frozen=True)
@@ -75,16 +67,11 @@ class SensorAlignment:
     """How well one sensor's heading and mounting are known."""
 
     sensor: str
-    joint: str
-    """Segment that carries it."""
-    heading: float
-    """[rad] About z from the sensor's own reference to world."""
-    sigma_heading: float
-    """[rad]"""
-    sigma_mounting: float
-    """[rad] Root mean square of the three axes, the detector's place errors included."""
-    doubt: str = ""
-    """What may be wrong and what to do, in a sentence; empty where sure."""
+    joint: str  # Segment that carries it
+    heading: float  # [rad] About z from the sensor's own reference to world
+    sigma_heading: float  # [rad]
+    sigma_mounting: float  # [rad] Root mean square of the three axes, the detector's place errors included
+    doubt: str = ""  # What may be wrong and what to do, in a sentence; empty where sure
 
 
 @dataclass(frozen=True)
@@ -93,11 +80,9 @@ class Alignment:
 
     calibration: ImuCalibration
     sensors: tuple[SensorAlignment, ...]
-    shared_reference: bool
-    """True if the sensors' headings agree, as those of magnetometers do."""
+    shared_reference: bool  # True if the sensors' headings agree, as those of magnetometers do
     warnings: tuple[str, ...] = ()
-    refined: SelfCalibration | None = None
-    """The self-calibration that refined heading and mounting; None without one."""
+    refined: SelfCalibration | None = None  # The self-calibration that refined heading and mounting; None without one
 
     @property
     def delay(self) -> Quantity | None:
@@ -127,7 +112,7 @@ def align_sensors(
     """Estimate heading and mounting of each sensor.
 
     Args:
-        skeleton: the subject's. log: sensors on the video's clock, each with a reference of its own.
+        log: sensors on the video's clock, each with a reference of its own.
         joints: sensor -> segment that carries it; other sensors are ignored.
         refine: `calibrate_recording`, which takes about as long as the video; None: heading and mounting are those of
             the orientations alone.

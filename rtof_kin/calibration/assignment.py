@@ -24,10 +24,10 @@ from rtof_kin.core.checks import Check, indices_of
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.segment_names import other_side
 
 Labels = NDArray[np.intp]
-Score = Callable[[Labels], Array]
-"""Log-probabilities (C,) of assignments (C, S)."""
+Score = Callable[[Labels], Array]  # Log-probabilities (C,) of assignments (C, S)
 _CHAINS, _COOLING, _SAMPLING = 32, 300, 400  # chains, steps of each
 _HOTTEST = 10.0  # [-] temperature at the start
 _IMPOSSIBLE = -1e4  # [nats]
@@ -37,10 +37,8 @@ _IMPOSSIBLE = -1e4  # [nats]
 class Matching:
     """Posterior of the assignments of S sensors to K segments."""
 
-    best: Labels
-    """(S,) segment of each sensor in the likeliest assignment."""
-    probability: Array
-    """(S, K) of each sensor on each segment."""
+    best: Labels  # (S,) segment of each sensor in the likeliest assignment
+    probability: Array  # (S, K) of each sensor on each segment
 
 
 def match(
@@ -130,14 +128,11 @@ _MOST_PROBABLE = 0.999  # [-] nothing is stated surer, as models are not exact
 class Assignment:
     """Segments of sensors, and how sure they are."""
 
-    joints: dict[str, str]
-    """Sensor -> segment, by its proximal joint."""
-    probabilities: dict[str, float]
-    """Sensor -> probability of that segment."""
+    joints: dict[str, str]  # Sensor -> segment, by its proximal joint
+    probabilities: dict[str, float]  # Sensor -> probability of that segment
     alternatives: dict[str, tuple[tuple[str, float], ...]]
     """Sensor -> other segments that are possible and their probabilities, falling."""
-    doubt: str
-    """What is not sure and what to do about it, in one sentence; empty where all is sure."""
+    doubt: str  # What is not sure and what to do about it, in one sentence; empty where all is sure
 
     @property
     def sure(self) -> bool:
@@ -151,7 +146,7 @@ def assign_sensors(
     """Find the segment of each sensor from motion. Mountings and headings may be anything.
 
     Args:
-        log: the sensors; with poses, on their clock. skeleton: the subject's.
+        log: the sensors; with poses, on their clock.
         poses: lifted from a video; None: motion alone.
         candidates: segments that may have a sensor, of all or by sensor (others: all); by default those of
             the skeleton's usual sensors. There may be fewer sensors than segments.
@@ -167,11 +162,7 @@ def assign_sensors(
 
 
 def usual_segments(skeleton: SkeletonModel) -> tuple[str, ...]:
-    """Return the segments of the skeleton's usual sensors.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Return the segments of the skeleton's usual sensors."""
     return tuple(dict.fromkeys(joint for joint, _ in skeleton.sensors.values()))
 
 
@@ -187,7 +178,7 @@ def match_sensors(
     """Return the posterior of assignments of sensors to segments.
 
     Args:
-        skeleton: the subject's. allowed: (S, K).
+        allowed: (S, K).
         prior: log-probability (C,) of assignments (C, S); default: symmetric ones.
 
     Raises:
@@ -249,7 +240,7 @@ class _Symmetry:
 
     def __init__(self, segments: Sequence[str]) -> None:
         self._count = len(segments)
-        other = [(k, segments.index(o)) for k, o in enumerate(map(_other_side, segments)) if o in segments]
+        other = [(k, segments.index(o)) for k, o in enumerate(map(other_side, segments)) if o in segments]
         self._pairs = np.array([pair for pair in other if pair[0] < pair[1]], dtype=np.intp).reshape(-1, 2)
 
     def __call__(self, labels: Labels) -> Array:
@@ -260,19 +251,13 @@ class _Symmetry:
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:
     """Return exchanges of left and right (K,): of all segments, and of arms and of legs alone."""
-    other = [_other_side(name) for name in segments]
+    other = [other_side(name) for name in segments]
     if not set(other) <= set(segments):
         return []
     both = np.array([segments.index(name) for name in other])
     leg = np.array([name.endswith(("Leg", "Foot")) for name in segments])
     own = np.arange(len(segments))
     return [both, np.where(leg, both, own), np.where(leg, own, both)]
-
-
-def _other_side(name: str) -> str:
-    if name.startswith("Left"):
-        return "Right" + name.removeprefix("Left")
-    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name
 
 
 def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str], seen: bool) -> Assignment:
@@ -303,7 +288,7 @@ def _unsure(found: Assignment, seen: bool) -> str:
         return ""
     remedy = "walk a few steps and raise each limb once" if seen else "give a video, or name one of them"
     other = {sensor: dict(found.alternatives[sensor]) for sensor in unsure}
-    if all(found.probabilities[s] + other[s].get(_other_side(found.joints[s]), 0) >= _SURE for s in unsure):
+    if all(found.probabilities[s] + other[s].get(other_side(found.joints[s]), 0) >= _SURE for s in unsure):
         return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
     named = (f"{s} on {found.joints[s]} ({100 * found.probabilities[s]:.0f} %)" for s in unsure)
     return f"not sure: {', '.join(named)}; {remedy}"
@@ -325,12 +310,9 @@ class WrongSensor:
     """A sensor that is not where it is declared."""
 
     sensor: str
-    declared: str
-    """Segment it is declared on."""
-    likely: str
-    """Segment it is on."""
-    probability: float
-    """Of that."""
+    declared: str  # Segment it is declared on
+    likely: str  # Segment it is on
+    probability: float  # Of that
 
     def __str__(self) -> str:
         where = f"declared on {self.declared}, is on {self.likely}"
@@ -341,14 +323,10 @@ class WrongSensor:
 class AssignmentCheck:
     """What motion tells of a map from sensors to segments."""
 
-    joints: dict[str, str]
-    """Sensor -> segment, corrected where that is sure."""
-    wrong: tuple[WrongSensor, ...]
-    """Sensors that are elsewhere."""
-    probability: float
-    """That the map as declared is wrong somewhere."""
-    doubt: str = ""
-    """What is possible but not sure, in one sentence; may be empty."""
+    joints: dict[str, str]  # Sensor -> segment, corrected where that is sure
+    wrong: tuple[WrongSensor, ...]  # Sensors that are elsewhere
+    probability: float  # That the map as declared is wrong somewhere
+    doubt: str = ""  # What is possible but not sure, in one sentence; may be empty
 
     def check(self) -> Check:
         """Return the result as a check of plausibility."""

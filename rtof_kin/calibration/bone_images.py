@@ -15,43 +15,43 @@ from numpy.typing import ArrayLike
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.core import rotations as so3
-from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.checks import Check
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.segment_names import other_side
 
-STEP: Final = 0.1
-"""[s] between samples of the sensors' directions."""
+STEP: Final = 0.1  # [s] between samples of the sensors' directions
 _MOST_FRAMES: Final = 240
 _SIGMA: Final = 0.12
-_SIGMA_M: Final = 0.04
-"""Standard deviation of the difference: per length of the bone, and [m]."""
+_SIGMA_M = 0.04  # Standard deviation of the difference: per length of the bone, and [m]
+
+
+def projected(bones: Array, rays: Array) -> Array:
+    """Return the images (..., 2) of bones, at unit depth of their middles.
+
+    Args:
+        bones: (..., 3) camera axes. rays: (..., 2) normalised image coordinates of their middles.
+    """
+    return np.asarray(bones[..., :2] - rays * bones[..., 2:])
 
 
 @dataclass(frozen=True)
 class BoneImages:
     """B bones with sensors, in the image and by the sensors."""
 
-    frames: Index
-    """(F,) index of each frame in the grid of `directions`."""
-    vectors: Array
-    """(F, B, 2) the bone in the image, in lengths of the bone."""
-    rays: Array
-    """(F, B, 2) normalised image coordinates of the bone's middle."""
-    directions: Array
-    """(G, B, 3) unit vectors in camera axes by the sensors, every `STEP`; NaN where missing."""
-    sigma: Array
-    """(B,) standard deviations of the differences."""
-    weight: Array
-    """(B,) 1 / number of bones of the same sensor."""
-    sensors: Index
-    """(B,) index of the sensor on each bone."""
-    sensor_count: int
-    """S."""
+    frames: Index  # (F,) index of each frame in the grid of `directions`
+    vectors: Array  # (F, B, 2) the bone in the image, in lengths of the bone
+    rays: Array  # (F, B, 2) normalised image coordinates of the bone's middle
+    directions: Array  # (G, B, 3) unit vectors in camera axes by the sensors, every `STEP`; NaN where missing
+    sigma: Array  # (B,) standard deviations of the differences
+    weight: Array  # (B,) 1 / number of bones of the same sensor
+    sensors: Index  # (B,) index of the sensor on each bone
+    sensor_count: int  # S
 
     def cost(self, steps: int, constant: bool = True) -> Array:
         """Return the robust differences (F, B), nats.
@@ -63,7 +63,7 @@ class BoneImages:
         index = self.frames - steps
         inside = (index >= 0) & (index < len(self.directions))
         d = self.directions[np.where(inside, index, 0)]
-        off = self.vectors - d[..., :2] + self.rays * d[..., 2:]
+        off = self.vectors - projected(d, self.rays)
         known = inside[:, None] & np.isfinite(off[..., 0])
         off = np.where(known[..., None], off, 0.0)
         if constant:
@@ -102,12 +102,8 @@ def bone_images(
     seen, camera = keypoints.select(skeleton.names), keypoints.camera
     xy = camera.normalise(seen.uv_px[chosen])
     depth = camera.to_camera(poses.p_world_joint[chosen, 0])[:, 2]
-    ends = [
-        (s, j, child)
-        for s, j in enumerate(skeleton.index(*bone_imus.joints))
-        for child in kinematics.children_of(skeleton.parents, j)
-        if {skeleton.names[j], skeleton.names[child]} <= set(keypoints.names)
-    ]
+    seen_ends = {j for j, name in enumerate(skeleton.names) if name in keypoints.names}
+    ends = [end for end in sensed_bones(bone_imus, skeleton) if set(end[1:]) <= seen_ends]
     if not ends:
         return None
     s, j, c = (np.array(column) for column in zip(*ends, strict=True))
@@ -135,14 +131,8 @@ def _nearest(times: Array, at: Array) -> Index:
 
 def exchanged_sides(bone_imus: BoneImuSequence) -> BoneImuSequence:
     """Return the sensors with left and right exchanged, where both sides have one."""
-    sides = {"Left": "Right", "Right": "Left"}
-
-    def other(joint: str) -> str:
-        side = next((side for side in sides if joint.startswith(side)), "")
-        mirrored = sides.get(side, "") + joint.removeprefix(side)
-        return mirrored if mirrored in bone_imus.joints else joint
-
-    return replace(bone_imus, joints=tuple(map(other, bone_imus.joints)))
+    own = bone_imus.joints
+    return replace(bone_imus, joints=tuple(other_side(joint) if other_side(joint) in own else joint for joint in own))
 
 
 def best_exchange(
@@ -166,65 +156,17 @@ def best_exchange(
 
 
 NAME: Final = "offset between the clocks of video and sensors"
-LIMIT: Final = 0.2
-"""[s] Largest offset that the self-calibration estimates."""
-REACH: Final = 6.0
-"""[s] Largest offset of the scan."""
-LEAST_COMMON: Final = 2.0
-"""[s] Least overlap at every offset, with `_COMMON_SHARE` of the largest overlap."""
+LIMIT: Final = 0.2  # [s] Largest offset that the self-calibration estimates
+REACH: Final = 6.0  # [s] Largest offset of the scan
+LEAST_COMMON: Final = 2.0  # [s] Least overlap at every offset, with `_COMMON_SHARE` of the largest overlap
 _COMMON_SHARE: Final = 0.4
-_MEMORY: Final = 1.0
-"""[s] Correlation time of the differences."""
-SURE: Final = 12.0
-"""[nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11."""
-AS_GOOD: Final = 4.0
-"""[nats] Difference below which another offset is as good."""
-_APART: Final = 0.35
-"""[s] Least distance of another offset."""
-_AGREE: Final = 2.0
-"""[nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7."""
+_MEMORY = 1.0  # [s] Correlation time of the differences
+SURE: Final = 12.0  # [nats] Least gain of an offset beyond `LIMIT` that is reported; with correct clocks up to 11
+AS_GOOD: Final = 4.0  # [nats] Difference below which another offset is as good
+_AGREE = 2.0  # [nats] per frame and sensor; image and sensors of the same motion differ by 0.3-1.7
 
 
-@dataclass(frozen=True)
-class ClockScan:
-    """Gain of each offset of the clocks."""
-
-    offsets: Array
-    """(K,) [s] of the video's stamps relative to the sensors'."""
-    gains: Array
-    """(K,) [nats] relative to the best offset within `LIMIT`."""
-
-    @property
-    def best(self) -> float:
-        """[s] Best offset, by a parabola through it and its neighbours."""
-        k = int(np.argmax(self.gains))
-        if not 0 < k < len(self.gains) - 1:
-            return float(self.offsets[k])
-        return float(self.offsets[k] + STEP * signals.vertex(*self.gains[k - 1 : k + 2]))
-
-    @property
-    def gain(self) -> float:
-        """[nats] Gain of the best offset."""
-        return float(self.gains.max())
-
-    @property
-    def second(self) -> tuple[float, float]:
-        """Best offset at least `_APART` from the best one, [s], and its gain [nats]."""
-        other = np.where(np.abs(self.offsets - self.best) > _APART, self.gains, -np.inf)
-        return float(self.offsets[np.argmax(other)]), float(other.max())
-
-    @property
-    def width(self) -> float:
-        """[s] Width of the range around the best offset within half a nat."""
-        low = high = int(np.argmax(self.gains))
-        while low > 0 and self.gains[low - 1] > self.gain - 0.5:
-            low -= 1
-        while high + 1 < len(self.gains) and self.gains[high + 1] > self.gain - 0.5:
-            high += 1
-        return STEP * (high - low + 1)
-
-
-def scan_clocks(images: BoneImages) -> ClockScan | None:
+def scan_clocks(images: BoneImages) -> OffsetScan | None:
     """Return the gains of all offsets with enough overlap; None where none within `LIMIT` has it."""
     costs = dict(_costs(images))
     near = [k for k in costs if abs(k) <= round(LIMIT / STEP)]
@@ -233,7 +175,7 @@ def scan_clocks(images: BoneImages) -> ClockScan | None:
     usual = costs[min(near, key=lambda k: float(np.nanmean(costs[k])))]
     a_frame = float(np.median(np.diff(images.frames))) * STEP / _MEMORY
     gains = [a_frame * float(np.nansum(usual - cost)) for cost in costs.values()]
-    return ClockScan(STEP * np.array(list(costs)), np.array(gains))
+    return OffsetScan(STEP * np.array(list(costs)), np.array(gains))
 
 
 def _costs(images: BoneImages) -> Iterator[tuple[int, Array]]:
@@ -278,7 +220,7 @@ def check_clocks(
         if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)
-    second, gain = scan.second
+    second, gain = scan.rival
     rival = f" {-second:+.2f} s would do nearly as well."
     rival = rival if gain > scan.gain - AS_GOOD else ""
     if abs(scan.best) <= LIMIT and rival and abs(second) > LIMIT:
@@ -298,7 +240,7 @@ def check_clocks(
         "s",
         f"The limbs turn alike when {-scan.best:+.2f} s are added to the video's times (start_s of "
         f"[keypoints]); no offset within {LIMIT:g} s explains the video nearly as well "
-        f"({scan.gain:.0f} nats, to within {scan.width:.2g} s).{rival}",
+        f"({scan.gain:.0f} nats, ± {scan.sigma:.2g} s).{rival}",
         cause=(
             f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about {abs(scan.best):.1f} s"
         ),
@@ -319,20 +261,13 @@ def sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tu
 class Limbs:
     """Bones from each sensor's joint to its children, in the image plane."""
 
-    seen: Array
-    """(T, n, 2) of the keypoints at unit depth; zero where missing."""
-    middle: Array
-    """(T, n, 2) their centres."""
-    bones: Array
-    """(T, n, 3) of the sensors in camera axes, m; zero where missing."""
+    seen: Array  # (T, n, 2) of the keypoints at unit depth; zero where missing
+    middle: Array  # (T, n, 2) their centres
+    bones: Array  # (T, n, 3) of the sensors in camera axes, m; zero where missing
 
     @classmethod
     def of(cls, keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> Limbs:
-        """Collect the bones.
-
-        Args:
-            skeleton: the subject's.
-        """
+        """Collect the bones."""
         sensor, joint, child = np.array(sensed_bones(bone_imus, skeleton)).T
         xy = keypoints.camera.normalise(keypoints.select(skeleton.names).uv_px)
         R_camera_bone = keypoints.camera.R_camera_world @ bone_imus.R_world_bone[:, sensor]
@@ -349,8 +284,7 @@ class Limbs:
             bones: (..., T, n, 3) m, camera axes.
             perspective: (...) 1 for the focal length given, 0.5 for one twice as long.
         """
-        share = np.asarray(perspective)[..., None, None, None]
-        return np.asarray(bones[..., :2] - share * self.middle * bones[..., 2:])
+        return projected(bones, np.asarray(perspective)[..., None, None, None] * self.middle)
 
     def misfit(self, headings: Array, camera: Camera) -> float:
         """Return the misfit of image and sensors: 0 for agreement, 1 for none.

@@ -1,78 +1,68 @@
-"""Unknowns of an uncalibrated camera: their corrections, estimate and covariance.
-
-::
-
-    focal length  f = (1 + y_0) assumed                                      1
-    pitch, roll   R_camera_world = exp(y_1, 0, y_2) assumed, about the centre rad, in the camera's axes
-    height        z of the centre in world = assumed + y_3                   m
-    distortion    k1 = assumed + y_4                                         1
-
-The heading about the world's vertical and the horizontal position are a choice of the world's axes.
-"""
+"""Estimate of an uncalibrated camera's unknowns (`camera_unknowns`) and its covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from rtof_kin.core import rotations as so3
+from rtof_kin.calibration.camera_unknowns import (
+    FOCAL,
+    HEIGHT,
+    PITCH,
+    ROLL,
+    UNKNOWNS,
+    corrected,
+    pitch_and_roll,
+    sigma_of,
+)
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import freeze
 from rtof_kin.core.errors import ViewError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 
-UNKNOWNS: Final = ("focal length", "pitch", "roll", "height over the floor", "distortion k1")
-COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")
-"""Headings of `CameraEstimate.table`."""
+COLUMNS: Final = ("camera", "assumed", "found", "sd remaining", "verdict")  # Headings of `CameraEstimate.table`
 FOUND, NOT_FOUND = "found", "hardly found"
-FOCAL, PITCH, ROLL, HEIGHT, DISTORTION = range(5)
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
-_SHARE_FOUND: Final = 0.7
-"""Remaining share of a standard deviation from which an unknown counts as not found."""
-_STEP: Final = 0.5
-"""[prior sigma] of finite differences."""
-_LARGEST: Final = 1.5
-"""[prior sigma] Largest step of one round."""
+_SHARE_FOUND = 0.7  # Remaining share of a standard deviation from which an unknown counts as not found
+_STEP = 0.5  # [prior sigma] of finite differences
+_LARGEST = 1.5  # [prior sigma] Largest step of one round
 _ROUNDS: Final = 4
-_SLOPES: Final = 2
-"""Rounds that compute the derivatives again."""
-_ENOUGH: Final = 0.15
-"""[sigma] Step below which the estimate has converged."""
+_SLOPES = 2  # Rounds that compute the derivatives again
+_ENOUGH = 0.15  # [sigma] Step below which the estimate has converged
 _HALVINGS: Final = 3
-_PITCHES: Final = (-1.0, 0.0, 1.0, 2.0)
-"""[prior sigma] Pitches that are tried as a start."""
-_FURTHEST: Final = 3.0
-"""[prior sigma] Largest height that is tried with them."""
+_PITCHES = (-1.0, 0.0, 1.0, 2.0)  # [prior sigma] Pitches that are tried as a start
+_FURTHEST = 3.0  # [prior sigma] Largest height that is tried with them
 
 
 @dataclass(frozen=True)
 class Evidence:
     """Quantities that have a known value with the true camera; NaN where the recording has none."""
 
-    value: Array
-    """(n,) less the value with the true camera."""
-    sigma: Array
-    """(n,) standard deviation with the true camera."""
+    value: Array  # (n,) less the value with the true camera
+    sigma: Array  # (n,) standard deviation with the true camera
 
     @property
     def known(self) -> Mask:
         """(n,) whether the recording has it."""
         return np.asarray(np.isfinite(self.value + self.sigma), dtype=bool)
 
+    @property
+    def weighted(self) -> tuple[Array, Array]:
+        """The values (n,) and their weights, 0 where the recording has none."""
+        weight = np.where(self.known, 1 / np.where(self.known, self.sigma, 1.0) ** 2, 0.0)
+        return np.where(self.known, self.value, 0.0), weight
+
 
 @dataclass(frozen=True)
 class CameraEstimate:
     """An uncalibrated camera's unknowns, found from the recording."""
 
-    assumed: Camera
-    """As declared, with its uncertainty."""
-    value: Array
-    """(5,) corrections of `UNKNOWNS`, SI units."""
-    covariance: Array
-    """(5, 5) what remains."""
+    assumed: Camera  # As declared, with its uncertainty
+    value: Array  # (5,) corrections of `UNKNOWNS`, SI units
+    covariance: Array  # (5, 5) what remains
 
     def __post_init__(self) -> None:
         freeze(self, "camera estimate", value=(5,), covariance=(5, 5))
@@ -137,38 +127,8 @@ class CameraEstimate:
 
 
 def prior_sigma(camera: Camera) -> Array:
-    """Return the standard deviations (5,) of `UNKNOWNS` that a camera declares; 0 for what is known.
-
-    Args:
-        camera: with or without an uncertainty.
-    """
-    own = camera.uncertainty or CameraUncertainty()
-    roll = own.tilt if own.roll is None else own.roll
-    return np.array([own.focal, own.tilt, roll, own.height, own.k1], dtype=np.float64)
-
-
-def corrected(camera: Camera, y: Array) -> Camera:
-    """Return a camera corrected by its unknowns.
-
-    Args:
-        y: (5,) of `UNKNOWNS`.
-    """
-    K, distortion = camera.K.copy(), camera.distortion.copy()
-    K[:2, :2] *= 1 + y[FOCAL]
-    distortion[0] += y[DISTORTION]
-    R = so3.exp(np.array([y[PITCH], 0.0, y[ROLL]])) @ camera.R_camera_world
-    centre = camera.center_world + np.array([0.0, 0.0, y[HEIGHT]])
-    return replace(camera, K=K, distortion=distortion, R_camera_world=R, t_camera_world=-R @ centre)
-
-
-def pitch_and_roll(camera: Camera) -> tuple[float, float]:
-    """Return how far a camera looks down, and how far its right side is down, rad.
-
-    Args:
-        camera: in a world with z up.
-    """
-    right, _, forward = camera.R_camera_world
-    return float(-np.arcsin(np.clip(forward[2], -1, 1))), float(-np.arcsin(np.clip(right[2], -1, 1)))
+    """Return the standard deviations (5,) of `UNKNOWNS` that a camera declares; 0 for what is known."""
+    return sigma_of(camera.uncertainty)[: len(UNKNOWNS)]
 
 
 def _values(camera: Camera) -> tuple[float, ...]:
@@ -198,122 +158,105 @@ def estimate_camera(
     Raises:
         ViewError: with the declared camera the person is behind it.
     """
-    prior = prior_sigma(camera)
-    moving = [i for i in (HEIGHT, FOCAL, PITCH, ROLL) if prior[i] > 0]
-    report = progress or (lambda *_: None)
-    y, precision = np.zeros(5), np.diag(1 / np.where(prior > 0, prior, 1.0) ** 2)[np.ix_(moving, moving)]
+    at, report = _Search(camera, evidence), progress or (lambda *_: None)
+    moving, prior = at.moving, at.prior
+    precision = np.diag(1 / np.where(prior > 0, prior, 1.0) ** 2)[np.ix_(moving, moving)]
     searched = len(_PITCHES) if {PITCH, HEIGHT} <= {*moving} else 0
     total, hessian = _SLOPES * (len(moving) + 1) + searched + 1, precision
-    now, J = evidence(camera), np.zeros((0, 0))
-    for done in range(_ROUNDS if moving and now.known.any() else 0):
+    for done in range(_ROUNDS if moving and at.now.known.any() else 0):
         if done < _SLOPES:
             report(done * (len(moving) + 1 + searched), total)
-            J = _slopes(camera, evidence, now, y, moving, _STEP * prior, J)
+            at.differentiate()
         if done == 0 and searched:
-            y, now = _best_pitch(camera, evidence, now, moving, prior, J)
-        r, weight = _weighted(now)
-        hessian = (J.T * weight) @ J + precision
-        if done == 0 and y.any():
-            continue  # the slopes are those of another place
-        step = np.asarray(-np.linalg.solve(hessian, J.T @ (weight * r) + precision @ y[moving]), dtype=float)
+            at.try_pitches()
+        r, weight = at.now.weighted
+        hessian = (at.J.T * weight) @ at.J + precision
+        if done == 0 and at.y.any():
+            continue  # the slopes are those of another camera
+        step = np.asarray(-np.linalg.solve(hessian, at.J.T @ (weight * r) + precision @ at.y[moving]), dtype=float)
         step *= min(1.0, _LARGEST / max(float(np.abs(step / prior[moving]).max()), 1e-9))
-        y, now = _moved(camera, evidence, now, y, moving, step)
+        at.move(step)
         if np.all(np.abs(step) < _ENOUGH / np.sqrt(np.diag(hessian))):
             break
     report(total, total)
     covariance = np.diag(prior**2)
     covariance[np.ix_(moving, moving)] = np.linalg.inv(hessian)
-    return CameraEstimate(camera, y, covariance)
+    return CameraEstimate(camera, at.y, covariance)
 
 
-def _weighted(now: Evidence) -> tuple[Array, Array]:
-    """The evidence (n,) and its weights, 0 where the recording has none."""
-    weight = np.where(now.known, 1 / np.where(now.known, now.sigma, 1.0) ** 2, 0.0)
-    return np.where(now.known, now.value, 0.0), weight
+class _Search:
+    """The evidence of a recording around the present unknowns.
 
-
-def _level(J: Array, moving: Sequence[int]) -> float:
-    """[m/rad] Height per pitch that leaves the floor where it is: its height is the first evidence."""
-    if not J.size or not {PITCH, HEIGHT} <= {*moving} or abs(J[0, moving.index(HEIGHT)]) < 1e-6:
-        return 0.0
-    return float(-J[0, moving.index(PITCH)] / J[0, moving.index(HEIGHT)])
-
-
-def _slopes(
-    camera: Camera,
-    evidence: Callable[[Camera], Evidence],
-    now: Evidence,
-    y: Array,
-    moving: Sequence[int],
-    steps: Array,
-    before: Array,
-) -> Array:
-    """Derivatives (n, m) of the evidence by the m moving unknowns, of which the height is the first.
-
-    Where the floor sinks away from the feet, lifted bodies lean: pitch is varied together with the height, by
-    the derivatives known before.
+    Attributes:
+        prior: (5,) standard deviations. moving: the m unknowns that are estimated, the height first.
+        y: (5,) present unknowns. now: their evidence. J: (n, m) its derivatives by the moving ones.
     """
-    J, rise = np.zeros((len(now.value), len(moving))), _level(before, moving)
-    for k, i in enumerate(moving):
-        with_height = rise if i == PITCH else 0.0
-        direction = 1.0 * (np.arange(5) == i)
-        direction[HEIGHT] += with_height
-        J[:, k] = np.nan_to_num(_slope(camera, evidence, now, y, direction, steps[i]))
-        if with_height:
-            J[:, k] -= with_height * J[:, 0]
-    return J
 
+    def __init__(self, camera: Camera, evidence: Callable[[Camera], Evidence]) -> None:
+        self.camera, self.evidence, self.prior = camera, evidence, prior_sigma(camera)
+        self.moving = [i for i in (HEIGHT, FOCAL, PITCH, ROLL) if self.prior[i] > 0]
+        self.y, self.now, self.J = np.zeros(len(UNKNOWNS)), evidence(camera), np.zeros((0, 0))
 
-def _best_pitch(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, moving: Sequence[int], prior: Array, J: Array
-) -> tuple[Array, Evidence]:
-    """The likeliest of some pitches, each at the height at which the feet stand on the floor."""
-    rise, slope = _level(J, moving), J[0, moving.index(HEIGHT)] if J.size else 0.0
-    best = _unlikely(now, np.zeros(5), prior), np.zeros(5), now
-    if not rise or not now.known[0]:
-        return best[1:]
-    for share in _PITCHES:
-        y = np.zeros(5)
-        y[PITCH] = share * prior[PITCH]
-        y[HEIGHT] = rise * y[PITCH] - now.value[0] / slope
-        if not abs(y[HEIGHT]) < _FURTHEST * prior[HEIGHT]:
-            continue
+    def at(self, y: Array) -> Evidence | None:
+        """Return the evidence of other unknowns; None where the person is out of view."""
         try:
-            other = evidence(corrected(camera, y))
+            return self.evidence(corrected(self.camera, y))
         except ViewError:
-            continue
-        best = min(best, (_unlikely(other, y, prior), y, other), key=lambda found: found[0])
-    return best[1:]
+            return None
 
+    @property
+    def rise(self) -> float:
+        """[m/rad] Height per pitch that leaves the floor where it is: its height is the first evidence."""
+        J, moving = self.J, self.moving
+        if not J.size or not {PITCH, HEIGHT} <= {*moving} or abs(J[0, moving.index(HEIGHT)]) < 1e-6:
+            return 0.0
+        return float(-J[0, moving.index(PITCH)] / J[0, moving.index(HEIGHT)])
 
-def _unlikely(now: Evidence, y: Array, prior: Array) -> float:
-    """Twice the negative logarithm of the posterior."""
-    r, weight = _weighted(now)
-    return float(weight @ r**2 + np.sum((y / np.where(prior > 0, prior, 1.0)) ** 2))
+    def differentiate(self) -> None:
+        """Set the derivatives by finite differences.
 
+        Where the floor sinks away from the feet, lifted bodies lean: pitch is varied together with the height, by
+        the derivatives known before.
+        """
+        J, rise = np.zeros((len(self.now.value), len(self.moving))), self.rise
+        for k, i in enumerate(self.moving):
+            with_height = rise if i == PITCH else 0.0
+            direction = 1.0 * (np.arange(len(self.y)) == i)
+            direction[HEIGHT] += with_height
+            for step in (_STEP * self.prior[i], -_STEP * self.prior[i]):  # to that side on which the person is in view
+                if (other := self.at(self.y + step * direction)) is not None:
+                    J[:, k] = np.nan_to_num((other.value - self.now.value) / step)
+                    break
+            if with_height:
+                J[:, k] -= with_height * J[:, 0]
+        self.J = J
 
-def _slope(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, direction: Array, step: float
-) -> Array:
-    """Derivative (n,) of the evidence along a direction, to that side on which the person is in view."""
-    for signed in (step, -step):
-        try:
-            other = evidence(corrected(camera, y + signed * direction))
-        except ViewError:
-            continue
-        return np.asarray((other.value - now.value) / signed)
-    return np.zeros_like(now.value)
+    def try_pitches(self) -> None:
+        """Move to the likeliest of some pitches, each at the height at which the feet stand on the floor."""
+        rise, prior = self.rise, self.prior
+        if not rise or not self.now.known[0]:
+            return
+        slope = self.J[0, self.moving.index(HEIGHT)]
+        found = [(self._unlikely(self.now, self.y), self.y, self.now)]
+        for share in _PITCHES:
+            y = np.zeros_like(self.y)
+            y[PITCH] = share * prior[PITCH]
+            y[HEIGHT] = rise * y[PITCH] - self.now.value[0] / slope
+            if abs(y[HEIGHT]) < _FURTHEST * prior[HEIGHT] and (other := self.at(y)) is not None:
+                found.append((self._unlikely(other, y), y, other))
+        _, self.y, self.now = min(found, key=lambda one: one[0])
 
+    def _unlikely(self, now: Evidence, y: Array) -> float:
+        """Twice the negative logarithm of the posterior."""
+        r, weight = now.weighted
+        return float(weight @ r**2 + np.sum((y / np.where(self.prior > 0, self.prior, 1.0)) ** 2))
 
-def _moved(
-    camera: Camera, evidence: Callable[[Camera], Evidence], now: Evidence, y: Array, moving: Sequence[int], step: Array
-) -> tuple[Array, Evidence]:
-    """The unknowns after a step, shortened until the person is in view, and their evidence."""
-    for _ in range(_HALVINGS):
-        other = y.copy()
-        other[moving] += step
-        try:
-            return other, evidence(corrected(camera, other))
-        except ViewError:
+    def move(self, step: Array) -> None:
+        """Take a step (m,), shortened until the person is in view."""
+        for _ in range(_HALVINGS):
+            y = self.y.copy()
+            y[self.moving] += step
+            if (other := self.at(y)) is not None:
+                self.y, self.now = y, other
+                return
             step = step / 2
-    return y, now

@@ -22,6 +22,7 @@ from scipy import fft
 from scipy.optimize import linear_sum_assignment
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
@@ -30,39 +31,34 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import angular_velocity
 
-STEP: Final = 0.02
-"""[s] between samples."""
-LEAST_SECONDS: Final = 2.0
-"""[s] Least time that a person is seen."""
+STEP: Final = 0.02  # [s] between samples
+LEAST_SECONDS: Final = 2.0  # [s] Least time that a person is seen
 _CUTOFF_HZ: Final = 5.0
-_FASTEST: Final = 6.0
-"""[rad/s] Faster turns are shortened to it: in the image they are mostly exchanged limbs."""
+_FASTEST = 6.0  # [rad/s] Faster turns are shortened to it: in the image they are mostly exchanged limbs
 _LONGEST_GAP: Final = 0.2
 
 
 @dataclass(frozen=True)
-class Turning:
+class AngularVelocities:
     """Angular velocities at even times, `STEP` apart."""
 
-    start: float
-    """[s] Time of the first sample."""
-    w_world: Array
-    """(T, N, 3) rad/s in world, or in each sensor's own reference; NaN where missing."""
+    start: float  # [s] Time of the first sample
+    w_world: Array  # (T, N, 3) rad/s in world, or in each sensor's own reference; NaN where missing
 
     @property
     def known(self) -> Array:
         """(T, N) 1 where known, else 0."""
         return np.asarray(np.isfinite(self.w_world[..., 0]), dtype=float)
 
-    def __getitem__(self, frames: slice) -> Turning:
-        return Turning(self.start + STEP * (frames.start or 0), self.w_world[frames])
+    def __getitem__(self, frames: slice) -> AngularVelocities:
+        return AngularVelocities(self.start + STEP * (frames.start or 0), self.w_world[frames])
 
-    def of(self, columns: Index | Sequence[int]) -> Turning:
+    def of(self, columns: Index | Sequence[int]) -> AngularVelocities:
         """Return some of the N."""
         return replace(self, w_world=self.w_world[:, columns])
 
 
-def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: SkeletonModel) -> Turning:
+def velocities_in_image(poses: PoseSequence, keypoints: KeypointSequence, skeleton: SkeletonModel) -> AngularVelocities:
     """Return the segments' angular velocities in world as an image shows them.
 
     Raises:
@@ -71,7 +67,7 @@ def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: Sk
     skeleton.check_joints(poses.names)
     shown = poses.valid.any(axis=1) & (keypoints.seen.mean(axis=1) > 0)
     R = np.where(shown[:, None, None, None], poses.R_world_bone, np.nan)
-    out = turning_of(poses.times, R)
+    out = angular_velocities(poses.times, R)
     seconds = STEP * float(out.known.any(axis=1).sum())
     if seconds < LEAST_SECONDS:
         raise CalibrationError(
@@ -81,7 +77,7 @@ def image_turning(poses: PoseSequence, keypoints: KeypointSequence, skeleton: Sk
     return out
 
 
-def sensor_turning(log: SensorLog) -> Turning:
+def velocities_of_sensors(log: SensorLog) -> AngularVelocities:
     """Return sensors' angular velocities (T, S, 3), each in its own reference."""
     first = min(stream.times[0] for stream in log.streams)
     last = max(stream.times[-1] for stream in log.streams)
@@ -89,11 +85,11 @@ def sensor_turning(log: SensorLog) -> Turning:
     columns = []
     for stream in log.streams:
         assert stream.R_inertial_sensor is not None
-        columns.append(turning_of(stream.times, stream.R_inertial_sensor[:, None], grid).w_world)
-    return Turning(float(grid[0]), np.concatenate(columns, axis=1))
+        columns.append(angular_velocities(stream.times, stream.R_inertial_sensor[:, None], grid).w_world)
+    return AngularVelocities(float(grid[0]), np.concatenate(columns, axis=1))
 
 
-def joined(parts: Sequence[Turning]) -> Turning:
+def joined(parts: Sequence[AngularVelocities]) -> AngularVelocities:
     """Return parts of one recording on one grid; NaN between them."""
     if len(parts) == 1:
         return parts[0]
@@ -103,7 +99,7 @@ def joined(parts: Sequence[Turning]) -> Turning:
     out = np.full((stop, *parts[0].w_world.shape[1:]), np.nan)
     for first, part in zip(firsts, parts, strict=True):
         out[first : first + len(part.w_world)] = part.w_world
-    return Turning(start, out)
+    return AngularVelocities(start, out)
 
 
 def _grid(first: float, last: float) -> Array:
@@ -111,7 +107,7 @@ def _grid(first: float, last: float) -> Array:
     return np.asarray(STEP * np.arange(np.ceil(first / STEP - 1e-6), last / STEP + 1e-6))
 
 
-def turning_of(times: Array, R: Array, grid: Array | None = None) -> Turning:
+def angular_velocities(times: Array, R: Array, grid: Array | None = None) -> AngularVelocities:
     """Return the angular velocities of orientations.
 
     Args:
@@ -122,48 +118,34 @@ def turning_of(times: Array, R: Array, grid: Array | None = None) -> Turning:
     w = np.stack([angular_velocity(grid, one) for one in R.swapaxes(0, 1)], axis=1)
     w *= np.minimum(1.0, _FASTEST / np.maximum(np.linalg.norm(w, axis=-1, keepdims=True), 1e-9))
     smooth = [signals.low_pass_known(grid, one, _CUTOFF_HZ) for one in w.swapaxes(0, 1)]
-    return Turning(float(grid[0]), np.stack(smooth, axis=1))
+    return AngularVelocities(float(grid[0]), np.stack(smooth, axis=1))
 
 
-APART: Final = 0.35
-"""[s] Least distance of another offset."""
-_COARSE: Final = 2
-"""Samples per step where segments are unknown."""
-_LEAST_COMMON: Final = 2.0
-"""[s] Least overlap, or half of the shorter recording."""
+_COARSE = 2  # Samples per step where segments are unknown
+_LEAST_COMMON = 2.0  # [s] Least overlap, or half of the shorter recording
 _LARGEST_FACTOR: Final = 1.3
-_MEMORY: Final = 0.25
-"""[s] Correlation time of the image's errors."""
-_UNSEEN: Final = 0.15
-"""[rad/s] per axis: motion that the image cannot tell from none."""
+_MEMORY = 0.25  # [s] Correlation time of the image's errors
+_UNSEEN = 0.15  # [rad/s] per axis: motion that the image cannot tell from none
 _CANDIDATES: Final = 5
-_ASSIGNED: Final = 40
-"""Offsets for which sensors of unknown places are assigned one to one."""
-_BELIEF: Final = 0.1
-"""[1] Weight of a log-likelihood, as errors are autocorrelated and model errors common to all offsets."""
-_SIGMA_FACTOR: Final = 1.5
-"""[1] Actual errors of offsets relative to the width of the likelihood's peak."""
-SIGMA_LEAST: Final = 0.002
-"""[s] Least standard deviation of an offset."""
+_ASSIGNED = 40  # Offsets for which sensors of unknown places are assigned one to one
+_BELIEF = 0.1  # [1] Weight of a log-likelihood, as errors are autocorrelated and model errors common to all offsets
+_SIGMA_FACTOR = 1.5  # [1] Actual errors of offsets relative to the width of the likelihood's peak
+SIGMA_LEAST: Final = 0.002  # [s] Least standard deviation of an offset
 
 
 @dataclass(frozen=True)
-class Scan:
-    """Gains of all offsets."""
+class ClockScan:
+    """Gains of all offsets, nats of all sensors, and what follows at the best one."""
 
-    offsets: Array
-    """(K,) [s]."""
-    gains: Array
-    """(K,) [nats] of all sensors."""
-    segments: Index
-    """(S,) segment of each sensor at the best offset; -1 for none, where there are more sensors."""
-    peaks: tuple[tuple[float, float], ...]
-    """Best offsets, `APART` from each other, and their gains, the best first."""
-    explained: float
-    """[1] Mean part of the image's motion explained at the best offset, of the common time."""
+    scan: OffsetScan
+    segments: Index  # (S,) segment of each sensor at the best offset; -1 for none, where there are more sensors
+    peaks: tuple[tuple[float, float], ...]  # Best offsets, s, `APART` from each other, and their gains, the best first
+    explained: float  # [1] Mean part of the image's motion explained at the best offset, of the common time
 
     @classmethod
-    def of(cls, seen: Turning, sensed: Turning, around: float, reach: float, known: bool = True) -> Self:
+    def of(
+        cls, seen: AngularVelocities, sensed: AngularVelocities, around: float, reach: float, known: bool = True
+    ) -> Self:
         """Scan the offsets from around - reach to around + reach.
 
         Args:
@@ -180,9 +162,9 @@ class Scan:
             own = [s] if known else slice(None)
             v, w = seen.w_world[::every, own], sensed.w_world[::every, [s]]
             tables.append(_gains(v, w, every * STEP)[:, lags].astype(np.float32))
-        total = np.sum([gain.max(axis=-1) for gain, _ in tables], axis=0, dtype=float)
+        scan = OffsetScan(offsets, np.sum([gain.max(axis=-1) for gain, _ in tables], axis=0, dtype=float))
         found = []
-        for k in _peaks(offsets, total, _CANDIDATES if known else _ASSIGNED):
+        for k in scan.peaks(_CANDIDATES if known else _ASSIGNED):
             table = np.array([gain[k] for gain, _ in tables], dtype=float)
             segments = np.zeros(S, dtype=np.intp) if known else _assigned(table)
             worn = np.flatnonzero(segments >= 0)
@@ -192,12 +174,7 @@ class Scan:
         parts = [tables[s][1][best, j] for s, j in enumerate(segments) if j >= 0]
         peaks = tuple((float(offsets[k]), gain) for gain, k, _ in found[:_CANDIDATES])
         segments = np.arange(S) if known else segments
-        return cls(offsets, total, segments, peaks, float(np.mean(parts)))
-
-    @property
-    def best(self) -> float:
-        """[s] Best offset on the grid."""
-        return self.peaks[0][0]
+        return cls(replace(scan, peak=best), segments, peaks, float(np.mean(parts)))
 
     @property
     def margin(self) -> float:
@@ -206,20 +183,13 @@ class Scan:
         return float(_BELIEF * (gains[0] - gains[1]) / np.sqrt(np.sum(self.segments >= 0)))
 
     def rivals(self, share: float) -> tuple[float, ...]:
-        """Return other offsets, s, the best first."""
+        """Return other offsets whose gains are larger than a share of the best one's, s, the best first."""
         return tuple(offset for offset, gain in self.peaks[1:] if gain > share * self.peaks[0][1])
 
-    def vertex(self) -> tuple[float, float]:
-        """Return the best offset by a parabola and its standard deviation, s."""
-        k = int(np.argmin(np.abs(self.offsets - self.best)))
-        if not 0 < k < len(self.gains) - 1:
-            return float(self.offsets[k]), STEP
-        before, most, after = self.gains[k - 1 : k + 2]
-        step = float(self.offsets[k + 1] - self.offsets[k])
-        curvature = min(float(before - 2 * most + after), -1e-6)
-        vertex = self.offsets[k] + step * np.clip((before - after) / (2 * curvature), -1, 1)
-        sigma = _SIGMA_FACTOR * abs(step) / np.sqrt(-curvature)
-        return float(vertex), float(np.hypot(sigma, SIGMA_LEAST))
+    @property
+    def sigma(self) -> float:
+        """[s] Standard deviation of the best offset."""
+        return float(np.hypot(_SIGMA_FACTOR * self.scan.sigma, SIGMA_LEAST))
 
 
 def _assigned(table: Array) -> Index:
@@ -230,7 +200,9 @@ def _assigned(table: Array) -> Index:
     return out
 
 
-def _offsets(seen: Turning, sensed: Turning, around: float, reach: float, every: int) -> tuple[Array, Index]:
+def _offsets(
+    seen: AngularVelocities, sensed: AngularVelocities, around: float, reach: float, every: int
+) -> tuple[Array, Index]:
     """Offsets within reach with enough overlap, and their places in the result of `_gains`."""
     Tv, Ts = len(seen.w_world[::every]), len(sensed.w_world[::every])
     lags = np.arange(-(Tv - 1), Ts)  # video frame i beside sensor sample i + lag
@@ -267,13 +239,3 @@ def _gains(seen: Array, sensed: Array, step: float) -> Array:
     of_all = np.clip(explained / (shown.sum(axis=0) + 1e-9), 0, 0.999)
     of_common = explained / np.maximum(sums(shown, known_s).real, 1e-3)
     return np.stack([-1.5 * known_v.sum(axis=0) * step / _MEMORY * np.log1p(-of_all), of_common])
-
-
-def _peaks(offsets: Array, gains: Array, most: int) -> list[int]:
-    """Places of the largest gains, `APART` from each other."""
-    left, out = gains.copy(), list[int]()
-    while len(out) < most and np.isfinite(left.max()):
-        k = int(np.argmax(left))
-        out.append(k)
-        left[np.abs(offsets - offsets[k]) < APART] = -np.inf
-    return out

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -49,12 +48,10 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.joint_space.observations import bone_axis, low_passed, sensor_data
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
-_NORMAL_MEDIAN: Final = 1.177
-"""Median norm of a normal error in two dimensions, in standard deviations of an axis."""
-_USUAL_HEIGHT_PX: Final = 500.0
-"""[px] Height of the person that `sigma_image_bias` is for."""
+_NORMAL_MEDIAN = 1.177  # Median norm of a normal error in two dimensions, in standard deviations of an axis
+_USUAL_HEIGHT_PX = 500.0  # [px] Height of the person that `sigma_image_bias` is for
 
 
 def calibrate(
@@ -210,11 +207,7 @@ def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> 
 
 
 def with_places(quantity: Quantity, skeleton: SkeletonModel) -> Quantity:
-    """Return a mounting with the detector's place errors in its standard deviation; others as they are.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Return a mounting with the detector's place errors in its standard deviation; others as they are."""
     if quantity.kind != "mounting" or quantity.verdict is Verdict.PRIOR:
         return quantity
     place = np.minimum(place_swing(skeleton, quantity.item), quantity.sigma_prior)

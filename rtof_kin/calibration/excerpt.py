@@ -18,24 +18,20 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.inertial.outlier_rejection import find_disagreements, merge_faults
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
-_MISALIGNED_FRACTION = 0.8
-"""Minimum fraction of the excerpt over which a sensor must disagree to count as misaligned."""
+_MISALIGNED_FRACTION = 0.8  # Minimum fraction of the excerpt over which a sensor must disagree to count as misaligned
 
 
 @dataclass(frozen=True)
 class Slice:
     """A recording, or the part of it between two times, made ready for calibration."""
 
-    recording: Recording
-    """With IMUs, an approximate calibration, and evenly spaced keypoints."""
-    guess: InitialGuess
-    """At the keypoints' times, from poses after SF2."""
-    bone_imus: BoneImuSequence
-    """Sensors at those times."""
+    recording: Recording  # With IMUs, an approximate calibration, and evenly spaced keypoints
+    guess: InitialGuess  # At the keypoints' times, from poses after SF2
+    bone_imus: BoneImuSequence  # Sensors at those times
 
 
 @dataclass(frozen=True)
@@ -43,13 +39,10 @@ class Excerpt:
     """Fragments of one recording, joined; times jump between them."""
 
     slices: tuple[Slice, ...]
-    data: tuple[Observations, ...]
-    """Of each slice; all have the same states and sensors."""
-    fragments: tuple[tuple[int, int], ...]
-    """Slice and first frame there of every fragment, in the order of time."""
+    data: tuple[Observations, ...]  # Of each slice; all have the same states and sensors
+    fragments: tuple[tuple[int, int], ...]  # Slice and first frame there of every fragment, in the order of time
 
-    left_out: tuple[StreamFault, ...] = ()
-    """Intervals of sensors that are not used, by segment."""
+    left_out: tuple[StreamFault, ...] = ()  # Intervals of sensors that are not used, by segment
 
     @classmethod
     def chosen(cls, slices: Sequence[Slice], frames: int, settings: JointSpaceSettings, most_seconds: float) -> Self:

@@ -21,18 +21,16 @@ import numpy as np
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes, Residuals
 from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
+from rtof_kin.core.numerics.banded import Factor
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Attached
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
-_FRAMES: Final = 13
-"""Frames that are added in one slice."""
+_FRAMES = 13  # Frames that are added in one slice
 _Result = TypeVar("_Result")
-Slices = Generator[None, None, _Result]
-"""Work that is done piece by piece; the result comes with the end."""
+Slices = Generator[None, None, _Result]  # Work that is done piece by piece; the result comes with the end
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -110,26 +108,20 @@ class UnknownsHessian:
 
 
 _DAMPING: Final = 1e-6
-_BLOCK: Final = 24
-"""Right-hand sides that are solved in one slice."""
+_BLOCK = 24  # Right-hand sides that are solved in one slice
 
 
 @dataclass(frozen=True)
 class ProfiledFragment:
     """A fragment's observations and states, and the problem to evaluate them with."""
 
-    problem: FragmentEnergy
-    """With the observations bound to it."""
+    problem: FragmentEnergy  # With the observations bound to it
     limits: Limits | None
     settings: JointSpaceSettings
-    observations: CalibrationObservations
-    """Corrected by the unknowns y."""
-    first: int
-    """Frame of the observations with which the fragment begins."""
-    x: Array
-    """(N, 3 + 4A) states."""
-    multipliers: Array | None = None
-    """(N, M) of the limits."""
+    observations: CalibrationObservations  # Corrected by the unknowns y
+    first: int  # Frame of the observations with which the fragment begins
+    x: Array  # (N, 3 + 4A) states
+    multipliers: Array | None = None  # (N, M) of the limits
 
     def linearise(self) -> Array:
         """Return the energy's gradient (N, D) by the states; the problem stores the Hessian."""
@@ -155,8 +147,8 @@ class ProfiledFragment:
     ) -> Slices[UnknownsHessian]:
         """Return the blocks of the Hessian by unknowns; arguments are those of `profile`."""
         problem, given, N = self.problem, self.observations, len(self.x)
-        shape, s, rate = problem.energy.shape, self.settings, given.rate_hz
-        at = CalibrationResiduals(problem.space, Attached.of(shape), given, self.first, self.x)
+        energy, s, rate = problem.energy, self.settings, given.rate_hz
+        at = CalibrationResiduals(problem.space, Attached.of(energy), given, self.first, self.x)
         changes = [u.changes(at, y[c]) for u, c in zip(unknowns, columns, strict=True)]
         out = UnknownsHessian(N, problem.space.size, columns, changes)
         by, values = out.by_unknowns, given.fragment(self.first, N)
@@ -172,11 +164,11 @@ class ProfiledFragment:
             image = by("points", pixels.value, at.image_by_point[1]) - by("image", pixels.value)
             yield from out.add_in_parts(pixels, image)
         if changed("turns"):
-            turns, by_turn = at.turns(weights["w_sensor"], shape.robust_orientation)
+            turns, by_turn = at.turns(weights["w_sensor"], energy["orientation"].robust)
             yield
             yield from out.add_in_parts(turns, by("turns", turns.value, by_turn))
-        if changed("feet") and shape.feet and weights["w_floor"].any():
-            feet = at.feet(weights["w_floor"], shape.floor_cutoff)
+        if changed("feet") and energy["floor"].feet and weights["w_floor"].any():
+            feet = at.feet(weights["w_floor"], energy["floor"].cutoff)
             out.add(feet, by("feet", feet.value))
             yield
         if changed("sensors", "accelerations"):
@@ -195,7 +187,7 @@ class ProfiledFragment:
         return out
 
 
-def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor | StoredFactor) -> Slices[tuple[Array, Array]]:
+def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor) -> Slices[tuple[Array, Array]]:
     """Hessian and gradient without the states."""
     G = len(own.gradient)
     right = np.column_stack([own.columns.reshape(-1, G), slope.ravel()])

@@ -29,8 +29,7 @@ from rtof_kin.inertial.likelihood import angular_velocity
 
 _LEVER = 0.2  # [m] usual distance of a sensor from a joint of its segment
 _NOISE = 0.3  # [m/s^2] of an acceleration
-_HEADINGS: Final = 24
-"""Differences of headings tried, evenly from 0."""
+_HEADINGS = 24  # Differences of headings tried, evenly from 0
 _W0, _A0 = 0.05, 0.1  # [rad/s], [m/s^2] added to sizes: rest
 
 
@@ -242,10 +241,8 @@ _LARGEST = 4.0  # [standard deviations] to which features are cut
 class MotionScore:
     """Scores of sensors on segments by their motion."""
 
-    segments: tuple[str, ...]
-    """K segments that the scores know."""
-    weights: Mapping[str, Array]
-    """Layers and scales of features by name."""
+    segments: tuple[str, ...]  # K segments that the scores know
+    weights: Mapping[str, Array]  # Layers and scales of features by name
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> MotionScore:

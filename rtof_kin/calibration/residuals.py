@@ -2,7 +2,7 @@
 
 `CalibrationObservations` are those of `Observations`, corrected by unknowns (`unknowns`).
 `CalibrationResiduals` are the residuals of one fragment that an unknown can change, with derivatives by
-the states and by what the unknown changes. They are those of `energy.frame_energy` and `energy.problem`.
+the states and by what the unknown changes. They are those of `solve.joint_space`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import minimum_filter1d
@@ -20,32 +20,24 @@ from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.solve.energy.problem import FragmentData
-from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.fragment import FragmentData
 from rtof_kin.solve.joint_space.observations import Attached, Observations, fragment_of
+from rtof_kin.solve.joint_space.state import StateSpace
 
-_CUTOFF_HZ: Final = 2.0
-"""[Hz] Low-pass of accelerations before differentiation."""
+_CUTOFF_HZ = 2.0  # [Hz] Low-pass of accelerations before differentiation
 
 
 @dataclass(frozen=True)
 class CalibrationObservations:
     """Observations of T frames and constants; see `Observations`."""
 
-    times: Array
-    """(T,) stamps of the video, s."""
-    rows: Mapping[str, Array]
-    """Name -> (T, ...), with the names of `FrameEnergy.observation`."""
-    constant: Mapping[str, Array]
-    """Name -> value, with the names of `FrameEnergy.constant`."""
-    a_world: Array
-    """(T, S, 3) acceleration of the sensors, m/s^2."""
-    w_acceleration: Array
-    """(T, S) 1 / sigma^2 of each."""
-    length_scale: float = 1.0
-    """[1] Factor on the body's size."""
-    weight_of_motion: float = 1.0
-    """[1] Factor on the weights of accelerations and jerk."""
+    times: Array  # (T,) stamps of the video, s
+    rows: Mapping[str, Array]  # Name -> (T, ...), with the names of `FrameEnergy.observation`
+    constant: Mapping[str, Array]  # Name -> value, with the names of `FrameEnergy.constant`
+    a_world: Array  # (T, S, 3) acceleration of the sensors, m/s^2
+    w_acceleration: Array  # (T, S) 1 / sigma^2 of each
+    length_scale: float = 1.0  # [1] Factor on the body's size
+    weight_of_motion: float = 1.0  # [1] Factor on the weights of accelerations and jerk
 
     @classmethod
     def of(cls, data: Observations, times: Array) -> Self:
@@ -90,34 +82,23 @@ class CalibrationObservations:
 class Changes:
     """Derivatives by unknowns (..., k) of what they change in a fragment; None for nothing."""
 
-    points: Array | None = None
-    """(N, L, 3, k) landmarks in world, m."""
-    image: Array | None = None
-    """(N, L, 2, k) observed landmarks, px."""
-    turns: Array | None = None
-    """(N, S, 3, k) measured orientations: rotation vectors in the segment's axes, rad."""
-    accelerations: Array | None = None
-    """(N - 2, S, 3, k) measured accelerations, m/s^2."""
-    sensors: Array | None = None
-    """(N, S, 3, k) positions of the sensors in world, m."""
-    feet: Array | None = None
-    """(N, F, 1, k) height of the ankles, m."""
-    jerk: Array | None = None
-    """(N - 3, 1, 3, k) jerk of the root, m/s^3, relative to the length scale."""
-    posture: Array | None = None
-    """(N, 1, 3 (A - 1), k) rotation vectors of the joints from the prior's means, rad."""
+    points: Array | None = None  # (N, L, 3, k) landmarks in world, m
+    image: Array | None = None  # (N, L, 2, k) observed landmarks, px
+    turns: Array | None = None  # (N, S, 3, k) measured orientations: rotation vectors in the segment's axes, rad
+    accelerations: Array | None = None  # (N - 2, S, 3, k) measured accelerations, m/s^2
+    sensors: Array | None = None  # (N, S, 3, k) positions of the sensors in world, m
+    feet: Array | None = None  # (N, F, 1, k) height of the ankles, m
+    jerk: Array | None = None  # (N - 3, 1, 3, k) jerk of the root, m/s^3, relative to the length scale
+    posture: Array | None = None  # (N, 1, 3 (A - 1), k) rotation vectors of the joints from the prior's means, rad
 
 
 @dataclass(frozen=True)
 class Residuals:
     """A kind of residual in a fragment with its derivatives."""
 
-    value: Array
-    """(N, R, i)"""
-    by_state: Array
-    """(N, R, i, D) in tangent coordinates of the frame itself."""
-    weight: Array
-    """(N, R) of the residual's square, with its robust loss."""
+    value: Array  # (N, R, i)
+    by_state: Array  # (N, R, i, D) in tangent coordinates of the frame itself
+    weight: Array  # (N, R) of the residual's square, with its robust loss
 
 
 class CalibrationResiduals:

@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_unknowns import refocused, turned
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -30,8 +31,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.image_points import image_points
 
 _OBSERVED: Final = 0.9
-_WEAKLY: Final = 0.5
-"""Least relative reductions of the prior's variance of observed and weakly observed quantities."""
+_WEAKLY = 0.5  # Least relative reductions of the prior's variance of observed and weakly observed quantities
 _DEGREES: Final = (float(np.degrees(1.0)), "deg")
 _UNITS: Final = {
     "delay": (1e3, "ms"),
@@ -126,10 +126,8 @@ class Detector:
     """Remaining reprojection errors of a landmark."""
 
     landmark: str
-    sigma_px: float
-    """Standard deviation per axis."""
-    memory: float
-    """[s] Correlation time."""
+    sigma_px: float  # Standard deviation per axis
+    memory: float  # [s] Correlation time
 
 
 @dataclass(frozen=True)
@@ -206,9 +204,6 @@ class SelfCalibration:
     def place_variances(self, skeleton: SkeletonModel) -> dict[str, float]:
         """Return the variance, rad^2, that the detector's place errors add to each estimated mounting, by
         segment: no more than the mounting was uncertain before.
-
-        Args:
-            skeleton: the subject's.
         """
         return {
             q.item: min(place_swing(skeleton, q.item), float(q.sigma_prior.max())) ** 2
@@ -286,13 +281,9 @@ class SelfCalibration:
 
     def _camera(self, camera: Camera) -> Camera:
         for longer in self.of_kind("focal length").values():
-            K = camera.K.copy()
-            K[:2, :2] *= 1 + longer[0]
-            camera = replace(camera, K=K)
+            camera = refocused(camera, longer[0])
         for tilt in self.of_kind("camera tilt").values():
-            turn = so3.exp(tilt)
-            R, t = turn @ camera.R_camera_world, turn @ camera.t_camera_world
-            camera = replace(camera, R_camera_world=R, t_camera_world=t)
+            camera = turned(camera, tilt)
         return camera
 
     def _calibration(self, given: ImuCalibration) -> ImuCalibration:
@@ -341,9 +332,6 @@ def _with_posture(recording: Recording, turns: dict[str, Array]) -> Recording:
 def place_swing(skeleton: SkeletonModel, joint: str) -> float:
     """Return the standard deviation, rad, by which a segment is turned if both its ends are seen beside the
     joints: sqrt(2) `PLACE_ERROR` over its length.
-
-    Args:
-        skeleton: the subject's.
     """
     j = skeleton.names.index(joint)
     ends = [skeleton.joint_offsets[i] for i, parent in enumerate(skeleton.parents) if parent == j]

@@ -22,8 +22,7 @@ from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.imu_stream import SensorLog, SensorStream
 from rtof_kin.inertial.orientation import with_orientation
 
-RATE_HZ: Final = 50.0
-"""Of `SensorMotions`."""
+RATE_HZ: Final = 50.0  # Of `SensorMotions`
 _CUTOFF_HZ = 6.0  # of all signals
 _LONGEST_GAP = 0.1  # [s] that is interpolated
 _LEAST_SECONDS = 1.0  # of common time
@@ -34,18 +33,12 @@ _TILTED_DEG = 10.0  # [deg] of the mean specific force from up, from which an or
 class SensorMotions:
     """Motion of S sensors at T times, each in its own inertial reference with z up."""
 
-    names: tuple[str, ...]
-    """S sensors."""
-    times: Array
-    """(T,) s, on the log's clock; steps of 1 / `RATE_HZ` but where recordings were joined."""
-    R: Array
-    """(T, S, 3, 3) R_inertial_sensor."""
-    w: Array
-    """(T, S, 3) angular velocity, rad/s."""
-    a: Array
-    """(T, S, 3) acceleration, m/s^2; NaN where the sensor has none."""
-    D: Array
-    """(T, S, 3, 3) second derivative of R, 1/s^2: a point r of the sensor's body accelerates by a + D r."""
+    names: tuple[str, ...]  # S sensors
+    times: Array  # (T,) s, on the log's clock; steps of 1 / `RATE_HZ` but where recordings were joined
+    R: Array  # (T, S, 3, 3) R_inertial_sensor
+    w: Array  # (T, S, 3) angular velocity, rad/s
+    a: Array  # (T, S, 3) acceleration, m/s^2; NaN where the sensor has none
+    D: Array  # (T, S, 3, 3) second derivative of R, 1/s^2: a point r of the sensor's body accelerates by a + D r
 
     @property
     def accelerated(self) -> bool:

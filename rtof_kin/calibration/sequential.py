@@ -30,6 +30,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from rtof_kin.calibration.estimate import quantities_of
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, Slices
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
@@ -37,22 +38,17 @@ from rtof_kin.calibration.unknowns import Delay, Heading, Mounting, Posture, Sam
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.core.numerics.banded import Factor, StoredFactor
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.core.numerics.banded import Factor
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 from rtof_kin.solve.joint_space.observations import bone_axis
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
-Sensors = tuple[Array, Array, Array, Array]
-"""What `sensor_unknowns.Sampled` returns."""
-_REACH: Final = 2.0
-"""Delays that are tried reach so many standard deviations of the prior to both sides."""
-_COARSEST: Final = 1 / 3
-"""[sigma] Largest step between them; one frame where that is smaller."""
-_FINE: Final = np.linspace(-_REACH, _REACH, 401)
-"""[sigma] Delays of the posterior, between which energies are interpolated."""
-_SHARPEST: Final = 0.02
-"""[sigma] Smallest deviation: samples are interpolated."""
+Sensors = tuple[Array, Array, Array, Array]  # What `sensor_unknowns.Sampled` returns
+_REACH = 2.0  # Delays that are tried reach so many standard deviations of the prior to both sides
+_COARSEST = 1 / 3  # [sigma] Largest step between them; one frame where that is smaller
+_FINE = np.linspace(-_REACH, _REACH, 401)  # [sigma] Delays of the posterior, between which energies are interpolated
+_SHARPEST = 0.02  # [sigma] Smallest deviation: samples are interpolated
 
 
 @dataclass(frozen=True)
@@ -60,14 +56,10 @@ class LateSensors:
     """Sensors at evenly spaced instants, of which every delay of a grid takes some."""
 
     at: Sensors
-    steps: Index
-    """(n,) delays of the grid from the present one, in steps."""
-    step: float
-    """[s]"""
-    count: int
-    """Instants from the first to the last frame."""
-    parts: int
-    """Steps from frame to frame."""
+    steps: Index  # (n,) delays of the grid from the present one, in steps
+    step: float  # [s]
+    count: int  # Instants from the first to the last frame
+    parts: int  # Steps from frame to frame
 
     def sensors(self, k: int) -> Sensors:
         """Return the sensors at the frames for a delay k steps longer than the present one."""
@@ -139,11 +131,8 @@ class DelayPosterior:
     def estimate(self, weight: float) -> None:
         """Set delay, deviation and doubt; a saved delay that the search leads away from is forgotten."""
         mean, sigma = self._prior
-        nats = weight * self._energies + _FINE**2 / 2
-        p = np.exp(nats.min() - nats)
-        p /= p.sum()
-        at = float(p @ _FINE)
-        self.sigma = max(float(np.sqrt(p @ (_FINE - at) ** 2)), _SHARPEST) * sigma
+        at, spread = OffsetScan(_FINE, -(weight * self._energies + _FINE**2 / 2)).moments()
+        self.sigma = max(spread, _SHARPEST) * sigma
         self.delay, self.doubt = mean + sigma * at, ""
         if abs(at) > _REACH - _COARSEST:
             if sigma < self._usual:
@@ -163,15 +152,12 @@ DELAY_ALONE: Final = CalibrationPriors(sigma_swing=None, sigma_image_bias=None, 
 """Priors that leave nothing open but the delay. Where sensors are calibrated well, headings, mountings and
 posture take over errors of the detector; open them where they are known to be wrong."""
 _DAMPING: Final = 1e-3
-_STEPS: Final = 2
-"""Gauss-Newton steps of a window's states at the current estimate."""
+_STEPS = 2  # Gauss-Newton steps of a window's states at the current estimate
 _STILL: Final = np.radians(3.0)
 """[rad] Turning in a window, in the mean of the sensors, below which it is not used: its errors are those of
 the window before."""
-_KEPT: Final = 0.25
-"""Least deviation of a saved value, in those of the prior: sensors move a little between recordings."""
-_KEPT_DELAY: Final = 0.5
-"""The same of a delay: clocks are started again."""
+_KEPT = 0.25  # Least deviation of a saved value, in those of the prior: sensors move a little between recordings
+_KEPT_DELAY = 0.5  # The same of a delay: clocks are started again
 
 
 @dataclass(frozen=True)
@@ -181,25 +167,20 @@ class WindowObservations:
     given: CalibrationObservations
     """Of the N frames, evenly spaced: landmarks with the weights that the estimator gave them, sensors at the
     frames' stamps with those of `Observations`."""
-    x: Array
-    """(N, 3 + 4A) estimated states."""
+    x: Array  # (N, 3 + 4A) estimated states
     sampled: Sampled
     """The sensors at any times near the window. Accelerations are smoothed over one sample, or delays
     of half a sample seem likelier than others."""
-    multipliers: Array | None = None
-    """(N, M) of the limits."""
+    multipliers: Array | None = None  # (N, M) of the limits
 
 
 @dataclass(frozen=True)
 class Pace:
     """How fast a sequential calibration follows, and is applied."""
 
-    memory_s: float = 60.0
-    """[s] of windows after which one counts 1/e."""
-    delay: float = 0.005
-    """[s/s] Largest speed of the applied delay."""
-    turn: float = np.radians(1.0)
-    """[rad/s] The same of headings, mountings and posture."""
+    memory_s: float = 60.0  # [s] of windows after which one counts 1/e
+    delay: float = 0.005  # [s/s] Largest speed of the applied delay
+    turn: float = np.radians(1.0)  # [rad/s] The same of headings, mountings and posture
     significant: float = 2.0
     """[1] Least deviation of a heading, mounting or joint of the posture from where it began, in standard
     deviations, that is corrected: a smaller one may be the detector's."""
@@ -209,14 +190,11 @@ class Pace:
 class Corrections:
     """What is applied to new samples."""
 
-    delay: float
-    """[s] to subtract from the stamps of the video."""
+    delay: float  # [s] to subtract from the stamps of the video
     heading: Mapping[str, float]
     """Segment -> rotation about world's z to apply to its measured orientation and acceleration, rad."""
-    R_mounting: Mapping[str, Array]
-    """Segment -> (3, 3) to multiply its measured orientation by, from the right."""
-    posture: Mapping[str, Array]
-    """Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad."""
+    R_mounting: Mapping[str, Array]  # Segment -> (3, 3) to multiply its measured orientation by, from the right
+    posture: Mapping[str, Array]  # Joint -> rotation vector (3,) of the pose prior's mean, see `PosePrior.moved`, rad
 
 
 class SequentialCalibration:
@@ -352,7 +330,7 @@ class SequentialCalibration:
             w_torso=p.weight_poses * rows["w_torso"],
         )
 
-    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor | StoredFactor]]:
+    def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
         """The window after some steps of its states, and the last factor."""
         problem = self._problem
         energy = problem.total(fragment.x)
@@ -369,9 +347,7 @@ class SequentialCalibration:
             yield
         return fragment, factor
 
-    def _searched(
-        self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor | StoredFactor
-    ) -> Slices[Array]:
+    def _searched(self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor) -> Slices[Array]:
         """Energies of a window at other delays, each after a step of the states."""
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
@@ -464,7 +440,7 @@ def _is_known(quantity: Quantity) -> bool:
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
-    sensors = tuple(skeleton.names[j] for j in problem.energy.shape.sensors)
+    sensors = tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors)
     if priors.sigma_heading is not None and sensors:
         found.append(Heading(sensors, priors.sigma_heading, None))
     if priors.sigma_swing is not None and sensors:

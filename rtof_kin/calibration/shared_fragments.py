@@ -32,17 +32,13 @@ from rtof_kin.calibration.unknowns import Unknown
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu_stream import StreamFault
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
 from rtof_kin.solve.joint_space.annealing import Annealing
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
 
-_INNER: Final = 8
-"""Iterations of a fragment's states after the first round."""
-_LIVELY: Final = 6
-"""Fragments used by the search for a delay."""
-_AS_GOOD: Final = 0.01
-"""Relative energy within which another value of a search is as good as the best one."""
-_ENOUGH: Final = 1e-3
-"""Relative decrease of the energy below which steps end; the states are solved more accurately."""
+_INNER = 8  # Iterations of a fragment's states after the first round
+_LIVELY = 6  # Fragments used by the search for a delay
+_AS_GOOD = 0.01  # Relative energy within which another value of a search is as good as the best one
+_ENOUGH = 1e-3  # Relative decrease of the energy below which steps end; the states are solved more accurately
 
 
 @dataclass(frozen=True)
@@ -50,31 +46,22 @@ class Weights:
     """Weights of residuals relative to a reconstruction."""
 
     vision: float = 1.0
-    sensors: float = 1.0
-    """Orientations."""
-    motion: float = 1.0
-    """Accelerations and jerk."""
-    prior: float = 1.0
-    """The pose prior, and the torso of the initial guess."""
+    sensors: float = 1.0  # Orientations
+    motion: float = 1.0  # Accelerations and jerk
+    prior: float = 1.0  # The pose prior, and the torso of the initial guess
 
 
 @dataclass(frozen=True)
 class Shared:
     """Estimate of the unknowns."""
 
-    y: Array
-    """(G,) the estimate."""
-    hessian: Array
-    """(G, G) of the energy as a function of the unknowns alone, with their prior."""
-    sigma_px: float
-    """Standard deviation used for the landmarks, px."""
-    residuals: Array
-    """(T', L, 2) of reprojection after correction, px, of the excerpt's frames."""
-    energies: tuple[float, ...]
-    """Before the first and after every accepted step."""
+    y: Array  # (G,) the estimate
+    hessian: Array  # (G, G) of the energy as a function of the unknowns alone, with their prior
+    sigma_px: float  # Standard deviation used for the landmarks, px
+    residuals: Array  # (T', L, 2) of reprojection after correction, px, of the excerpt's frames
+    energies: tuple[float, ...]  # Before the first and after every accepted step
     converged: bool
-    doubts: dict[int, str]
-    """Column of a searched unknown -> reason why the search may have failed."""
+    doubts: dict[int, str]  # Column of a searched unknown -> reason why the search may have failed
 
 
 class SharedFragments:
@@ -305,10 +292,8 @@ def _precision(unknowns: Sequence[Unknown]) -> Array:
 
 _LEARNING_ROUNDS: Final = 30
 _STEADY: Final = 1e-3
-_LEAST_SHARE: Final = 0.05
-"""Smallest share of a prior's variance."""
-_TINY: Final = 1e-9
-"""Added to sums of squares, so that unobserved estimates have a ratio of 1."""
+_LEAST_SHARE = 0.05  # Smallest share of a prior's variance
+_TINY = 1e-9  # Added to sums of squares, so that unobserved estimates have a ratio of 1
 
 
 def learned_precision(

@@ -24,7 +24,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -75,8 +75,7 @@ class Isotropic(Unknown):
     """An unknown whose numbers are independent and have one standard deviation."""
 
     sigma: float
-    width = 1
-    """w."""
+    width = 1  # w
 
     @property
     def covariance(self) -> Array:
@@ -101,14 +100,11 @@ class Bones(Unknown):
     would favour a small body.
     """
 
-    parents: tuple[int, ...]
-    """(J,) of the skeleton."""
+    parents: tuple[int, ...]  # (J,) of the skeleton
     groups: tuple[tuple[str, tuple[int, ...]], ...]
     """Name, and joints at the ends of the bones of each; every joint but the root is in one."""
-    sigma_size: float
-    """[1] of all bones together."""
-    sigma_proportion: float
-    """[1] of each group relative to that."""
+    sigma_size: float  # [1] of all bones together
+    sigma_proportion: float  # [1] of each group relative to that
     attached: Attached
     name = "bones"
 
@@ -204,12 +200,9 @@ Sampled = Callable[[Array], tuple[Array, Array, Array, Array]]
 class Delay(Unknown):
     """Delay of the video, and its rate where the clocks differ."""
 
-    sigma: float
-    """[s]"""
-    sigma_drift: float | None
-    """[s/s]; None for equal clocks."""
-    sampled: Sampled
-    """The sensors at any times."""
+    sigma: float  # [s]
+    sigma_drift: float | None  # [s/s]; None for equal clocks
+    sampled: Sampled  # The sensors at any times
     name = "delay"
     searched = True
     items = ("video",)
@@ -244,10 +237,8 @@ class Heading(Unknown):
     """Rotation of each sensor's reference about the vertical, and its rate."""
 
     items: tuple[str, ...]
-    sigma: float
-    """[rad]"""
-    sigma_drift: float | None
-    """[rad/s]; None for constant headings."""
+    sigma: float  # [rad]
+    sigma_drift: float | None  # [rad/s]; None for constant headings
     name = "heading"
 
     @property
@@ -282,12 +273,9 @@ class Mounting(Unknown):
     """Rotation of each sensor's segment from its measured orientation."""
 
     items: tuple[str, ...]
-    axes: Array
-    """(S, 3) directions of the bones in their segments; 0 for none."""
-    sigma_swing: float
-    """[rad] about axes across the bone."""
-    sigma_twist: float
-    """[rad] about the bone."""
+    axes: Array  # (S, 3) directions of the bones in their segments; 0 for none
+    sigma_swing: float  # [rad] about axes across the bone
+    sigma_twist: float  # [rad] about the bone
     name = "mounting"
 
     @property
@@ -315,8 +303,7 @@ class LeverArm(Isotropic):
     """Error of each sensor's position in its segment."""
 
     items: tuple[str, ...]
-    sigma: float
-    """[m] per axis."""
+    sigma: float  # [m] per axis
     name = "lever arm"
     width = 3
 
@@ -329,10 +316,8 @@ class LeverArm(Isotropic):
         return Changes(sensors=each(at.R[:, list(at.joints.sensors)]))
 
 
-_LEAST_SHARE: Final = 0.25
-"""Constant part of the errors, per sigma of a bias's prior, below which there is no bias."""
-_CLOSED_PX: Final = 1e-3
-"""[px] Prior of a bias where there is none."""
+_LEAST_SHARE = 0.25  # Constant part of the errors, per sigma of a bias's prior, below which there is no bias
+_CLOSED_PX = 1e-3  # [px] Prior of a bias where there is none
 
 
 @dataclass(frozen=True)
@@ -340,8 +325,7 @@ class ImageBias(Unknown):
     """Constant error of a detector's landmarks in the image."""
 
     items: tuple[str, ...]
-    sigma_px: Array
-    """(L,) px per axis."""
+    sigma_px: Array  # (L,) px per axis
     name = "image bias"
     shrinks = True
 
@@ -370,10 +354,8 @@ class Places(Isotropic):
     """Error of the position of each landmark in its segment, linearised at the initial guess."""
 
     items: tuple[str, ...]
-    sigma: float
-    """[m] per axis."""
-    slopes: Array
-    """(T, L, 2, 3) px per m along the segments' axes (`ImagePoints.slopes`)."""
+    sigma: float  # [m] per axis
+    slopes: Array  # (T, L, 2, 3) px per m along the segments' axes (`ImagePoints.slopes`)
     name = "place"
     width = 3
 
@@ -391,8 +373,7 @@ class Places(Isotropic):
 class Focal(Isotropic):
     """Relative error of the focal length."""
 
-    sigma: float
-    """[1]"""
+    sigma: float  # [1]
     name = "focal length"
     items = ("camera",)
 
@@ -412,8 +393,7 @@ class Focal(Isotropic):
 class Tilt(Isotropic):
     """Error of the camera's orientation, about its centre."""
 
-    sigma: float
-    """[rad] about each axis."""
+    sigma: float  # [rad] about each axis
     name = "camera tilt"
     items = ("camera",)
     width = 3
@@ -434,8 +414,7 @@ class Tilt(Isotropic):
 class Ankles(Isotropic):
     """Error of the ankles' height over the floor; people and shoes differ, and heels leave the floor."""
 
-    sigma: float
-    """[m]"""
+    sigma: float  # [m]
     name = "ankle height"
     nuisance = True
     items = ("feet",)
@@ -454,10 +433,8 @@ class Posture(Isotropic):
     """Rotation of the prior's mean of each joint in its parent's axes."""
 
     items: tuple[str, ...]
-    places: tuple[int, ...]
-    """Of these joints among those of the pose prior in the problem."""
-    sigma: float
-    """[rad] per axis."""
+    places: tuple[int, ...]  # Of these joints among those of the pose prior in the problem
+    sigma: float  # [rad] per axis
     name = "posture"
     width = 3
 

@@ -52,12 +52,12 @@ def _plan(options: argparse.Namespace) -> None:
     use_threads(options)
     from lifting.predict import Lifter
     from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.core.files.folder import check_replaceable, new_folder
-    from rtof_kin.plan.files import MARKER, write_plan
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.plan.document import MARKER, document, write_plan
     from rtof_kin.plan.movements import MOVEMENTS
     from rtof_kin.plan.plan import plan
-    from rtof_kin.plan.sentences import advice, cautions, headline
-    from rtof_kin.plan.sources import planned
+    from rtof_kin.plan.setup import planned
+    from rtof_kin.reporting.document import show
 
     if options.movements:
         table = Table("movement", "what it is")
@@ -83,29 +83,7 @@ def _plan(options: argparse.Namespace) -> None:
             workers=options.workers,
             progress=update,
         )
-    out.print(headline(found), style="bold", soft_wrap=True)
-    for line in cautions(found):
-        out.print(f"caution: {line}", style="yellow", soft_wrap=True)
-    _print_angles(found)
-    for line in advice(found):
-        out.print(line, soft_wrap=True)
+    show(document(found), out)
     if folder is not None:
-        with new_folder(folder, MARKER, options.overwrite) as new:
-            write_plan(found, new)
+        write_plan(found, folder, options.overwrite)
         print_files(folder)
-
-
-def _print_angles(found: Any) -> None:
-    import numpy as np
-
-    from rtof_kin.data.confidence import BAND_95
-
-    weak = {weakness.angle for weakness in found.weaknesses}
-    own = found.prediction.select(found.shown)
-    table = Table("angle [deg]", "sd", "\u00b1 95 %", "simulated error", "")
-    for name, sigma, error in zip(own.names, np.degrees(own.sigma), np.degrees(own.error), strict=True):
-        known = np.isfinite(sigma)
-        cells = [f"{v:.1f}" if known else "" for v in (sigma, BAND_95 * sigma, error)]
-        remark = "not observed" if not known else "not identifiable" if name in weak else ""
-        table.add_row(name.replace("_", " "), *cells, remark)
-    out.print(table)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, 
 from rtof_kin.core.choices import SPACES
 
 if TYPE_CHECKING:
-    from rtof_kin.protocols.tables import Table
+    from rtof_kin.reporting.document import Document
 
 _WIDEST_FIGURE = 10
 """Columns of longer cells hold text."""
@@ -27,29 +27,22 @@ def add_commands(commands: Any) -> None:
 
 
 def _total_capture(options: argparse.Namespace) -> None:
-    from rtof_kin.body.skeleton import SkeletonModel
-    from rtof_kin.core.packages import can_draw
-    from rtof_kin.protocols.measures import rows_of
-    from rtof_kin.protocols.tables import write_tables
-    from rtof_kin.protocols.total_capture import SENSOR_SETS, TEST_TAKES, TotalCaptureProtocol, run
-    from rtof_kin.protocols.total_capture_tables import all_tables
-
-    folder = Path(options.output)
-    sensors = SENSOR_SETS.get(options.sensors)
     # With both, each has folders of its own, and the JSON file gets its name.
     spaces = {space: space for space in SPACES} if options.space == "both" else {options.space: ""}
-    json_files = {name: _json_file(options, name) for name in spaces.values()}
-    outcomes: list[Any] = []
     for space, name in spaces.items():
-        protocol = TotalCaptureProtocol(
-            options.root,
-            subjects=_names(options.subjects, str.upper),
-            takes=_names(options.takes or ",".join(TEST_TAKES), str.lower),
+        file = options.json and options.json.with_stem("_".join(filter(None, (options.json.stem, name))))
+        measure(
+            "total-capture",
+            options,
+            Path(options.output) / name,
+            file,
+            subjects=_names(options.subjects),
+            **({"takes": _names(options.takes)} if options.takes else {}),
             cameras=tuple(_integers("--cameras", options.cameras)),
             keypoints=None if options.keypoints == "ground-truth" else Path(options.keypoints),
             layout=options.layout,
             noise_px=options.noise_px,
-            sensors=_names(options.sensors) if sensors is None else sensors,
+            sensors=_names(options.sensors),
             space=space,
             modes=_names(options.modes),
             lifter=options.model,
@@ -59,37 +52,15 @@ def _total_capture(options: argparse.Namespace) -> None:
             seed=options.seed,
             save=options.save and options.save / name,
         )
-        with job_progress() as update:
-            outcome = run(
-                protocol, folder / name, overwrite=options.overwrite, workers=options.workers, progress=update
-            )
-        tables = all_tables(protocol, outcome)
-        facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
-        written = write_tables(folder / name, tables, facts, json_files[name], options.overwrite)
-        table = SkeletonModel.default().table
-        if can_draw():
-            from rtof_kin.protocols.pictures import write_pictures
-
-            written += write_pictures(outcome, folder / name / "figures", table, 60.0)
-        print_tables(tables)
-        out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
-        outcomes.append(outcome)
-    for outcome in outcomes:
-        _refuse_if_nothing(outcome.done, outcome.failed)
 
 
 def _human36m(options: argparse.Namespace) -> None:
-    from rtof_kin.body.skeleton import SkeletonModel
-    from rtof_kin.core.packages import can_draw
-    from rtof_kin.datasets.human36m import RATE_HZ
-    from rtof_kin.protocols import human36m
-    from rtof_kin.protocols.measures import rows_of
-    from rtof_kin.protocols.tables import write_tables
-
-    folder, json_file = Path(options.output), _json_file(options)
-    protocol = human36m.Human36MProtocol(
-        options.root,
-        options.model,
+    measure(
+        "human36m",
+        options,
+        Path(options.output),
+        options.json,
+        lifter=options.model,
         cameras_file=options.cameras_file,
         keypoints=options.keypoints,
         subjects=_names(options.subjects, str.upper),
@@ -98,44 +69,47 @@ def _human36m(options: argparse.Namespace) -> None:
         modes=_names(options.modes),
         save=options.save,
     )
-    with job_progress() as update:
-        outcome = human36m.run(protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update)
-    tables = human36m.all_tables(protocol, outcome)
-    facts = {"settings": protocol.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
-    written = write_tables(folder, tables, facts, json_file, options.overwrite)
-    table = SkeletonModel.human36m().table
-    if can_draw():
-        from rtof_kin.protocols.pictures import write_pictures
-
-        written += write_pictures(outcome, folder / "figures", table, RATE_HZ)
-    print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
-    _refuse_if_nothing(outcome.done, outcome.failed)
 
 
-def _json_file(options: argparse.Namespace, name: str = "") -> Path | None:
-    """JSON file for all figures; one that may not be written is refused before the work."""
-    from rtof_kin.protocols.tables import check_json_file
+def measure(
+    name: str, options: argparse.Namespace, folder: Path, json_file: Path | None = None, **settings: Any
+) -> dict[str, str]:
+    """Measure on a data set, print the tables, and return the failures.
 
-    file: Path | None = options.json
-    if file is not None:
-        file = file.with_name(f"{file.stem}_{name}{file.suffix}") if name else file
-        check_json_file(Path(options.output) / name, file, options.overwrite)
-    return file
-
-
-def _refuse_if_nothing(done: dict[str, Any], failed: dict[str, str]) -> None:
-    """Raise where every job with a camera failed."""
+    Raises:
+        RtofError: nothing could be measured.
+    """
     from rtof_kin.core.errors import RtofError
+    from rtof_kin.protocols import run
 
-    if failed and not any(facts["camera"] is not None for facts in done.values()):
-        raise RtofError(f"nothing could be measured; first of all: {next(iter(failed.values()))}")
+    with job_progress() as update:
+        found = run(
+            name,
+            options.root,
+            folder,
+            overwrite=options.overwrite,
+            workers=options.workers,
+            progress=update,
+            json_file=json_file,
+            **settings,
+        )
+    print_first(found.document)
+    print_tables(found.document.printed)
+    out.print("wrote " + ", ".join(map(str, found.written)), soft_wrap=True)
+    if found.problem:
+        raise RtofError(found.problem)
+    return found.outcome.failed
 
 
 # --- printing ------------------------------------------------------------------------------------
 
 
-def print_tables(tables: Sequence[Table]) -> None:
+def print_first(document: Document) -> None:
+    """Print the headline, in red where the result may be worthless."""
+    out.print(document.headline, style="bold red" if document.alarm else "bold", soft_wrap=True)
+
+
+def print_tables(tables: Iterable[Any]) -> None:
     """Print tables with their notes."""
     for table in tables:
         rows = table.text()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.table import Column, Table
 
-from rtof_kin.cli.protocols import print_tables
+from rtof_kin.cli.protocols import print_first, print_tables
 from rtof_kin.cli.solver_options import add_solver_options, settings_of, use_threads
 from rtof_kin.cli.terminal import (
     SCORE_COLUMNS,
@@ -267,16 +267,17 @@ def _evaluate(options: argparse.Namespace) -> None:
 
 def _evaluate_angles(options: argparse.Namespace, motion: Motion, recording: Recording | None) -> None:
     """Print the errors of clinical angles, and write them if asked."""
-    from rtof_kin.protocols.angle_evaluation import against_opensim, against_recording
+    from rtof_kin.protocols.angles import against_opensim, against_recording
+    from rtof_kin.protocols.tables import write_results
 
     if recording is None:
         found = against_opensim(motion, Path(options.truth), options.movement)
     else:
         found = against_recording(motion, recording, options.movement)
-    out.print(found.first, style="bold", soft_wrap=True)
-    print_tables(found.tables)
+    print_first(found)
+    print_tables(found.printed)
     if options.output:
-        written = found.write(Path(options.output))
+        written = write_results(found, Path(options.output))
         out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rtof_kin.core.choices import GUARDS, SPACES, Space
 from rtof_kin.core.environment import USUAL, limit_threads
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 
 if TYPE_CHECKING:
     from rtof_kin.reconstruction.settings import ReconstructionSettings

@@ -7,9 +7,9 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.cli.protocols import print_tables
+from rtof_kin.cli.protocols import measure
 from rtof_kin.cli.start import image_size
-from rtof_kin.cli.terminal import add_model, add_output, command, job_progress, out
+from rtof_kin.cli.terminal import add_model, add_output, command, out
 from rtof_kin.core.choices import MODES
 
 _FAILED = 1
@@ -64,44 +64,27 @@ def add_commands(commands: Any) -> None:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from rtof_kin.core.errors import RtofError
-    from rtof_kin.protocols.validation import ValidationProtocol, run
-    from rtof_kin.protocols.validation_tables import write_validation
-
-    protocol = ValidationProtocol(
-        options.set,
-        options.root,
-        takes=tuple(name.strip() for name in options.takes.split(",") if name.strip()),
-        mode=options.mode,
-        lifter=options.model,
-        camera=options.camera,
-        keypoints=options.keypoints,
-        models=options.model_dir,
-        heights=None if options.heights is None else _heights(options.heights),
-        calibrate=options.calibrate,
-        align=not options.no_align,
-        seconds=options.seconds,
-        size_px=options.size,
-    )
+    settings = {
+        "takes": tuple(name.strip() for name in options.takes.split(",") if name.strip()),
+        "mode": options.mode,
+        "lifter": options.model,
+        "camera": options.camera,
+        "keypoints": options.keypoints,
+        "models": options.model_dir,
+        "heights": None if options.heights is None else _heights(options.heights),
+        "calibrate": options.calibrate,
+        "align": not options.no_align,
+        "seconds": options.seconds,
+        "size_px": options.size,
+    }
     if options.list:
-        for take in protocol.chosen():
+        from rtof_kin.protocols.validation import ValidationProtocol
+
+        for take in ValidationProtocol(options.root, options.set, **settings).chosen:
             out.print(f"{take.key}  {take.kind}", soft_wrap=True, highlight=False)
         return 0
-    folder = Path(options.output)
-    with job_progress() as update:
-        found = run(protocol, folder, overwrite=options.overwrite, workers=options.workers, progress=update)
-    first, tables, written = write_validation(folder, protocol, found)
-    out.print(
-        first,
-        style="bold red" if found.outcome.failed or "NOT ACC" in first or "IN DOUBT" in first else "bold",
-        soft_wrap=True,
-    )
-    if not found.outcome.done:
-        reason = next(iter(found.outcome.failed.values()), "")
-        raise RtofError(f"no take could be measured; first of all: {reason}")
-    print_tables(tables)
-    out.print("wrote " + ", ".join(map(str, written)), soft_wrap=True)
-    return _FAILED if found.outcome.failed else 0
+    failed = measure(options.set, options, Path(options.output), **settings)
+    return _FAILED if failed else 0
 
 
 def _heights(path: Path) -> dict[str, float]:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.comparison_change import Measured
@@ -284,23 +285,23 @@ def align(a: ClinicalAngles, b: ClinicalAngles, names: Sequence[str], reach: flo
         """R of all shifts from some of the angles."""
         size = np.sqrt(np.maximum(chosen @ energies_a, 0) * np.maximum(chosen @ energies_b, 0))
         r = np.divide(chosen @ products, size, out=np.zeros(len(lags)), where=size > 1e-9)
-        return np.where(allowed, r, -1.0)
+        return np.where(allowed, r, -np.inf)
 
     every = np.ones(len(names))
     r = agreement(every)
     if not r.max() > 0:
         raise InvalidInputError("align: the motions have no common angle that moves; name others (--angles)")
-    best = int(r.argmax())
-    rival = _rival(r, best)
+    scan = OffsetScan(shifts, r, apart=0.0)
     here = int(np.abs(shifts).argmin())
     zero = float(r[here]) if allowed[here] and abs(shifts[here]) <= 1 / GRID_HZ else float("nan")
     without = [agreement(every - one) for one in np.eye(len(names))]
+    (rival, rival_agreement), known = scan.rival, scan.rival[1] > 0
     return Alignment(
-        _refined(shifts, r, best),
-        _jackknife(shifts, without, best),
-        float(r[best]),
-        float("nan") if rival is None else float(shifts[rival]),
-        float("nan") if rival is None else float(r[rival]),
+        scan.best,
+        _jackknife(shifts, without, scan.peak),
+        scan.gain,
+        rival if known else float("nan"),
+        rival_agreement if known else float("nan"),
         zero,
     )
 
@@ -331,32 +332,11 @@ def _correlations(a: Array, b: Array) -> tuple[Array, Array, Array]:
     return total(a, reverse), total(a**2, known_b), total(known_a, reverse**2)
 
 
-def _rival(r: Array, best: int) -> int | None:
-    """Index of the best local maximum outside the main peak; None if there is none."""
-    low, high = best, best
-    while low > 0 and r[low - 1] <= r[low]:
-        low -= 1
-    while high < len(r) - 1 and r[high + 1] <= r[high]:
-        high += 1
-    rest = np.array(r)
-    rest[low : high + 1] = -1.0
-    inner = (rest[1:-1] > 0) & (rest[1:-1] >= rest[:-2]) & (rest[1:-1] >= rest[2:])
-    peaks = np.flatnonzero(inner) + 1
-    return int(peaks[rest[peaks].argmax()]) if len(peaks) else None
-
-
-def _refined(shifts: Array, r: Array, best: int) -> float:
-    """Shift, s, at the vertex of the parabola through the best value and its neighbours."""
-    if 0 < best < len(r) - 1 and min(r[best - 1], r[best + 1]) > -1:
-        return float(shifts[best] + signals.vertex(r[best - 1], r[best], r[best + 1]) / GRID_HZ)
-    return float(shifts[best])
-
-
 def _jackknife(shifts: Array, agreements: Sequence[Array], best: int) -> float:
     """Standard deviation, s, of the peak near the best one, over the angles left out one by one."""
     if len(agreements) < 3:
         return float("nan")
     near = slice(max(0, best - int(GRID_HZ / 4)), best + int(GRID_HZ / 4) + 1)
-    peaks = [_refined(shifts[near], r[near], int(r[near].argmax())) for r in agreements]
+    peaks = [OffsetScan(shifts[near], r[near]).best for r in agreements]
     n = len(peaks)
     return float(np.sqrt((n - 1) / n * np.sum((np.array(peaks) - np.mean(peaks)) ** 2)))

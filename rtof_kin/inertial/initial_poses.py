@@ -29,7 +29,7 @@ def poses_from_sensors(skeleton: SkeletonModel, bone_imus: BoneImuSequence) -> P
     A root without a sensor is upright, with the mean heading of the sensors near it.
 
     Args:
-        skeleton: the subject's. bone_imus: the sensors; gaps are interpolated on the geodesic.
+        bone_imus: the sensors; gaps are interpolated on the geodesic.
 
     Returns:
         Poses; orientations are observed where a sensor has data, and a joint has provenance IMU if the

@@ -56,16 +56,11 @@ _FREEDOM = 3.0  # degrees of freedom of Student's t
 class SegmentMotion:
     """Motion of one sensor on a segment."""
 
-    joint: str
-    """Segment, by its proximal joint."""
-    R_world_bone: Array
-    """(T, 3, 3)."""
-    w_world: Array
-    """(T, 3) angular velocity, rad/s."""
-    a_world: Array
-    """(T, 3) acceleration of the sensor, m/s^2."""
-    p_bone_sensor: Array
-    """(3,) m."""
+    joint: str  # Segment, by its proximal joint
+    R_world_bone: Array  # (T, 3, 3)
+    w_world: Array  # (T, 3) angular velocity, rad/s
+    a_world: Array  # (T, 3) acceleration of the sensor, m/s^2
+    p_bone_sensor: Array  # (3,) m
 
     def moved(self, joint: str, R_bone_new: Array, p_bone_sensor: Array) -> SegmentMotion:
         """Return the motion of the same sensor on another segment, or mounted otherwise.
@@ -112,7 +107,7 @@ def seen_bones(poses: PoseSequence, skeleton: SkeletonModel, times: Array) -> di
     """Return directions (T, C, 3) in world from each joint to its C children, from a camera's poses.
 
     Args:
-        skeleton: the subject's. times: (T,) s.
+        times: (T,) s.
 
     Returns:
         By joint, without those never seen.
@@ -167,7 +162,7 @@ class MotionLikelihood:
     """Log-likelihoods of motions on one skeleton, in nats.
 
     Args:
-        skeleton: the subject's. seen: `seen_bones` at the motions' times.
+        seen: `seen_bones` at the motions' times.
 
     Raises:
         CalibrationError: there is no pose prior of this skeleton.
@@ -364,12 +359,9 @@ _REFINEMENTS = np.radians([5.0, 1.5, 0.5])
 class Headings:
     """Headings of sensors and their uncertainty."""
 
-    angles: Array
-    """(S,) rad about z, to be added to those of the motions."""
-    sigmas: Array
-    """(S,) rad, standard deviation of each with the others fixed; up to 1.8 (uniform)."""
-    margin: float
-    """Log-likelihood ratio, nats, to the best heading more than 45 degrees away."""
+    angles: Array  # (S,) rad about z, to be added to those of the motions
+    sigmas: Array  # (S,) rad, standard deviation of each with the others fixed; up to 1.8 (uniform)
+    margin: float  # Log-likelihood ratio, nats, to the best heading more than 45 degrees away
 
 
 def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:

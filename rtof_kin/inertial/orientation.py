@@ -176,14 +176,10 @@ _CLEAR: Final = 0.6  # correlation of the angular velocities below which their m
 class GyroscopeMatch:
     """Where a gyroscope belongs on the clock of a video."""
 
-    held: str
-    """How the phone was held, a key of `HELD`."""
-    offset: float
-    """s, to be added to the gyroscope's times."""
-    correlation: float
-    """Of the angular velocities of both, at most 1."""
-    doubt: str = ""
-    """Why the match may be wrong; empty where it is clear."""
+    held: str  # How the phone was held, a key of `HELD`
+    offset: float  # s, to be added to the gyroscope's times
+    correlation: float  # Of the angular velocities of both, at most 1
+    doubt: str = ""  # Why the match may be wrong; empty where it is clear
 
 
 def held_of_gravity(stream: SensorStream) -> str:

@@ -127,9 +127,6 @@ def find_disagreements(
 
     Rotation about a bone without branches is ignored (soft tissue), as are frames without keypoints.
 
-    Args:
-        skeleton: the subject's.
-
     Returns:
         Faults by segment.
     """
@@ -155,11 +152,7 @@ def find_disagreements(
 
 
 def merge_faults(faults: Iterable[StreamFault]) -> tuple[StreamFault, ...]:
-    """Merge faults of one kind and sensor that overlap or nearly touch.
-
-    Args:
-        faults: in any order.
-    """
+    """Merge faults of one kind and sensor that overlap or nearly touch."""
     out: list[StreamFault] = []
     for fault in sorted(faults, key=lambda f: (f.what, f.kind.name, f.start)):
         last = out[-1] if out else None

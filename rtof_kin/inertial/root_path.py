@@ -50,10 +50,8 @@ class ContactSettings:
 class Contacts:
     """Standing feet, frame by frame."""
 
-    joints: tuple[str, ...]
-    """C names of the ankles."""
-    standing: Mask
-    """(T, C)."""
+    joints: tuple[str, ...]  # C names of the ankles
+    standing: Mask  # (T, C)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", checked_names("contact joints", self.joints))
@@ -65,10 +63,8 @@ class Contacts:
 class Footholds:
     """Positions at which joints stand, frame by frame."""
 
-    joints: tuple[str, ...]
-    """C names."""
-    p_world: Array
-    """(T, C, 3) m; NaN as a whole where a joint does not stand."""
+    joints: tuple[str, ...]  # C names
+    p_world: Array  # (T, C, 3) m; NaN as a whole where a joint does not stand
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joints", checked_names("foothold joints", self.joints))
@@ -93,7 +89,7 @@ def detect_contacts(
 
     Args:
         poses: (T, J) with finite orientations; its root may be anywhere.
-        bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's. skeleton: the subject's.
+        bone_imus: sensors at the poses' times; a foot is detected by its own or its shank's.
         from_poses: whether feet without such a sensor are included, detected by their speed in the poses.
 
     Returns:
@@ -194,10 +190,8 @@ class RootPathSettings:
 class RootPath:
     """Path of the root from above the origin."""
 
-    p_world: Array
-    """(T, 3) m."""
-    sigma: Array
-    """(T,) m, of each horizontal coordinate since the first frame; NaN without foot sensors."""
+    p_world: Array  # (T, 3) m
+    sigma: Array  # (T,) m, of each horizontal coordinate since the first frame; NaN without foot sensors
 
     def __post_init__(self) -> None:
         p = readonly("root path p_world", self.p_world, ("T", 3))
@@ -216,7 +210,7 @@ def root_path(
     """Estimate the root's path from contacts and accelerations.
 
     Args:
-        poses: (T, J) rigid, evenly spaced; its root may be anywhere. skeleton: the subject's.
+        poses: (T, J) rigid, evenly spaced; its root may be anywhere.
         ankle_height: z in world of a standing ankle, m.
 
     Returns:
@@ -245,7 +239,7 @@ def path_through_gaps(
 
     Args:
         poses: (T, J) rigid, evenly spaced. seen: (T,) frames with keypoints, where its root is valid.
-        skeleton: the subject's.
+
 
     Returns:
         The given root with a standard deviation of 0 where seen, else the estimate. None without foot

@@ -14,89 +14,44 @@ from typing import Final
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import UnknownNameError
 
-_SIDES: Final = {
-    "left": "Left",
-    "l": "Left",
-    "lt": "Left",
-    "lft": "Left",
-    "right": "Right",
-    "r": "Right",
-    "rt": "Right",
-    "rgt": "Right",
-}
-_MIDDLE: Final = {
-    "pelvis": "Hips",
-    "hip": "Hips",
-    "hips": "Hips",
-    "sacrum": "Hips",
-    "waist": "Hips",
-    "l5": "Spine",
-    "s1": "Hips",
-    "lumbar": "Spine",
-    "low back": "Spine",
-    "low spine": "Spine",
-    "l3": "Spine1",
-    "t12": "Spine2",
-    "chest": "Spine3",
-    "sternum": "Spine3",
-    "torso": "Spine3",
-    "thorax": "Spine3",
-    "trunk": "Spine3",
-    "up back": "Spine3",
-    "up spine": "Spine3",
-    "up trunk": "Spine3",
-    "t8": "Spine3",
-    "c7": "Spine3",
-    "neck": "Neck",
-    "head": "Head",
-}
+
+def _by_word(words: dict[str, str]) -> dict[str, str]:
+    """Word, or words, -> what they mean."""
+    return {word: meaning for meaning, given in words.items() for word in given.split(", ")}
+
+
+_SIDES: Final = _by_word({"Left": "left, l, lt, lft", "Right": "right, r, rt, rgt"})
+_MIDDLE: Final = _by_word(
+    {
+        "Hips": "pelvis, hip, hips, sacrum, waist, s1",
+        "Spine": "l5, lumbar, low back, low spine",
+        "Spine1": "l3",
+        "Spine2": "t12",
+        "Spine3": "chest, sternum, torso, thorax, trunk, up back, up spine, up trunk, t8, c7",
+        "Neck": "neck",
+        "Head": "head",
+    }
+)
 """Words -> joint of the skeleton total_capture."""
-_LIMBS: Final = {
-    "thigh": "UpLeg",
-    "femur": "UpLeg",
-    "up leg": "UpLeg",
-    "shank": "Leg",
-    "tibia": "Leg",
-    "low leg": "Leg",
-    "calf": "Leg",
-    "shin": "Leg",
-    "foot": "Foot",
-    "calcn": "Foot",
-    "calcaneus": "Foot",
-    "instep": "Foot",
-    "clavicle": "Shoulder",
-    "collar": "Shoulder",
-    "scapula": "Shoulder",
-    "shoulder": "Shoulder",
-    "up arm": "Arm",
-    "humerus": "Arm",
-    "biceps": "Arm",
-    "forearm": "ForeArm",
-    "fore arm": "ForeArm",
-    "low arm": "ForeArm",
-    "ulna": "ForeArm",
-    "radius": "ForeArm",
-    "wrist": "ForeArm",
-    "hand": "Hand",
-    "metacarpal": "Hand",
-}
+_LIMBS: Final = _by_word(
+    {
+        "UpLeg": "thigh, femur, up leg",
+        "Leg": "shank, tibia, low leg, calf, shin",
+        "Foot": "foot, calcn, calcaneus, instep",
+        "Shoulder": "clavicle, collar, scapula, shoulder",
+        "Arm": "up arm, humerus, biceps",
+        "ForeArm": "forearm, fore arm, low arm, ulna, radius, wrist",
+        "Hand": "hand, metacarpal",
+    }
+)
 """Words -> joint of the skeleton total_capture without its side."""
-_HUMAN36M: Final = {
-    "Hips": "Hip",
-    "Spine3": "Thorax",
-    "Neck": "Neck",
-    "Head": "Head",
-    "UpLeg": "Hip",
-    "Leg": "Knee",
-    "Foot": "Foot",
-    "Arm": "Shoulder",
-    "ForeArm": "Elbow",
-    "Hand": "Wrist",
-}
+_HUMAN36M: Final = _by_word(
+    {"Hip": "Hips, UpLeg", "Thorax": "Spine3", "Neck": "Neck", "Head": "Head", "Knee": "Leg", "Foot": "Foot"}
+    | {"Shoulder": "Arm", "Elbow": "ForeArm", "Wrist": "Hand"}
+)
 """Joint of total_capture -> of human36m; the others of the spine are not the same segments there."""
 _SAME: Final = {"upper": "up", "lower": "low"}
-_IDLE: Final = frozenset({"imu", "sensor", "segment"})
-"""Words that say nothing about the place."""
+_IDLE = frozenset({"imu", "sensor", "segment"})  # Words that say nothing about the place
 _SERIAL: Final = re.compile(r"(?=.*\d)[0-9A-Fa-f]{8}")
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+")
 
@@ -182,3 +137,10 @@ def _of_words(words: frozenset[str], skeleton: str) -> str | None:
     if skeleton != "human36m":
         return side + joint
     return side[:1] + _HUMAN36M[joint] if joint in _HUMAN36M else None
+
+
+def other_side(name: str) -> str:
+    """Return the segment on the other side of the body; one in the middle is its own."""
+    if name.startswith("Left"):
+        return "Right" + name.removeprefix("Left")
+    return "Left" + name.removeprefix("Right") if name.startswith("Right") else name

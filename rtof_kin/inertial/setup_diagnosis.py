@@ -26,6 +26,7 @@ from rtof_kin.data.imu import BoneImuSequence, ImuCalibration
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.likelihood import MotionLikelihood, SegmentMotion, even_times, seen_bones, segment_motions
 from rtof_kin.inertial.pose_calibration import pose_rotations, turned_to, usual_lever
+from rtof_kin.inertial.segment_names import other_side
 
 LEAST_RATIO: Final = 10.0  # [nats] log-likelihood ratio from which a fault is reported
 _LONE_FACTOR = 2.5  # multiple of it for sensors without one on a neighbouring segment
@@ -113,7 +114,7 @@ class Fault:
         )
 
     def _read(self, motions: Sequence[SegmentMotion]) -> tuple[SegmentMotion, ...]:
-        """Return the motions under the corrected calibration."""
+        """The motions under the corrected calibration."""
         changes = {change.declared: change for change in self.changes}
         out = []
         for motion in motions:
@@ -278,7 +279,7 @@ class _Setup:
 
     def _groups(self) -> Iterator[tuple[FaultKind, str, list[tuple[str, str]]]]:
         """Generate the pairs of segments whose sensors may be swapped together."""
-        pairs = [(a, _mirrored(a)) for a in self.levers if a.startswith(_SIDES[0])]
+        pairs = [(a, other_side(a)) for a in self.levers if a.startswith(_SIDES[0])]
         pairs = [(a, b) for a, b in pairs if b in self.levers]
         for a, b in pairs:
             yield FaultKind.SIDES, f"the sensors of {a} and {b}", [(a, b)]
@@ -291,14 +292,14 @@ class _Setup:
         if len(limbs) > 1:
             yield FaultKind.SIDES, "all left and right sensors", pairs
         for a, b in product(self.levers, repeat=2):
-            if self.index[a] < self.index[b] and b != _mirrored(a):
+            if self.index[a] < self.index[b] and b != other_side(a):
                 kind = FaultKind.NEIGHBOURS if self._near(a, b) else FaultKind.SWAPPED
                 yield kind, f"the sensors of {a} and {b}", [(a, b)]
 
     def _elsewhere(self) -> Iterator[Fault]:
         carriers = {joint for joint, _ in self.skeleton.sensors.values()}
         for a, b in product(self.levers, sorted(carriers - set(self.levers))):
-            if self._near(a, b) or b == _mirrored(a):
+            if self._near(a, b) or b == other_side(a):
                 what = f"the sensor declared on {a} sits on {b}"
                 remedy = f"Declare it on {b}, or move it to {a}, and calibrate again"
                 yield Fault(FaultKind.SEGMENT, what, remedy, (self._moved(a, b),))
@@ -329,8 +330,3 @@ class _Setup:
         """Return the nearest segment towards the root that has no side."""
         line = kinematics.line_to_root(self.skeleton.parents, self.index[joint])
         return next(n for n in (self.skeleton.names[j] for j in line) if not n.startswith(_SIDES))
-
-
-def _mirrored(joint: str) -> str:
-    left, right = _SIDES
-    return joint.replace(left, right) if joint.startswith(left) else joint.replace(right, left)

@@ -24,11 +24,11 @@ from rtof_kin.plan.prediction import SETTINGS
 from rtof_kin.plan.setup import Setup
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import state_covariances
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.settings import JointSpaceSettings
 
 NOT_IDENTIFIABLE: Final = np.radians(30.0)
 """[rad] Least standard deviation, by the measurements alone, of an angle that is not identifiable."""

@@ -10,24 +10,32 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.body.metrics import evaluate, motionless
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.core.jobs import JobResult, Outcome
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
+from rtof_kin.datasets.human36m import RATE_HZ, SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.protocols import published
-from rtof_kin.protocols.jobs import Job
-from rtof_kin.protocols.measures import curves, provenance, reconstructions, rows_of, save_motion
-from rtof_kin.protocols.tables import Cell, Table, pooled
+from rtof_kin.protocols.measures import (
+    CameraProtocol,
+    Job,
+    curves,
+    figures,
+    plain_settings,
+    reconstructions,
+    save_motion,
+)
+from rtof_kin.protocols.tables import STILL, Table, document_of, pooled, rows_of
+from rtof_kin.reporting.document import Cell, Document
 
 CAMERAS = (0, 1, 2, 3)
 _VISION: Final = ("lift", "rto")
-STILL = "no motion"
 
 
 @dataclass(frozen=True)
-class Human36MProtocol:
+class Human36MProtocol(CameraProtocol):
     """Settings of the measurements."""
 
     root: Path
@@ -61,15 +69,7 @@ class Human36MProtocol:
 
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
-        return provenance(self.lifter) | {
-            "dataset": str(self.root.resolve()),
-            "keypoints": self.keypoints,
-            "cameras_file": str(self.cameras_file.resolve()) if self.cameras_file else "found",
-            "subjects": list(self.subjects),
-            "actions": list(self.actions),
-            "cameras": list(self.cameras),
-            "modes": list(self.modes),
-        }
+        return {"dataset": str(self.root.resolve())} | plain_settings(self, "root", "save")
 
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key.
@@ -94,58 +94,38 @@ class Human36MProtocol:
             for camera in self.cameras
         }
 
+    def measure(self, job: Job) -> JobResult:
+        """Score the modes of one action seen by one camera, and the row of no motion."""
+        recording = _dataset(self.root, self.cameras_file, self.keypoints).recording(
+            job.subject, job.take, job.camera or 0
+        )
+        truth, skeleton = recording.truth, recording.skeleton
+        assert truth is not None
+        results = reconstructions(recording, self.modes, self.lifter)
+        scores = {STILL: evaluate(motionless(truth), truth, skeleton)}
+        for mode, result in results.items():
+            scores[mode] = result.stage_metrics[mode]
+            save_motion(result, mode, job.motion_file(mode))
+        methods = {
+            name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
+            for name, metrics in scores.items()
+        }
+        facts = {"subject": job.subject, "take": job.take, "camera": job.camera, "methods": methods}
+        notes = [recording.notes] if recording.notes else []
+        return JobResult(facts | {"failed_checks": [], "notes": notes}, curves(recording, results, "RKnee"))
+
+    def document(self, outcome: Outcome) -> Document:
+        """Return the tables, with figures of two actions."""
+        headline = f"Human3.6M: {len(outcome.done)} recordings measured"
+        headline += f", {len(outcome.failed)} FAILED." if outcome.failed else "."
+        facts = {"settings": self.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
+        drawn = figures(outcome, SkeletonModel.human36m().table, RATE_HZ)
+        return document_of("Human3.6M", headline, all_tables(self, outcome), facts, drawn)
+
 
 @lru_cache(maxsize=1)
 def _dataset(root: Path, cameras: Path | None, keypoints: str) -> Human36M:
     return Human36M(root, cameras, keypoints)
-
-
-def run(
-    protocol: Human36MProtocol,
-    folder: Path,
-    *,
-    overwrite: bool = False,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Outcome:
-    """Run the jobs that have no result yet.
-
-    Args:
-        protocol, folder, overwrite, workers, progress: as for `rtof_kin.protocols.total_capture.run`.
-    """
-    jobs = protocol.jobs()
-    files = {key: {mode: job.motion_file(mode) for mode in protocol.modes} for key, job in jobs.items()}
-    runs = open_runs(folder, protocol.settings(), overwrite, protocol.save, files)
-    return run_jobs(measure, jobs, runs, workers, progress)
-
-
-def measure(job: Job) -> JobResult:
-    """Score the modes of one action seen by one camera, and the row of no motion."""
-    protocol: Human36MProtocol = job.protocol
-    dataset = _dataset(protocol.root, protocol.cameras_file, protocol.keypoints)
-    recording = dataset.recording(job.subject, job.take, job.camera or 0)
-    truth, skeleton = recording.truth, recording.skeleton
-    assert truth is not None
-    results = reconstructions(recording, protocol.modes, protocol.lifter)
-    scores = {STILL: evaluate(motionless(truth), truth, skeleton)}
-    for mode, result in results.items():
-        scores[mode] = result.stage_metrics[mode]
-        save_motion(result, mode, job.motion_file(mode))
-    methods = {
-        name: dict(metrics) | {"frames": int(np.isfinite(metrics.over_time["mpjpe_mm"]).sum())}
-        for name, metrics in scores.items()
-    }
-    return JobResult(
-        {
-            "subject": job.subject,
-            "take": job.take,
-            "camera": job.camera,
-            "methods": methods,
-            "failed_checks": [],
-            "notes": [recording.notes] if recording.notes else [],
-        },
-        curves(recording, results, "RKnee"),
-    )
 
 
 def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
@@ -173,28 +153,15 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
         lacking = [f"{len(outcome.failed)} recordings"] if outcome.failed else []
         lacking += [f"any of {subject}" for subject in absent]
         notes.insert(1, f"INCOMPLETE, without {' and '.join(lacking)}: see the last table.")
-    table = Table(
-        "human36m",
-        "Human3.6M, vision alone",
-        (
-            "method",
-            "MPJPE, root-relative [mm]",
-            "MPJAE [mm/frame2]",
-            "MPJJE [mm/frame3]",
-            "Procrustes [mm]",
-            "absolute [mm]",
-        ),
-        (0, 1, 2, 2, 1, 1),
-        tuple(printed),
-        tuple(notes),
-    )
+    columns = ["method", "MPJPE, root-relative [mm]", "MPJAE [mm/frame2]", "MPJJE [mm/frame3]"]
+    columns += ["Procrustes [mm]", "absolute [mm]"]
+    table = Table("human36m", "Human3.6M, vision alone", columns, (0, 1, 2, 2, 1, 1), printed, notes)
     state: list[tuple[Cell, ...]] = [
         (subject, "not measured", "the archive of positions has no such subject") for subject in absent
     ]
     state += [(key, "not measured", problem) for key, problem in outcome.failed.items()]
     for key, facts in outcome.done.items():
         state += [(key, "note", note) for note in facts["notes"]]
-    about = Table(
-        "state_of_data", "Human3.6M: missing, suspicious", ("recording", "what", "message"), (0, 0, 0), tuple(state)
-    )
+    title = "Human3.6M: missing, suspicious"
+    about = Table("state_of_data", title, ("recording", "what", "message"), (0, 0, 0), state)
     return [table, about] if state else [table]

@@ -1,26 +1,85 @@
-"""Steps of every protocol: reconstruct a recording in several modes, score, save the motions."""
+"""Steps of every protocol: jobs, reconstruct a recording in several modes, save the motions, draw the errors."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 import rtof_kin
 from rtof_kin.body.motion_file import write_motion
+from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
-from rtof_kin.core.jobs import Outcome
+from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.document import Figure
 
-_SNAPSHOTS = 5
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+NAMES: Final = {"lift": "baseline (lift)", "sf2": "sf2", "rto": "rto", "rtof": "rtof"}
+"""Modes, as figures call them."""
+_SNAPSHOTS: Final = 5
+
+
+class CameraProtocol(ABC):
+    """Settings of a protocol whose jobs are takes seen by a camera: dataclasses with ``modes`` and ``save``."""
+
+    modes: tuple[str, ...]
+    save: Path | None
+
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Return everything that the results depend on, as plain values."""
+
+    @abstractmethod
+    def jobs(self) -> dict[str, Job]:
+        """Return all jobs by key; raises `FileFormatError` without a data set."""
+
+    @abstractmethod
+    def measure(self, job: Job) -> JobResult:
+        """Run one job."""
+
+    def run(
+        self, folder: Path, *, overwrite: bool = False, workers: int | None = None, progress: Progress | None = None
+    ) -> Outcome:
+        """Run the jobs that have no result yet, see `rtof_kin.protocols.run`."""
+        jobs = self.jobs()
+        files = {key: {mode: job.motion_file(mode) for mode in self.modes} for key, job in jobs.items()}
+        runs = open_runs(folder, self.settings(), overwrite, self.save, files)
+        return run_jobs(measure, jobs, runs, workers, progress)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One take of a protocol seen by one camera, or without a camera."""
+
+    protocol: CameraProtocol
+    subject: str
+    take: str
+    camera: int | None
+
+    def motion_file(self, mode: str) -> Path | None:
+        """Return the path of a saved motion, or None if motions are not saved."""
+        save = self.protocol.save
+        if save is None or self.camera is None:
+            return None
+        return save / self.subject / self.take / f"cam{self.camera}" / mode / "motion.h5"
+
+
+def measure(job: Job) -> JobResult:
+    """Run one job, in any process."""
+    return job.protocol.measure(job)
 
 
 def reconstructions(
@@ -85,21 +144,117 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
     write_motion(path, motion, first_frame=result.recording.first_frame, mode=mode)
 
 
-def provenance(lifter: str | Path | None) -> dict[str, Any]:
-    """Return what results depend on besides settings: the lifter's weights and the version.
+def plain_settings(protocol: Any, *without: str) -> dict[str, Any]:
+    """Return the fields of a protocol as plain values, with the lifter's weights and the version.
 
     Args:
-        lifter: checkpoint, by default the shipped one.
+        without: fields that results do not depend on.
     """
-    return {
-        "lifter_sha256": hashlib.sha256(lifter_path(lifter).read_bytes()).hexdigest(),
-        "version": rtof_kin.__version__,
-    }
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Path):
+            return str(value.resolve())
+        return list(value) if isinstance(value, tuple) else dict(value) if isinstance(value, Mapping) else value
+
+    own = {f.name: plain(getattr(protocol, f.name)) for f in fields(protocol) if f.name not in ("lifter", *without)}
+    weights = hashlib.sha256(lifter_path(protocol.lifter).read_bytes()).hexdigest()
+    return {"lifter_sha256": weights, "version": rtof_kin.__version__} | own
 
 
-def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
-    """Yield one flat row for every take, camera and method that was measured."""
-    for facts in outcome.done.values():
-        about = {name: facts[name] for name in ("subject", "take", "camera")}
-        for method, figures in facts["methods"].items():
-            yield about | {"method": method} | figures
+# --- figures -------------------------------------------------------------------------------------
+
+
+def figures(outcome: Outcome, table: SkeletonTable, rate_hz: float) -> list[Figure]:
+    """Return the figures of a protocol; none if no job has curves.
+
+    Args:
+        rate_hz: frame rate, Hz.
+    """
+    if not (keys := _characters(outcome)):
+        return []
+    return [
+        Figure(
+            "figures/error_curves",
+            "Joint error and error of the right knee over time",
+            lambda: error_curves(outcome, keys, rate_hz),
+        ),
+        Figure(
+            "figures/skeletons",
+            "Skeletons over the truth at a few instants",
+            lambda: _skeletons(outcome, keys[-1], table.parents, rate_hz),
+        ),
+    ]
+
+
+def _characters(outcome: Outcome) -> list[str]:
+    """Return jobs of the takes with the least and the most motion, by the acceleration error of no motion."""
+    first: dict[tuple[str, str], str] = {}
+    lively: dict[tuple[str, str], float] = {}
+    for key, facts in outcome.done.items():
+        take = (facts["subject"], facts["take"])
+        if facts["camera"] is not None:
+            if set(NAMES) & set(facts["methods"]):
+                first.setdefault(take, key)
+        elif "no motion" in facts["methods"]:
+            lively[take] = facts["methods"]["no motion"]["mpjae"]
+    takes = sorted(first, key=lambda take: lively.get(take, 0.0))
+    return [first[take] for take in dict.fromkeys([takes[0], takes[-1]])] if takes else []
+
+
+def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Plot:
+    """Plot joint error (left) and the error of the right knee's flexion (right) over time.
+
+    Args:
+        keys: of jobs, one row each. rate_hz: frame rate, Hz.
+    """
+    from matplotlib.figure import Figure as Plot
+
+    from rtof_kin.reporting.figures import STAGE_COLORS
+
+    figure = Plot(figsize=(13, 3.4 * len(keys)), layout="constrained")
+    axes = figure.subplots(len(keys), 2, squeeze=False)
+    columns = {"rr_mm": "joint error, root-relative [mm]", "knee_deg": "right knee flexion error [deg]"}
+    for row, key in zip(axes, keys, strict=True):
+        arrays, facts = outcome.arrays(key), outcome.done[key]
+        where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+        for ax, (suffix, label) in zip(row, columns.items(), strict=True):
+            best = [mode for mode in ("rtof", "rto", "sf2") if f"{mode}_{suffix}" in arrays][:1]
+            for mode in (["lift"] if f"lift_{suffix}" in arrays else []) + best:
+                curve = arrays[f"{mode}_{suffix}"]
+                text = f"{NAMES[mode]}: mean {np.nanmean(curve):.1f}"
+                times = np.arange(len(curve)) / rate_hz
+                ax.plot(times, curve, color=STAGE_COLORS[mode], lw=0.9, label=text)
+            ax.set_title(where, fontsize=10)
+            ax.set(xlabel="time [s]", ylabel=label)
+            ax.set_ylim(bottom=0)
+            ax.grid(alpha=0.3)
+            ax.legend(loc="upper right", fontsize=8)
+    return figure
+
+
+def _skeletons(outcome: Outcome, key: str, parents: Sequence[int], rate_hz: float) -> Plot:
+    """Plot each mode's skeleton over the truth (green) at a few instants, seen from the camera's right."""
+    from matplotlib.figure import Figure as Plot
+
+    from rtof_kin.reporting.figures import STAGE_COLORS, TRUTH, views
+
+    arrays, facts = outcome.arrays(key), outcome.done[key]
+    view, label = views(arrays["R_camera_world"])[1]
+    modes = [mode for mode in NAMES if f"{mode}_snapshots" in arrays]
+    frames = arrays["snapshot_frames"].astype(int)
+    figure = Plot(figsize=(2.6 * len(frames), 2.9 * len(modes)), layout="constrained")
+    axes = figure.subplots(len(modes), len(frames), squeeze=False)
+    for row, mode in zip(axes, modes, strict=True):
+        for ax, frame, p, p_true in zip(
+            row, frames, arrays[f"{mode}_snapshots"], arrays["snapshot_truth"], strict=True
+        ):
+            for points, color in ((p_true, TRUTH), (p, STAGE_COLORS[mode])):
+                x, z = view @ (points - points[0]).T
+                bones = np.array([(parent, child) for child, parent in enumerate(parents) if parent >= 0]).T
+                ax.plot(x[bones], z[bones], color=color, lw=2, alpha=0.85)
+            up = f"{NAMES[mode]}\nup [m]" if ax is row[0] else ""
+            ax.set(aspect="equal", xlim=(-1.1, 1.1), ylim=(-1.2, 1.0), xlabel=f"{label} [m]", ylabel=up)
+            ax.set_title(f"{frame / rate_hz:.1f} s", fontsize=9)
+    where = f"{facts['subject']} {facts['take']}, camera {facts['camera']}"
+    figure.suptitle(f"{where}: estimate over the truth (green), roots together")
+    return figure

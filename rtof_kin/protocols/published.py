@@ -1,10 +1,16 @@
-"""Published figures from the tables of the RTOF paper (Bao, Zhao, Qian, 2024).
+"""Published figures: the tables of the RTOF paper (Bao, Zhao, Qian, 2024), and errors of joint angles, degrees.
 
 MPJPE in mm. MPJAE and MPJJE as printed: "per second" on Total Capture, "per frame" on Human3.6M; see
-`TOTAL_CAPTURE_CAVEATS` for their units.
+`TOTAL_CAPTURE_CAVEATS` for their units. A published error of an angle stands beside this package's value of the same
+metric only. Those whose source could not be looked up say so; movements, references and angles are those of their
+authors, so that even one metric is not a ranking.
 """
 
 from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+from rtof_kin.clinical.angle_errors import ALL
 
 NAMES_1 = ("seen W2", "seen A3", "seen FS3", "unseen W2", "unseen A3", "unseen FS3", "average")
 """Columns of table 1. The average of the paper's own rows is weighted by frames, that of IMUPVH is a plain
@@ -79,3 +85,37 @@ HUMAN36M_CAVEATS = (
     "(such as 2.03 and 11.25) cannot be these two figures of one method in one unit.",
 )
 """Notes under the table of Human3.6M."""
+
+Metric = Literal["rmse", "mae", "median"]
+METRICS: Final[dict[Metric, str]] = {"rmse": "RMSE", "mae": "mean absolute error", "median": "median absolute error"}
+_ONE_CAMERA: Final = "one camera, a monocular work of 2024 to 2026"
+_OPENCAP: Final = "OpenCap Monocular, one phone; walking, squats, sit-to-stand"
+_VIDIMU: Final = "video alone (MotionAGFormer) on VIDIMU, against its sensors"
+_NOT_VERIFIED: Final = "published value, source not verified"
+
+
+class PublishedError(NamedTuple):
+    """One published error of joint angles from one camera."""
+
+    system: str
+    angle: str
+    """Joint angle of this package, or `ALL`."""
+    metric: Metric
+    degrees: float
+    source: str
+
+
+PUBLISHED: Final = (
+    PublishedError(_ONE_CAMERA, ALL, "median", 2.7, _NOT_VERIFIED),
+    PublishedError(_ONE_CAMERA, "knee_flexion", "median", 2.1, _NOT_VERIFIED),
+    PublishedError(_ONE_CAMERA, "ankle_dorsiflexion", "median", 3.6, _NOT_VERIFIED),
+    PublishedError(_ONE_CAMERA, "elbow_flexion", "median", 3.9, _NOT_VERIFIED),
+    PublishedError(_ONE_CAMERA, "hip_flexion", "median", 4.8, _NOT_VERIFIED),
+    PublishedError(_OPENCAP, ALL, "mae", 4.8, "Gilon et al. 2026, arXiv:2603.24733, abstract"),
+    PublishedError(_VIDIMU, ALL, "rmse", 9.3, "Medrano-Paredes et al. 2025, arXiv:2510.02264, abstract"),
+    PublishedError(_VIDIMU, ALL, "mae", 7.9, "Medrano-Paredes et al. 2025, arXiv:2510.02264, abstract"),
+)
+WITHOUT_METRIC: Final = (
+    "A camera with uncalibrated sensors (Peiffer et al. 2024, arXiv:2405.17368): knee 2.9 degrees; "
+    "published value, number and metric not verified, so that it stands beside none of ours."
+)

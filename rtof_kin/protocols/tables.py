@@ -1,59 +1,50 @@
-"""Tables of results: one type, written as Markdown and JSON, printed by the command line."""
+"""Tables of results with a short name, figures averaged over frames, and the files of a protocol's document."""
 
 from __future__ import annotations
 
 import filecmp
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rtof_kin.core.files.folder import check_new_file
 from rtof_kin.core.files.text import write_text
+from rtof_kin.core.jobs import Outcome
+from rtof_kin.reporting import document
+from rtof_kin.reporting.document import Cell, Document, Figure
 
-JSON = "tables.json"
-Cell = str | float | None
-"""Text, a figure, or None."""
+NAME: Final = "tables"
+"""Of the document: its files are ``tables.json`` and ``tables.md``."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table of results with notes."""
+STILL, LOW_PASSED = "no motion", "truth low-passed at 6 Hz"
+"""Names of the rows that calibrate errors of acceleration and jerk."""
+CALIBRATION: Final = frozenset((STILL, LOW_PASSED))
+
+
+class Table(document.Table):
+    """A table of results; a missing figure is '-'."""
 
     name: str
-    """Short name, as in file names."""
-    title: str
-    """Title."""
-    columns: tuple[str, ...]
-    """Heading of each column, with its unit."""
-    digits: tuple[int, ...]
-    """Digits after the point in each column; text ignores them."""
-    rows: tuple[tuple[Cell, ...], ...]
-    """Cells, a label first."""
-    notes: tuple[str, ...] = ()
-    """Sentences under the table."""
+    """Short name, as in JSON."""
 
-    def text(self) -> list[list[str]]:
-        """Return the cells as text; '-' for None."""
-        return [[self._cell(cell, digits) for cell, digits in zip(row, self.digits, strict=True)] for row in self.rows]
+    def __init__(
+        self,
+        name: str,
+        title: str,
+        columns: Sequence[str],
+        digits: Sequence[int],
+        rows: Sequence[Sequence[Cell]],
+        notes: Sequence[str] = (),
+    ) -> None:
+        super().__init__(tuple(columns), tuple(rows), title, tuple(notes), tuple(digits), kind="errors")
+        object.__setattr__(self, "name", name)
 
-    @staticmethod
-    def _cell(cell: Cell, digits: int) -> str:
-        if isinstance(cell, str):
-            return cell
-        return "-" if cell is None or not np.isfinite(cell) else f"{cell:.{digits}f}"
-
-    def markdown(self) -> str:
-        """Return the table with its title and notes as Markdown."""
-        lines = [f"### {self.title}", "", "| " + " | ".join(self.columns) + " |"]
-        lines.append("|---" * len(self.columns) + "|")
-        for row in self.text():  # a message may have lines and bars of its own
-            cells = (" ".join(cell.split()).replace("|", "\\|") for cell in row)
-            lines.append("| " + " | ".join(cells) + " |")
-        return "\n".join([*lines, "", *(f"- {note}" for note in self.notes)]) + "\n"
+    def text(self, missing: str = "-") -> list[list[Any]]:
+        """Return the cells as texts."""
+        return super().text(missing)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; figures unrounded."""
@@ -61,13 +52,19 @@ class Table:
         return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
 
 
-def write_tables(
-    folder: Path, tables: Sequence[Table], facts: dict[str, Any], json_file: Path | None = None, overwrite: bool = False
-) -> list[Path]:
-    """Write ``tables.md`` and ``tables.json`` into a folder, and the JSON also elsewhere if asked.
+def document_of(
+    title: str, headline: str, tables: Sequence[Table], facts: Mapping[str, Any], figures: Sequence[Figure] = ()
+) -> Document:
+    """Return the document of a protocol: its tables are printed, and in the JSON."""
+    facts = dict(facts) | {"tables": {table.name: table.as_dict() for table in tables}}
+    return Document(NAME, title, headline, printed=tables, figures=figures, facts=facts)
+
+
+def write_results(found: Document, folder: Path, json_file: Path | None = None, overwrite: bool = False) -> list[Path]:
+    """Write a document and ``tables.md`` into a folder, and the JSON also elsewhere if asked.
 
     Args:
-        folder: its own files are replaced. overwrite: whether it may be replaced, see `check_json_file`.
+        folder: its own files are replaced. overwrite: whether `json_file` may be, see `check_json_file`.
 
     Returns:
         The paths written.
@@ -77,34 +74,39 @@ def write_tables(
     """
     if json_file is not None:
         check_json_file(folder, json_file, overwrite)
-    text = "\n".join(table.markdown() for table in tables)
-    content = facts | {"tables": {table.name: table.as_dict() for table in tables}}
-    document = json.dumps(content, indent=1) + "\n"
-    paths = [folder / "tables.md", folder / JSON, *([json_file] if json_file else [])]
-    for path, content_text in zip(paths, [text, document, document], strict=False):
-        write_text(path, content_text, overwrite=True)
-    return paths
+    text = "\n".join(table.markdown() for table in found.printed if isinstance(table, Table))
+    write_text(folder / f"{NAME}.md", f"{found.headline}\n\n{text}", overwrite=True)
+    written = [folder / f"{NAME}.md", *document.write_files(found, folder)]
+    if json_file is not None:
+        write_text(json_file, (folder / found.marker).read_text(encoding="utf-8"), overwrite=True)
+        written.append(json_file)
+    return written
 
 
 def check_json_file(folder: Path, json_file: Path, overwrite: bool) -> None:
     """Check that a file may be written: it is new, a copy of the folder's own JSON, or may be replaced.
 
-    Args:
-        folder: with ``tables.json``. overwrite: whether it may be replaced.
-
     Raises:
         OutputExistsError: another file exists.
     """
-    before = folder / JSON
+    before = folder / f"{NAME}.json"
     if not (json_file.is_file() and before.is_file() and filecmp.cmp(json_file, before, shallow=False)):
         check_new_file(json_file, overwrite)
 
 
-def pooled(rows: Sequence[dict[str, Any]], figure: str, weight: str = "frames") -> float | None:
+def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
+    """Yield one flat row for every take, camera and method that was measured."""
+    for facts in outcome.done.values():
+        about = {name: facts[name] for name in ("subject", "take", "camera")}
+        for method, figures in facts["methods"].items():
+            yield about | {"method": method} | figures
+
+
+def pooled(rows: Iterable[Mapping[str, Any]], figure: str, weight: str = "frames") -> float | None:
     """Return the mean of a figure over all frames of rows that have it; None without any.
 
     Args:
-        rows: see `rtof_kin.protocols.measures.rows_of`.
+        rows: see `rows_of`.
     """
     known = [
         (row[figure], row[weight])

@@ -2,11 +2,12 @@
 
 A job is one take seen by one camera: all modes, and the studies of fragment length and k_V. One more job per
 take scores what needs no camera (no motion, and the truth low-passed at 6 Hz) and checks the take's files.
-`rtof_kin.protocols.total_capture_tables` makes the tables.
+The tables of the paper have the measured figures beside the published ones.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -22,22 +23,30 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES, SPACES, Space
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
-from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.core.jobs import JobResult, Outcome
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
 from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
-from rtof_kin.protocols.jobs import Job
-from rtof_kin.protocols.measures import curves, provenance, reconstructions, save_motion
-from rtof_kin.protocols.published import FRAGMENT_LENGTH, VISUAL_WEIGHT
+from rtof_kin.protocols import published
+from rtof_kin.protocols.measures import (
+    CameraProtocol,
+    Job,
+    curves,
+    figures,
+    plain_settings,
+    reconstructions,
+    save_motion,
+)
+from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, document_of, pooled, rows_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.tables import RECOGNISE
+from rtof_kin.reporting.document import Cell, Document
 from rtof_kin.simulation.simulate import LIMB_SENSORS
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.vision.layouts import detector_table
 
 TEST_TAKES = ("walking2", "acting3", "freestyle3")
@@ -49,35 +58,20 @@ SENSOR_SETS = {
     "13": (*LIMB_SENSORS, "Pelvis", "Sternum", "Head", "L_Foot", "R_Foot"),
 }
 """Sets of sensors: the paper's eight on the limbs, with the trunk, all."""
-SIXTEEN = (
-    "Hips",
-    "RightUpLeg",
-    "RightLeg",
-    "RightFoot",
-    "LeftUpLeg",
-    "LeftLeg",
-    "LeftFoot",
-    "Spine",
-    "Neck",
-    "Head",
-    "LeftArm",
-    "LeftForeArm",
-    "LeftHand",
-    "RightArm",
-    "RightForeArm",
-    "RightHand",
+_NAMES: Final = (
+    "Hips RightUpLeg RightLeg RightFoot LeftUpLeg LeftLeg LeftFoot Spine Neck Head "
+    "LeftArm LeftForeArm LeftHand RightArm RightForeArm RightHand"
 )
+SIXTEEN = tuple(_NAMES.split())
 """Joints of the multi-view papers (GeoFuse and those after it)."""
 SIXTEEN_CAMERAS, SIXTEEN_STEP = (1, 3, 5, 7), 16
 """Cameras of the multi-view papers, and their step between scored frames."""
 _LOW_PASS_HZ: Final = 6.0
-STILL, LOW_PASSED = "no motion", f"truth low-passed at {_LOW_PASS_HZ:g} Hz"
-"""Names of the calibration rows."""
 _KNEE: Final = "RightLeg"
 
 
 @dataclass(frozen=True)
-class TotalCaptureProtocol:
+class TotalCaptureProtocol(CameraProtocol):
     """Settings of the measurements."""
 
     root: Path
@@ -92,6 +86,7 @@ class TotalCaptureProtocol:
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS
+    """Names, or the one of `SENSOR_SETS`."""
     space: Space = SPACES[0]
     """Variables of the fragment solver; the studies use those of the paper."""
     modes: tuple[str, ...] = CAMERA_MODES
@@ -109,6 +104,10 @@ class TotalCaptureProtocol:
     """Folder for the motions of every take, camera and mode, if wanted."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "subjects", tuple(name.upper() for name in self.subjects))
+        object.__setattr__(self, "takes", tuple(name.lower() for name in self.takes))
+        if len(self.sensors) == 1:
+            object.__setattr__(self, "sensors", SENSOR_SETS.get(self.sensors[0], self.sensors))
         for name in ("subjects", "takes", "cameras", "modes"):
             if not getattr(self, name):
                 raise InvalidInputError(f"{name}: none are named, so there is nothing to measure")
@@ -136,22 +135,7 @@ class TotalCaptureProtocol:
 
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
-        return provenance(self.lifter) | {
-            "dataset": str(self.root.resolve()),
-            "subjects": list(self.subjects),
-            "takes": list(self.takes),
-            "cameras": list(self.cameras),
-            "keypoints": str(self.keypoints.resolve()) if self.keypoints else "ground truth",
-            "layout": self.layout,
-            "noise_px": self.noise_px,
-            "sensors": list(self.sensors),
-            "space": self.space,
-            "modes": list(self.modes),
-            "calibrate": self.calibrate,
-            "posture": self.posture,
-            "studies": self.studies,
-            "seed": self.seed,
-        }
+        return {"dataset": str(self.root.resolve())} | plain_settings(self, "root", "save")
 
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key, take by take."""
@@ -161,43 +145,28 @@ class TotalCaptureProtocol:
             for camera in (None, *self.cameras)
         }
 
+    def run(self, folder: Path, **options: Any) -> Outcome:
+        """See `CameraProtocol.run`; fails early without a dataset."""
+        TotalCapture(self.root)
+        return super().run(folder, **options)
+
+    def measure(self, job: Job) -> JobResult:
+        """Run one job: a take seen by one camera, or without a camera."""
+        take = _take(self.root, job.subject, job.take)
+        return _reference(take) if job.camera is None else _seen_by(self, take, job, job.camera)
+
+    def document(self, outcome: Outcome) -> Document:
+        """Return the tables, with figures of two takes."""
+        measured = sum(facts["camera"] is not None for facts in outcome.done.values())
+        headline = f"Total Capture, {self.space} space: {measured} recordings measured"
+        headline += f", {len(outcome.failed)} FAILED." if outcome.failed else "."
+        facts = {"settings": self.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
+        drawn = figures(outcome, SkeletonModel.default().table, 60.0)
+        return document_of("Total Capture", headline, all_tables(self, outcome), facts, drawn)
+
     def pairs(self) -> list[tuple[str, str]]:
         """Return subject and name of every take."""
         return [(subject, take) for subject in self.subjects for take in self.takes]
-
-
-def run(
-    protocol: TotalCaptureProtocol,
-    folder: Path,
-    *,
-    overwrite: bool = False,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Outcome:
-    """Run the jobs that have no result yet.
-
-    Args:
-        folder: for the results; a run of the same settings is resumed.
-        overwrite: whether results of other settings may be replaced. workers, progress: see `run_jobs`.
-
-    Raises:
-        FileFormatError: there is no such dataset. OutputExistsError: see `open_runs`.
-    """
-    TotalCapture(protocol.root)  # fails early without a dataset
-    jobs = protocol.jobs()
-    files = {key: {mode: job.motion_file(mode) for mode in protocol.modes} for key, job in jobs.items()}
-    runs = open_runs(folder, protocol.settings(), overwrite, protocol.save, files)
-    return run_jobs(measure, jobs, runs, workers, progress)
-
-
-def measure(job: Job) -> JobResult:
-    """Run one job.
-
-    Args:
-        job: one take seen by one camera, or without a camera.
-    """
-    take = _take(job.protocol.root, job.subject, job.take)
-    return _reference(take) if job.camera is None else _seen_by(take, job, job.camera)
 
 
 @lru_cache(maxsize=1)
@@ -216,16 +185,8 @@ def _reference(take: Take) -> JobResult:
         LOW_PASSED: low_passed | {"angle_deg": None},  # its orientations are the truth's own
     }
     failed = [check.message for check in check_take(take) if not check.passed]
-    return JobResult(
-        {
-            "subject": take.subject,
-            "take": take.name,
-            "camera": None,
-            "methods": rows,
-            "failed_checks": failed,
-            "notes": [*take.notes, *take.missing],
-        }
-    )
+    about = {"subject": take.subject, "take": take.name, "camera": None}
+    return JobResult(about | {"methods": rows, "failed_checks": failed, "notes": [*take.notes, *take.missing]})
 
 
 def _without_glitches(truth: PoseSequence) -> Array:
@@ -237,14 +198,17 @@ def _without_glitches(truth: PoseSequence) -> Array:
     return p
 
 
-def _seen_by(take: Take, job: Job, number: int) -> JobResult:
-    protocol, notes = job.protocol, []
+def _seen_by(protocol: TotalCaptureProtocol, take: Take, job: Job, number: int) -> JobResult:
+    notes: list[str] = []
     absent = [s for s in protocol.sensors if take.imus is None or s not in take.imus.names]
     if absent and {"sf2", "rtof"} & set(protocol.modes):
         notes.append(f"sf2 and rtof are left out, without the sensors {', '.join(absent)}")
+    detected, folder = None, protocol.keypoints
+    if folder is not None:
+        detected = read_detections(folder, job.subject, job.take, number, take.cameras[number], layout=protocol.layout)
     recording = take.recording(
         number,
-        keypoints=_detected(take, job, number),
+        keypoints=detected,
         noise_px=protocol.noise_px,
         seed=protocol.seed,
         sensors=() if absent else protocol.sensors,
@@ -265,32 +229,16 @@ def _seen_by(take: Take, job: Job, number: int) -> JobResult:
     if protocol.keypoints is not None:
         checks += check_keypoints(take, number, recording.video)
     failed = [check.message for check in checks if not check.passed]
-    return JobResult(
-        {
-            "subject": take.subject,
-            "take": take.name,
-            "camera": number,
-            "methods": methods,
-            "failed_checks": failed,
-            "notes": notes,
-        },
-        curves(recording, results, _KNEE),
-    )
-
-
-def _detected(take: Take, job: Job, number: int) -> KeypointSequence | None:
-    folder = job.protocol.keypoints
-    if folder is None:
-        return None
-    camera, layout = take.cameras[number], job.protocol.layout
-    return read_detections(folder, job.subject, job.take, number, camera, layout=layout)
+    about = {"subject": take.subject, "take": take.name, "camera": number}
+    facts = about | {"methods": methods, "failed_checks": failed, "notes": notes}
+    return JobResult(facts, curves(recording, results, _KNEE))
 
 
 def _studies(result: Reconstruction, truth: PoseSequence) -> dict[str, dict[str, Any]]:
     """Solve the energy of the paper from SF2's poses with other fragment lengths and weights k_V."""
     printed = CartesianSettings.paper()
-    variants = {length_name(N): (N, printed) for N in FRAGMENT_LENGTH}
-    for k_V in VISUAL_WEIGHT:
+    variants = {length_name(N): (N, printed) for N in published.FRAGMENT_LENGTH}
+    for k_V in published.VISUAL_WEIGHT:
         if k_V != printed.k_V:
             variants[weight_name(k_V)] = (50, replace(printed, k_V=k_V, k_I=round(1 - k_V, 6)))
     rows = {}
@@ -324,3 +272,214 @@ def _scores(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel
         "sixteen_mm": float(sixteen[scored].mean()) if scored.any() else None,
         "sixteen_frames": int(scored.sum()),
     }
+
+
+# --- tables of the paper, with the measured figures beside the published ones -----------------------
+
+Row = dict[str, Any]
+_SEEN: Final = ("S1", "S2", "S3")
+"""Subjects with other takes in the training set of the paper's lifter."""
+_STUDIED: Final = ("mpjpe_rr_mm", "mpjpe_mm", "mpjje")
+_PRINTED: Final = {"paper: MPJPE [mm]": 2, "paper: MPJJE": 2}
+_MEASURED: Final = {"root-relative [mm]": 2, "absolute [mm]": 2, "MPJJE [m/s3]": 2}
+"""Columns of the two studies, with their digits."""
+_AS_PRINTED = (
+    "Ours here: the energy as printed with a weak prior on positions (CartesianSettings.paper()), from "
+    "the poses of sf2; the other tables have the default settings."
+)
+
+
+def all_tables(protocol: TotalCaptureProtocol, outcome: Outcome) -> list[Table]:
+    """Return every table for which something was measured, and one of missing and suspicious data."""
+    rows = list(rows_of(outcome))
+    tables = [part(protocol, rows) for part in (_by_take, _inertial_only, _ablation, _sixteen_joints)]
+    if protocol.studies and "rtof" in protocol.modes:
+        tables += [_fragment_length(rows), _visual_weight(rows)]
+    state = _state_of_data(protocol, outcome)
+    return [*tables, state] if state.rows else tables
+
+
+def _by_take(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make table 1: MPJPE by take, for subjects seen and unseen in training, and over all frames."""
+    groups = [(seen, take) for seen in (True, False) for take in TEST_TAKES]
+
+    def cells(method: str, figure: str) -> list[Cell]:
+        own = _of(rows, method)
+        parts = [[r for r in own if (r["subject"] in _SEEN, r["take"]) == group] for group in groups]
+        return [pooled(part, figure) for part in (*parts, own)]
+
+    printed: list[tuple[Cell, ...]] = [(name, *row) for name, row in published.TABLE_1.items()]
+    ours = [
+        (f"{mode}, ours, {label}", *cells(mode, figure))
+        for mode in protocol.modes
+        for figure, label in (("mpjpe_rr_mm", "root-relative"), ("mpjpe_mm", "absolute"))
+    ]
+    columns = {"method": 0} | dict.fromkeys(published.NAMES_1, 1)
+    notes = _notes(protocol, rows)
+    return _table("by_take", "Total Capture, table 1: MPJPE [mm] by take", columns, [*printed, *ours], notes)
+
+
+def _inertial_only(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the comparison with methods that have IMUs and no camera."""
+    printed: list[tuple[Cell, ...]] = [
+        (name, mpjpe, None, mpjje) for name, (mpjpe, mpjje) in published.INERTIAL_ONLY.items()
+    ]
+    figures = ("mpjpe_mm", "mpjpe_rr_mm", "mpjje")
+    ours = [(f"{m}, ours", *_means(rows, m, figures)) for m in ("sf2", "rtof") if m in protocol.modes]
+    columns = {"method": 0, "MPJPE [mm]": 1, "root-relative [mm]": 1, "MPJJE [m/s3]": 1}
+    lines = [*printed, *ours, *_calibration_rows(rows, figures)]
+    return _table("inertial_only", "Total Capture: methods of IMUs alone", columns, lines, _notes(protocol, rows))
+
+
+def _ablation(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the ablation: every mode, and the calibration rows below."""
+    columns = {"mode": 0, "paper: MPJPE [mm]": 1, "paper: MPJAE": 2, "paper: MPJJE": 1}
+    columns |= dict.fromkeys(("root-relative [mm]", "absolute [mm]", "Procrustes [mm]"), 1)
+    columns |= {"MPJAE [m/s2]": 2, "MPJJE [m/s3]": 1, "joint angle [deg]": 1, "flexion [deg]": 1, "valid": 0}
+    figures = ("mpjpe_rr_mm", "mpjpe_mm", "mpjpe_pa_mm", "mpjae", "mpjje", "angle_deg", "flexion_deg")
+    ours: list[tuple[Cell, ...]] = []
+    for mode in CAMERA_MODES:
+        if mode in protocol.modes:
+            share = pooled(_of(rows, mode), "coverage")
+            valid = None if share is None else f"{100 * share:.0f} %"
+            ours.append((mode, *published.ABLATION[mode], *_means(rows, mode, figures), valid))
+    calibration = [(name, None, None, None, *cells, None) for name, *cells in _calibration_rows(rows, figures)]
+    notes = _notes(protocol, rows)
+    if protocol.keypoints is not None or protocol.noise_px:
+        notes = (*notes, "The paper's ablation has exact ground-truth 2D; this run has not.")
+    title = "Total Capture, ablation: what each stage gives"
+    return _table("ablation", title, columns, [*ours, *calibration], notes)
+
+
+def _sixteen_joints(protocol: TotalCaptureProtocol, rows: list[Row]) -> Table:
+    """Make the table of the multi-view papers: 16 joints, absolute, every 16th frame, four cameras."""
+    chosen = [row for row in rows if row["camera"] in SIXTEEN_CAMERAS]
+    ours: list[tuple[Cell, ...]] = [
+        (f"{mode}, ours, each camera alone", pooled(_of(chosen, mode), "sixteen_mm", "sixteen_frames"))
+        for mode in protocol.modes
+    ]
+    printed: list[tuple[Cell, ...]] = [(name, row[-1]) for name, row in published.TABLE_1.items() if "VP3D" not in name]
+    cameras = sorted({row["camera"] for row in chosen})
+    note = (
+        f"16 joints, every {SIXTEEN_STEP}th frame, cameras {', '.join(map(str, cameras)) or 'none'} "
+        f"of {', '.join(map(str, SIXTEEN_CAMERAS))}. GeoFuse and its family score so; the other "
+        "printed averages are as table 1 has them."
+    )
+    title, notes = "Total Capture as multi-view papers score it", (note, *_incomplete(protocol, rows))
+    return Table("sixteen_joints", title, ("method", "absolute MPJPE [mm]"), (0, 1), (*printed, *ours), notes)
+
+
+def _fragment_length(rows: list[Row]) -> Table:
+    """Make the study of the fragment length N: speed and error."""
+    columns = {"N": 0, "paper: frames/s": 0} | _PRINTED | {"frames/s": 0} | _MEASURED
+    lines: list[tuple[Cell, ...]] = []
+    for N, printed in published.FRAGMENT_LENGTH.items():
+        own = _of(rows, length_name(N))
+        seconds = sum(row["seconds"] for row in own)
+        speed = sum(row["frames"] for row in own) / seconds if seconds else None
+        lines.append((str(N), *map(float, printed), speed, *_means(rows, length_name(N), _STUDIED)))
+    note = (
+        "Frames per second of one process while all cores work, N/2 new frames a solve, from SF2 "
+        "output to blended output: a time, so the one column that differs from run to run."
+    )
+    title = "Total Capture: length N of the fragments"
+    return _table("fragment_length", title, columns, lines, (_AS_PRINTED, note))
+
+
+def _visual_weight(rows: list[Row]) -> Table:
+    """Make the study of the visual weight k_V."""
+    columns = {"k_V": 0} | _PRINTED | _MEASURED
+    lines = [
+        (f"{k_V:g}", *printed, *_means(rows, weight_name(k_V), _STUDIED))
+        for k_V, printed in published.VISUAL_WEIGHT.items()
+    ]
+    title = "Total Capture: weight k_V of the visual energy"
+    return _table("visual_weight", title, columns, lines, (_AS_PRINTED, "k_I = 1 - k_V."))
+
+
+def _state_of_data(protocol: TotalCaptureProtocol, outcome: Outcome) -> Table:
+    """List failed measurements, failed checks and notes of the loader."""
+    lines: list[tuple[Cell, ...]] = []
+    whole: dict[str, str] = {}
+    for key, job in protocol.jobs().items():
+        name = f"{job.subject} {job.take}"
+        if job.camera is None:
+            if key in outcome.failed:
+                whole[name] = outcome.failed[key]
+                lines.append((name, "not measured", outcome.failed[key]))
+        elif key in outcome.failed and outcome.failed[key] != whole.get(name):
+            lines.append((f"{name} camera {job.camera}", "not measured", outcome.failed[key]))
+        facts = outcome.done.get(key, {})
+        where = name if job.camera is None else f"{name} camera {job.camera}"
+        lines += [(where, "check failed", text) for text in facts.get("failed_checks", ())]
+        lines += [(where, "note", text) for text in facts.get("notes", ())]
+    title = "Total Capture: missing, suspicious, mended"
+    return Table("state_of_data", title, ("take", "what", "message"), (0, 0, 0), lines)
+
+
+# --- parts of tables ---------------------------------------------------------------------------------
+
+
+def _table(
+    name: str, title: str, columns: dict[str, int], rows: Sequence[tuple[Cell, ...]], notes: tuple[str, ...]
+) -> Table:
+    """Make a table, with digits by column, that ends with the caveats on the paper's figures."""
+    notes = (*notes, *published.TOTAL_CAPTURE_CAVEATS)
+    return Table(name, title, tuple(columns), tuple(columns.values()), rows, notes)
+
+
+def _of(rows: list[Row], method: str) -> list[Row]:
+    return [row for row in rows if row["method"] == method]
+
+
+def _means(rows: list[Row], method: str, figures: Iterable[str]) -> list[Cell]:
+    return [pooled(_of(rows, method), figure) for figure in figures]
+
+
+def _calibration_rows(rows: list[Row], figures: Iterable[str]) -> list[tuple[Cell, ...]]:
+    return [(name, *_means(rows, name, figures)) for name in (STILL, LOW_PASSED)]
+
+
+def _notes(protocol: TotalCaptureProtocol, rows: list[Row]) -> tuple[str, ...]:
+    """Describe the setup of our rows, and what is missing."""
+    if protocol.keypoints is not None:
+        keypoints = f"the detections in {protocol.keypoints.name}"
+    elif protocol.noise_px:
+        keypoints = f"ground-truth 2D with {protocol.noise_px:g} px of white noise per axis"
+    else:
+        keypoints = "ground-truth 2D of every joint, also outside the picture"
+    calibration = "found from each take itself" if protocol.calibrate else "as the files have it"
+    posture = "of the reference's first T-pose" if protocol.posture else "unknown"
+    cameras = sorted({row["camera"] for row in rows if row["camera"]})
+    frames = sum(row["frames"] for row in rows if row["method"] == protocol.modes[0])
+    lifter = "Lifter: the shipped one, trained on free motion alone, for which no subject is seen."
+    if protocol.lifter is not None:
+        lifter = f"Lifter: {Path(protocol.lifter).name}."
+    setup = (
+        f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
+        f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
+        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
+        f"sensors' calibration {calibration}, neutral posture {posture}. {lifter} Mode lift is scored "
+        "with the joints of the network; its saved motions have rigid bones."
+    )
+    return (setup, *_incomplete(protocol, rows))
+
+
+def _incomplete(protocol: TotalCaptureProtocol, rows: list[Row]) -> list[str]:
+    """Return a sentence that names the takes, cameras and modes without a result, if any."""
+    done = {(row["subject"], row["take"], row["camera"], row["method"]) for row in rows}
+    names = []
+    for take in protocol.pairs():
+        cameras_of: dict[tuple[str, ...], list[str]] = {}
+        for camera in protocol.cameras:
+            modes = tuple(m for m in protocol.modes if (*take, camera, m) not in done)
+            cameras_of.setdefault(modes, []).append(str(camera))
+        for modes, cameras in cameras_of.items():
+            parts = [] if modes == protocol.modes else [*modes]
+            if len(cameras) < len(protocol.cameras):
+                parts.append(f"camera {', '.join(cameras)}")
+            if modes:
+                names.append(" ".join(take) + (f" ({', '.join(parts)})" if parts else ""))
+        if (*take, None, STILL) not in done and list(cameras_of) != [protocol.modes]:
+            names.append(f"{' '.join(take)} ({STILL}, {LOW_PASSED})")
+    return [f"INCOMPLETE, without: {'; '.join(names)}. The last table says why."] if names else []

@@ -7,38 +7,56 @@ is done is not done again; a take that fails is named with its reason and tried 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.clinical.angle_errors import AngleDifferences, angle_differences
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.clinical.angle_errors import AngleDifferences, angle_differences, angle_errors, error_rows
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles, opensim_angles
-from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import MODES, Mode
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, RtofError
+from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.datasets.gaitex import Gaitex
 from rtof_kin.datasets.movi import Movi
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
-from rtof_kin.datasets.public_sets import PublicSet, Take, Truth
+from rtof_kin.datasets.public_sets import MOVEMENTS, PublicSet, Take, TakeInputs, Truth
 from rtof_kin.datasets.vidimu import Vidimu
-from rtof_kin.protocols.measures import provenance, save_motion
-from rtof_kin.protocols.validation_setup import SetUp, keypoints_of, recording_of
+from rtof_kin.formats.camera_toml import write_camera_toml
+from rtof_kin.formats.sensors.tables import write_opensense_sto
+from rtof_kin.inertial.pose_calibration import calibrate_by_pose
+from rtof_kin.inertial.segment_names import known_segment
+from rtof_kin.protocols.angles import HARDLY, angle_document, clock_shift, plain_rows
+from rtof_kin.protocols.measures import plain_settings, save_motion
+from rtof_kin.protocols.tables import Table
+from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.vision.video import detect_video
+from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.sensor_files import imus_of_log
+from rtof_kin.reporting import document
+from rtof_kin.reporting.document import Document
+from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.sources import Sources
+from rtof_kin.vision.detections import Detections
+from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
+from rtof_kin.vision.video import detect_video, write_detections
+from rtof_kin.vision.video_metadata import read_video_metadata
 
 SETS: Final = {one.name: one for one in (OpenCapValidation, Vidimu, Movi, Gaitex)}
 CAMERAS: Final = ("set", "unknown")
 """The set's calibration, or none, as of a phone that was put anywhere."""
-HARDLY: Final = "the movements hardly agree at any shift"
-"""Of a take whose clock was not found."""
+TAKES: Final = "angle_errors_by_take.csv"
+_WITH_SENSORS: Final = ("sf2", "rtof", "imu")
 _DIFFERENCE, _SIGMA = "difference ", "sigma "
 """Arrays of a result, before the name of the angle."""
 
@@ -47,15 +65,17 @@ _DIFFERENCE, _SIGMA = "difference ", "sigma "
 class ValidationProtocol:
     """Settings of a validation."""
 
+    root: Path
+    """Folder of the data set."""
     dataset: str
     """One of `SETS`."""
-    root: Path
     takes: tuple[str, ...] = ("*",)
-    """Patterns of the names of takes."""
+    """Patterns of the names of takes, with * and ?."""
     mode: Mode | None = None
-    """Of reconstruction; None for the set's own."""
+    """Of reconstruction; None for what the set has inputs for."""
     lifter: Path | None = None
     camera: str = CAMERAS[0]
+    """One of `CAMERAS`."""
     keypoints: Path | None = None
     """Folder of detections by the name of the take or of its video, instead of the detector."""
     models: Path | None = None
@@ -63,6 +83,7 @@ class ValidationProtocol:
     heights: Mapping[str, float] | None = None
     """Subject -> standing height, m, where the set has none."""
     calibrate: bool = False
+    """Whether each take is calibrated from its own motion first."""
     align: bool = True
     """Whether the difference of the clocks is estimated; otherwise they are taken as equal."""
     seconds: float | None = None
@@ -85,38 +106,64 @@ class ValidationProtocol:
         """Mode of reconstruction."""
         return self.mode or SETS[self.dataset].mode
 
-    def opened(self) -> PublicSet:
-        """Return the adapter; raises FileFormatError where there is no such folder."""
-        return SETS[self.dataset](self.root)
-
     def settings(self) -> dict[str, Any]:
         """Return everything that the results depend on, as plain values."""
-        return provenance(self.lifter) | {
-            "dataset": self.dataset,
-            "root": str(self.root.resolve()),
-            "mode": self.own_mode,
-            "camera": self.camera,
-            "keypoints": str(self.keypoints.resolve()) if self.keypoints else "detected",
-            "models": str(self.models.resolve()) if self.models else "at hand",
-            "heights": dict(self.heights or {}),
-            "calibrate": self.calibrate,
-            "align": self.align,
-            "seconds": self.seconds,
-            "size_px": list(self.size_px) if self.size_px else None,
-        }
+        return plain_settings(self, "takes") | {"mode": self.own_mode}
 
+    @cached_property
     def chosen(self) -> tuple[Take, ...]:
-        """Return the takes that are wanted.
+        """The takes that are wanted.
 
         Raises:
             FileFormatError: there is no such set. InvalidInputError: no take has such a name.
         """
-        every = self.opened().takes()
+        every = SETS[self.dataset](self.root).takes()
         found = tuple(one for one in every if any(fnmatchcase(one.key, pattern) for pattern in self.takes))
         if not found:
             some = ", ".join(one.key for one in every[:4])
             raise InvalidInputError(f"--takes {','.join(self.takes)}: none of {len(every)}, such as {some}")
         return found
+
+    def run(
+        self, folder: Path, *, overwrite: bool = False, workers: int | None = None, progress: Progress | None = None
+    ) -> Outcome:
+        """Measure the takes that have no result yet, see `rtof_kin.protocols.run`."""
+        takes = self.chosen
+        runs = open_runs(folder, self.settings(), overwrite, None, {})
+        videos = {take.key: found for take in takes if (found := _video_of(self, take)) is not None}
+        names = {video: f"{number:04d}_{video.stem}" for number, video in enumerate(sorted(set(videos.values())))}
+        detected = Outcome(folder, {}, {})
+        if names:
+            settings = {"videos": [str(video) for video in names], "models": self.settings()["models"]}
+            into = open_runs(folder / "detections", settings, overwrite, None, {})
+            arguments = {name: (video, self.models) for video, name in names.items()}
+            detected = run_jobs(detect, arguments, into, workers, progress)
+        jobs = {}
+        for take in takes:
+            name = names.get(videos[take.key], "") if take.key in videos else ""
+            done = detected.folder / f"{name}.npz" if name in detected.done else None
+            jobs[take.key] = ValidationJob(self, take, folder / "takes" / take.key, done, detected.failed.get(name, ""))
+        return run_jobs(measure, jobs, runs, workers, progress)
+
+    def document(self, outcome: Outcome) -> Document:
+        """Return all tables, with the most important problems in the headline."""
+        adapter, found = SETS[self.dataset], differences(outcome)
+        references = sorted({facts["reference"] for facts in outcome.done.values()})
+        notes = [f"Reference: {'; '.join(references)}."] if references else []
+        notes += [f"Of this set: {adapter.caution}."] if adapter.caution else []
+        errors = [plain_rows([angle_errors([one], one.angle, one.movement)])[0] for one in found]
+        rows = [[one.take, *row.values()] for one, row in zip(found, errors, strict=True)]
+        headline = first_line(self, outcome)
+        return angle_document(
+            error_rows(found, MOVEMENTS),
+            f"Joint angles on {adapter.title}, mode {self.own_mode}",
+            headline,
+            notes,
+            further=[takes_table(self.chosen, outcome)],
+            facts={"settings": self.settings(), "takes": outcome.done, "failed": outcome.failed},
+            files={TAKES: document.Table(["take", *(errors[0] if errors else ())], rows)},
+            alarm=bool(outcome.failed) or "NOT ACC" in headline or "IN DOUBT" in headline,
+        )
 
 
 @dataclass(frozen=True)
@@ -126,80 +173,23 @@ class ValidationJob:
     protocol: ValidationProtocol
     take: Take
     folder: Path
-    """For the recording and the motion."""
+    """For the recording, the files that it is made from, and the motion."""
     detections: Path | None = None
+    """In the whole video."""
     problem: str = ""
     """Why there are no detections."""
 
 
-@dataclass(frozen=True)
-class Validation:
-    """Results of a validation."""
-
-    takes: tuple[Take, ...]
-    outcome: Outcome
-
-    def differences(self) -> tuple[AngleDifferences, ...]:
-        """Return the differences of all takes that were measured."""
-        found = []
-        for key, facts in self.outcome.done.items():
-            arrays = self.outcome.arrays(key)
-            for name, difference in arrays.items():
-                if name.startswith(_DIFFERENCE):
-                    angle = name.removeprefix(_DIFFERENCE)
-                    sigma = arrays.get(_SIGMA + angle)
-                    found.append(AngleDifferences(angle, facts["kind"], key, difference, sigma))
-        return tuple(found)
-
-
-def run(
-    protocol: ValidationProtocol,
-    folder: Path,
-    *,
-    overwrite: bool = False,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Validation:
-    """Measure the takes that have no result yet.
-
-    Args:
-        folder: for the results; a run of the same settings is resumed.
-        overwrite: whether results of other settings may be replaced. workers, progress: see `run_jobs`.
-
-    Raises:
-        FileFormatError: there is no such set. InvalidInputError: no such take. OutputExistsError: see
-            `open_runs`.
-    """
-    takes = protocol.chosen()
-    runs = open_runs(folder, protocol.settings(), overwrite, None, {})
-    jobs = _jobs(protocol, takes, folder, overwrite, workers, progress)
-    return Validation(takes, run_jobs(measure, jobs, runs, workers, progress))
-
-
-def _jobs(
-    protocol: ValidationProtocol,
-    takes: tuple[Take, ...],
-    folder: Path,
-    overwrite: bool,
-    workers: int | None,
-    progress: Progress | None,
-) -> dict[str, ValidationJob]:
-    """Detect the people in all videos that need it, and return the job of each take."""
-    videos = {take.key: found for take in takes if (found := _video_of(protocol, take)) is not None}
-    names = {video: f"{number:04d}_{video.stem}" for number, video in enumerate(sorted(set(videos.values())))}
-    detected = Outcome(folder, {}, {})
-    if names:
-        settings = {"videos": [str(video) for video in names], "models": protocol.settings()["models"]}
-        runs = open_runs(folder / "detections", settings, overwrite, None, {})
-        arguments = {name: (video, protocol.models) for video, name in names.items()}
-        detected = run_jobs(detect, arguments, runs, workers, progress)
-    jobs = {}
-    for take in takes:
-        name = names.get(videos[take.key]) if take.key in videos else None
-        done = detected.folder / f"{name}.npz" if name in detected.done else None
-        problem = detected.failed.get(name, "") if name else ""
-        jobs[take.key] = ValidationJob(protocol, take, folder / "takes" / take.key, done, problem)
-    return jobs
+def differences(outcome: Outcome) -> tuple[AngleDifferences, ...]:
+    """Return the differences of all takes that were measured."""
+    found = []
+    for key, facts in outcome.done.items():
+        arrays = outcome.arrays(key)
+        for name, difference in arrays.items():
+            if name.startswith(_DIFFERENCE):
+                angle = name.removeprefix(_DIFFERENCE)
+                found.append(AngleDifferences(angle, facts["kind"], key, difference, arrays.get(_SIGMA + angle)))
+    return tuple(found)
 
 
 def _video_of(protocol: ValidationProtocol, take: Take) -> Path | None:
@@ -210,9 +200,7 @@ def _video_of(protocol: ValidationProtocol, take: Take) -> Path | None:
         inputs = _opened(protocol.dataset, protocol.root).inputs(take)
     except RtofError:
         return None  # its job says why
-    if inputs.video is None or keypoints_of(protocol.keypoints, take, inputs) is not None:
-        return None
-    return inputs.video
+    return None if _given_keypoints(protocol.keypoints, take, inputs) is not None else inputs.video
 
 
 @lru_cache(maxsize=1)
@@ -249,8 +237,7 @@ def measure(job: ValidationJob) -> JobResult:
     if job.problem:
         raise InvalidInputError(job.problem)
     mode, network = protocol.own_mode, Lifter.load(protocol.lifter)
-    setup = SetUp(job.folder, mode, protocol.keypoints, job.detections, network)
-    recording, notes = recording_of(take, inputs, setup)
+    recording, notes = recording_of(job, inputs, network)
     if protocol.seconds is not None and recording.times[-1] - recording.times[0] > protocol.seconds:
         whole = recording.times[-1] - recording.times[0]
         recording = recording.between(recording.times[0], recording.times[0] + protocol.seconds)
@@ -258,14 +245,8 @@ def measure(job: ValidationJob) -> JobResult:
     result = reconstruct(recording, mode=mode, lifter=network, calibrate=protocol.calibrate)
     save_motion(result, mode, job.folder / "motion.h5")
     facts, arrays = compared_with(clinical_angles(result.motion), truth, take, protocol.align)
-    about = {
-        "subject": take.subject,
-        "take": take.movement,
-        "kind": take.kind,
-        "camera": take.camera or None,
-        "notes": [*notes, *sorted(set(result.warnings))],
-    }
-    return JobResult(about | facts, arrays)
+    about = {"subject": take.subject, "take": take.movement, "kind": take.kind, "camera": take.camera or None}
+    return JobResult(about | {"notes": [*notes, *sorted(set(result.warnings))]} | facts, arrays)
 
 
 def compared_with(
@@ -274,17 +255,14 @@ def compared_with(
     """Compare the angles of a take with its reference.
 
     Returns:
-        Plain facts, and the arrays of `Validation.differences`.
+        Plain facts, and the arrays of `differences`.
 
     Raises:
         InvalidInputError: no angle is in both at the same instants.
     """
     reference, _ = opensim_angles(truth.table)
-    names = [
-        row.name
-        for row in reference.rows
-        if row.opensim.removeprefix("-") in set(truth.coordinates) & set(truth.table.names)
-    ]
+    measured = set(truth.coordinates) & set(truth.table.names)
+    names = [row.name for row in reference.rows if row.opensim.removeprefix("-") in measured]
     if not names:
         raise InvalidInputError(
             f"the reference has none of the measured coordinates, {', '.join(truth.coordinates[:3])} "
@@ -299,44 +277,148 @@ def compared_with(
         raise InvalidInputError(f"{take.key}: no angle is in the motion and the reference at the same time ({why})")
     arrays = {_DIFFERENCE + one.angle: one.difference for one in found}
     arrays |= {_SIGMA + one.angle: one.sigma for one in found if one.sigma is not None}
-    facts = {
-        "reference": truth.source,
-        "of_sensors": truth.of_sensors,
-        "clock": clock,
-        "left_out": left_out,
-        "methods": {"angles": {one.angle: len(one.difference) for one in found}},
-    }
-    return facts, arrays
+    facts = {"reference": truth.source, "of_sensors": truth.of_sensors, "clock": clock, "left_out": left_out}
+    return facts | {"methods": {"angles": {one.angle: len(one.difference) for one in found}}}, arrays
 
 
-def clock_shift(
-    estimate: ClinicalAngles, reference: ClinicalAngles, names: Sequence[str], reach: float
-) -> dict[str, Any]:
-    """Return the shift of the reference's clock, ``shift_s``, ``how`` it was found, and what it rests on.
+# --- from the inputs of a take to its recording, by the same steps as ``rtof-kin init`` -----------
 
-    Args:
-        reach: s, largest shift that is searched.
+
+def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> tuple[Recording, list[str]]:
+    """Return the recording of a take, and what was found, assumed or in doubt.
+
+    Raises:
+        InvalidInputError: the take lacks what the mode needs. Errors of `make_recording`,
+            `calibrate_by_pose`.
     """
-    common = [
-        name
-        for name in names
-        if name in estimate.names and np.isfinite(estimate[name]).any() and np.isfinite(reference[name]).any()
-    ]
-    try:
-        found = align(estimate, reference, common, reach)
-    except InvalidInputError as error:
-        return {"shift_s": 0.0, "how": f"as recorded: no shift was found ({error})"}
-    facts = {
-        "found_s": found.shift,
-        "sigma_s": found.sigma,
-        "agreement": found.agreement,
-        "agreement_as_recorded": found.unshifted,
-    }
-    if found.poor:
-        return facts | {"shift_s": 0.0, "how": f"as recorded: {HARDLY}"}
-    how = f"estimated within {reach:g} s"
-    if abs(found.shift) > 0.95 * reach:
-        how += ", at the edge of what was searched"
-    if found.ambiguous:
-        how += f"; {found.rival:+.2f} s agrees nearly as well"
-    return facts | {"shift_s": found.shift, "how": how}
+    mode = job.protocol.own_mode
+    if mode in _WITH_SENSORS and inputs.sensors is None:
+        raise InvalidInputError(f"it has no sensors, which mode {mode} needs; use --mode rto")
+    return _of_sensors(job.take, inputs) if mode == "imu" else _of_images(job, inputs, lifter)
+
+
+def _of_sensors(take: Take, inputs: TakeInputs) -> tuple[Recording, list[str]]:
+    assert inputs.sensors is not None
+    if not inputs.pose:
+        raise CalibrationError(
+            "no pose is documented by which its sensors could be calibrated; use a mode with the camera"
+        )
+    skeleton = SkeletonModel.default()
+    skeleton = skeleton if inputs.height is None else skeleton.with_height(inputs.height)
+    log = inputs.sensors.select(list(inputs.places))
+    joints = {sensor: known_segment(place, skeleton) for sensor, place in inputs.places.items()}
+    found = calibrate_by_pose(log, joints, inputs.pose, skeleton, still=inputs.still)
+    recording = Recording(take.key, imus=imus_of_log(log), calibration=found.calibration, height=inputs.height)
+    return recording, list(found.warnings)
+
+
+def _of_images(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> tuple[Recording, list[str]]:
+    make_folders(job.folder)
+    size, rate = inputs.size_px, inputs.rate_hz
+    if inputs.video is not None:
+        video = read_video_metadata(inputs.video)
+        size, rate = size or (video.width_px, video.height_px), video.rate_hz or rate
+    if size is None and inputs.camera is None:
+        raise InvalidInputError(
+            "detections alone do not say how large the image is: put the video where the set has it, or give "
+            "--size 1920x1080"
+        )
+    settings = SetupSettings(height=inputs.height, rate_hz=rate, size_px=size, lifter=lifter)
+    camera, sensors = inputs.camera, list[Path]()
+    if isinstance(camera, Camera):
+        write_camera_toml(job.folder / "camera.toml", {"camera": camera}, overwrite=True)
+        camera = job.folder / "camera.toml"
+    if job.protocol.own_mode in _WITH_SENSORS:
+        assert inputs.sensors is not None
+        sensors = [job.folder / "sensors.sto"]  # under the names of the segments, which say the locations
+        log = inputs.sensors.select(list(inputs.places)).renamed(inputs.places)
+        write_opensense_sto(sensors[0], SensorLog.of_imus(imus_of_log(log), sensors[0]))
+    sources = Sources(keypoints=_keypoints(job, inputs, settings), camera=camera, sensors=tuple(sensors))
+    find_people(sources, settings, job.folder / "recording", _no_detector)
+    said = make_recording(sources, settings, job.folder / "recording", name=job.take.key)
+    notes = [*said.assumed, *said.doubtful]
+    if inputs.height is None:  # init's remedy is an option of its own
+        notes = [note for note in notes if "--height" not in note]
+        notes.append(f"the height of {job.take.subject} is not known; give it by --heights")
+    return Recording.load(job.folder / "recording"), notes
+
+
+def _no_detector(video: Path) -> Detections:
+    raise InvalidInputError(f"{video}: was not detected")
+
+
+def _given_keypoints(folder: Path | None, take: Take, inputs: TakeInputs) -> Path | None:
+    """Return the user's detections, which have the name of the take or of its video; None where there are none."""
+    if folder is None:
+        return None
+    stems = [take.key, *([inputs.video.stem] if inputs.video else [])]
+    files = (folder / f"{stem}{suffix}" for stem in stems for suffix in (*FORMATS, ""))
+    return next((file for file in files if file.exists()), None)
+
+
+def _keypoints(job: ValidationJob, inputs: TakeInputs, settings: SetupSettings) -> Path:
+    """Return the detections of the take alone: those of a whole video are cut."""
+    take = job.take
+    given = _given_keypoints(job.protocol.keypoints, take, inputs)
+    found = given or job.detections
+    if found is None:
+        where = f"put {take.key}.npz into the folder of --keypoints, or the video into {take.folder}"
+        raise InvalidInputError(f"there is no video and no detection of it; {where}")
+    if inputs.span is None or (given is not None and given.stem == take.key):
+        return found
+    every = read_detector_file(found, *(settings.size_px or ()))
+    times = np.arange(len(every)) / (settings.rate_hz or 30.0) if every.times is None else every.times
+    start, stop = inputs.span
+    own = (times >= start - 1e-6) & (times <= stop + 1e-6)
+    if own.sum() < 2:
+        raise InvalidInputError(f"{found}: ends before {take.key}, which is from {start:.1f} to {stop:.1f} s")
+    cut = replace(every, uv_px=every.uv_px[own], confidence=every.confidence[own], times=times[own] - start)
+    write_detections(job.folder / "keypoints.npz", cut, overwrite=True)
+    return job.folder / "keypoints.npz"
+
+
+# --- words and tables ----------------------------------------------------------------------------
+
+
+def first_line(protocol: ValidationProtocol, outcome: Outcome) -> str:
+    """Return the headline: how many takes were measured, and which failed."""
+    done, failed, mode = outcome.done, outcome.failed, protocol.own_mode
+    text = f"{SETS[protocol.dataset].title}, mode {mode}: {len(done)} of {len(done) + len(failed)} takes measured"
+    if failed:
+        named = "; ".join(f"{key}: {reason}" for key, reason in list(failed.items())[:3])
+        more = f"; and {len(failed) - 3} more, see the table of takes" if len(failed) > 3 else ""
+        text += f", {len(failed)} FAILED and are in no error below ({named}{more})"
+    circular = sum(bool(facts["of_sensors"]) for facts in done.values())
+    if circular and mode in _WITH_SENSORS:
+        text += (
+            f". NOT ACCURACY: the reference of {circular} takes was computed from the same sensors that "
+            f"this mode uses; use --mode rto, or a reference of markers"
+        )
+    if apart := [key for key, facts in done.items() if HARDLY in facts["clock"]["how"]]:
+        named = ", ".join(apart[:5]) + (", ..." if len(apart) > 5 else "")
+        text += (
+            f". IN DOUBT: in {len(apart)} takes {HARDLY}, so that their errors may be those of the clock, or "
+            f"of another movement: {named}; leave them out by --takes"
+        )
+    return text + "."
+
+
+def takes_table(takes: tuple[Take, ...], outcome: Outcome) -> Table:
+    """Return one row for each take: what its clock was shifted by, or why it failed."""
+    cells: list[tuple[str | float | None, ...]] = []
+    for take in takes:
+        facts = outcome.done.get(take.key)
+        if facts is None:
+            reason = outcome.failed.get(take.key, "not run")
+            cells.append((take.key, take.kind, None, None, f"FAILED: {reason}"))
+            continue
+        clock, reasons = facts["clock"], dict[str, list[str]]()
+        for name, reason in facts["left_out"].items():
+            how = "left out, as it " if reason.startswith(("does", "depends")) else "left out, "
+            reasons.setdefault(how + reason, []).append(name)
+        left_out = [f"{reason}: {', '.join(names)}" for reason, names in reasons.items()]
+        said = "; ".join((clock["how"], *left_out, *facts["notes"]))
+        cells.append((take.key, take.kind, clock["shift_s"], clock.get("agreement"), said))
+    columns = ("take", "movement", "shift [s]", "agreement", "clock, and what was left out or is in doubt")
+    note = "Shift: added to the times of the reference; takes and references start together by the set's own account."
+    return Table("takes", "Takes", columns, (0, 0, 3, 2, 0), cells, (note,))

@@ -37,15 +37,11 @@ from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.inertial.root_path import FEET, Contacts, detect_contacts
 from rtof_kin.reconstruction.lift import LifterLike, lift
 
-ANKLE_HEIGHT = 0.08
-"""[m] of a standing ankle over the floor."""
+ANKLE_HEIGHT = 0.08  # [m] of a standing ankle over the floor
 LEGS = tuple(bone for limb in LIMBS if limb[-1] in FEET for bone in limb[:2])
-_STILL: Final = 0.3
-"""[m/s] at the body's distance, of a standing ankle in the image."""
-_SHORTEST: Final = 0.15
-"""[s] of a contact."""
-_CUTOFF_HZ: Final = 5.0
-"""[Hz] Low-pass of the ankle in the image."""
+_STILL = 0.3  # [m/s] at the body's distance, of a standing ankle in the image
+_SHORTEST = 0.15  # [s] of a contact
+_CUTOFF_HZ = 5.0  # [Hz] Low-pass of the ankle in the image
 
 
 @dataclass(frozen=True)
@@ -56,14 +52,10 @@ class Usual:
     sigma: float
 
 
-HEIGHT: Final = Usual(0.02, 0.03)
-"""[m] of standing ankles over `ANKLE_HEIGHT`, by the size of the person in the image."""
-SIZE: Final = 0.015
-"""[1] Standard deviation of the size of the skeleton in the image; it moves a foot along its ray."""
-UNEVEN: Final = 0.035
-"""[m] Standard deviation of the mean height of feet in one place, relative to another."""
-SLOPE: Final = 0.01
-"""[rad] Standard deviation of a slope over any distance."""
+HEIGHT: Final = Usual(0.02, 0.03)  # [m] of standing ankles over `ANKLE_HEIGHT`, by the size of the person in the image
+SIZE: Final = 0.015  # [1] Standard deviation of the size of the skeleton in the image; it moves a foot along its ray
+UNEVEN: Final = 0.035  # [m] Standard deviation of the mean height of feet in one place, relative to another
+SLOPE: Final = 0.01  # [rad] Standard deviation of a slope over any distance
 LEAN: Final = Usual(0.0, np.radians(2.6)), Usual(0.0, np.radians(2.3))
 """[rad] of the body in the mean, forwards and to the right as seen from the camera."""
 TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
@@ -71,17 +63,14 @@ TURN: Final = Usual(0.0, np.radians(2.4)), Usual(0.0, np.radians(1.8))
 LASTING, SECONDS = 0.4, 20.0
 """[1] Share of the squares of `LEAN` and `TURN` that does not depend on a recording's length, and [s] that of
 the recordings that they were measured on: postures average out."""
-WALK: Final = Usual(np.log(1.05), 0.03)
-"""[1] for a long walk."""
-WALK_LEG: Final = 0.08
-"""[m] Standard deviation of the root of the sum of squares of all contacts' paths."""
+WALK: Final = Usual(np.log(1.05), 0.03)  # [1] for a long walk
+WALK_LEG: Final = 0.08  # [m] Standard deviation of the root of the sum of squares of all contacts' paths
 LEAST_WALK: Final = 2.0
 """[m^2] Sum of squares of the legs' paths below which nothing follows from them: some five steps."""
 
 
 WALK_IN_DEPTH: Final = "walk in depth"
-_OF_WALK: Final = 3.0
-"""Standard deviations by which a walk may contradict the focal length."""
+_OF_WALK = 3.0  # Standard deviations by which a walk may contradict the focal length
 
 
 @dataclass(frozen=True)
@@ -90,20 +79,13 @@ class Scene:
 
     skeleton: SkeletonModel
     floor_height: float | None
-    contacts: Contacts
-    """`standing_feet`."""
-    bone_imus: BoneImuSequence | None
-    """At the keypoints' times."""
-    floor_and_tilt: bool = True
-    """Whether to use them; walking is used always."""
+    contacts: Contacts  # `standing_feet`
+    bone_imus: BoneImuSequence | None  # At the keypoints' times
+    floor_and_tilt: bool = True  # Whether to use them; walking is used always
 
 
 def standing_feet(keypoints: KeypointSequence, poses: PoseSequence, skeleton: SkeletonModel) -> Contacts:
-    """Return the feet that hardly move in the image and move little in the poses.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Return the feet that hardly move in the image and move little in the poses."""
     found = detect_contacts(poses, None, skeleton, from_poses=True)
     xy = keypoints.camera.normalise(keypoints.select(found.joints).uv_px)
     depth = keypoints.camera.to_camera(poses.p_world_joint[:, 0])[:, 2]
@@ -155,12 +137,9 @@ def _floor(scene: Scene, camera: Camera, poses: PoseSequence) -> Evidence:
 class FloorPlane:
     """Plane through the ankles of standing feet."""
 
-    evidence: Evidence
-    """(3,) height of the mean over that of a standing ankle, slopes in depth and across."""
-    p: Array
-    """(n, 3) ankles."""
-    fit: Array
-    """(3, n) from their heights."""
+    evidence: Evidence  # (3,) height of the mean over that of a standing ankle, slopes in depth and across
+    p: Array  # (n, 3) ankles
+    fit: Array  # (3, n) from their heights
 
 
 def floor_plane(camera: Camera, p: Array, floor_height: float) -> FloorPlane | None:
@@ -207,7 +186,7 @@ def turn_of_image(imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera
     """Return the rotation vector (3,), camera axes, from the sensors' bones to the image's, or NaN.
 
     Args:
-        skeleton: the subject's. poses: lifted without sensors.
+        poses: lifted without sensors.
     """
     p, products = poses.p_world_joint, np.zeros((3, 3))
     for s, joint in enumerate(skeleton.index(*imus.joints)):
@@ -286,12 +265,9 @@ _SIGMA_WALK: Final = np.radians(0.1)  # [rad/s^0.5] of the random walk
 class HeadingDrift:
     """Heading of a camera as the sensors show it, relative to its mean."""
 
-    times: Array
-    """(T,) s."""
-    angle: Array
-    """(T,) rad about the vertical, by which what the camera sees has to be turned."""
-    sigma: Array
-    """(T,) its standard deviation, rad."""
+    times: Array  # (T,) s
+    angle: Array  # (T,) rad about the vertical, by which what the camera sees has to be turned
+    sigma: Array  # (T,) its standard deviation, rad
 
     def removed(self, keypoints: KeypointSequence) -> KeypointSequence:
         """Return the keypoints without the drift."""
@@ -305,7 +281,7 @@ def without_heading_drift(
     """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for.
 
     Args:
-        skeleton: the subject's. lifter: default: the shipped one.
+        lifter: default: the shipped one.
     """
     found = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, keypoints.camera.heading_drift)
     first, last = np.degrees(found.angle[[0, -1]])

@@ -16,7 +16,7 @@ from rtof_kin.reconstruction.prepare import Prepared, Progress, prepare
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolver
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
 _LOWEST_ANKLE: Final = 0.02

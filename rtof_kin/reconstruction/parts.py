@@ -30,7 +30,14 @@ from rtof_kin.reconstruction.part_results import Seam, lost, sample
 from rtof_kin.reconstruction.pipeline import calibrate_camera, run
 from rtof_kin.reconstruction.prepare import Progress, even_times
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import ClockOffset, estimated, excerpt, find_offset, with_camera
+from rtof_kin.reconstruction.self_calibration import (
+    ClockOffset,
+    Knowledge,
+    estimated,
+    excerpt,
+    find_offset,
+    with_camera,
+)
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
@@ -123,16 +130,17 @@ def reconstruct_in_parts(
         raise UnknownNameError("mode", [mode], MODES)
     if priors is not None and (calibration is not None or not calibrate):
         raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
+    how = Knowledge(calibrate, priors, calibration, known)
     if seconds is None and not is_long(source):
         job = Job.of(source.whole(), skeleton, lifter, settings, progress)
-        yield run(job, mode, calibrate, priors, calibration, known)
+        yield run(job, mode, how)
         return
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
     times = _frame_times(source, mode, settings)
     rate_hz = float(1 / np.median(np.diff(times)))
     parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
     job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
-    once = _estimated_once(source, job, mode, calibrate, priors, calibration, known)
+    once = _estimated_once(source, job, mode, how)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     for number, part in enumerate(parts):
         report("parts", number, len(parts))
@@ -195,7 +203,7 @@ class _Once:
 
     def run(self, job: Job, mode: Mode, first: bool) -> Reconstruction:
         """Reconstruct a part; the first one has the warnings of the calibration."""
-        found = run(job, mode, calibration=self.calibration, camera=self.camera, clocks=self.clocks)
+        found = run(job, mode, Knowledge(calibration=self.calibration, camera=self.camera, clocks=self.clocks))
         choices = replace(found.choices, calibrate=self.choices.calibrate, known=self.choices.known)
         warnings = (*self.warnings, *found.warnings) if first else found.warnings
         return replace(found, choices=choices, warnings=warnings)
@@ -221,26 +229,15 @@ def _lost(
         yield lost(like, recording, on_clock, str(error))
 
 
-def _estimated_once(
-    source: RecordingSource,
-    job: Job,
-    mode: Mode,
-    calibrate: bool,
-    priors: CalibrationPriors | None,
-    given: SelfCalibration | None,
-    known: SelfCalibration | None,
-) -> _Once:
-    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given, on excerpts.
-
-    Args:
-        mode, calibrate, priors, known: as for `reconstruct`.
-    """
+def _estimated_once(source: RecordingSource, job: Job, mode: Mode, how: Knowledge) -> _Once:
+    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given, on excerpts."""
     if mode == "imu":
         return _Once(None, None, Choices(), ())
     camera, warnings = None, tuple[str, ...]()
     uncertain = job.recording.video.camera.uncertainty is not None
     sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    calibrate = calibrate and sensed and given is None
+    given, known = how.calibration, how.known
+    calibrate = how.calibrate and sensed and given is None
     seen = _thinned(source) if uncertain or sensed else None
     jobs, clocks = list[Job](), ClockOffset()
     if sensed and seen is not None:
@@ -259,7 +256,7 @@ def _estimated_once(
         jobs = [clocks.corrected(own) for own in jobs]
         if camera is not None:
             jobs = [replace(own, recording=with_camera(own.recording, camera.found)) for own in jobs]
-        calibration, more = estimated(jobs, priors, calibration)
+        calibration, more = estimated(jobs, how.priors, calibration)
         warnings += more
     return _Once(calibration, camera, choices, warnings, clocks)
 

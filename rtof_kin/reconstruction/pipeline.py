@@ -15,28 +15,31 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.checks import Check
 from rtof_kin.core.choices import Calibrate, Mode
-from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.errors import InvalidInputError, RtofError, ViewError
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
-from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS, check_camera_evidence, check_legs, explained
-from rtof_kin.reconstruction.checks.causes import HEADING, RATE, VIEW
-from rtof_kin.reconstruction.checks.image import OF_PICTURE
-from rtof_kin.reconstruction.checks.position import Room, unseen_room
-from rtof_kin.reconstruction.checks.sensors import check_sensor_evidence, check_sensor_form, naming_wrong_samples
+from rtof_kin.reconstruction import checks
+from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.prepare import Prepared, Progress, cleaned
 from rtof_kin.reconstruction.quality import quality_warnings, with_covariances
 from rtof_kin.reconstruction.result import Choices, Reconstruction
-from rtof_kin.reconstruction.self_calibration import ClockOffset, estimated, find_camera, find_offset, with_camera
+from rtof_kin.reconstruction.self_calibration import (
+    ClockOffset,
+    Knowledge,
+    estimated,
+    find_camera,
+    find_offset,
+    with_camera,
+)
 from rtof_kin.reconstruction.sensors_alone import reconstruct_from_sensors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
-from rtof_kin.solve.uncertainty.residual_statistics import leg_misfit
+from rtof_kin.solve.uncertainty import leg_misfit
 
 WARNINGS_LOGGER = f"{__name__}.warnings"
 """Logger of failed checks, stream faults and warnings, which the audit of a result lists too."""
@@ -111,75 +114,55 @@ def reconstruct(
     return joined(tuple(parts))
 
 
-def run(
-    job: Job,
-    mode: Mode,
-    calibrate: bool = False,
-    priors: CalibrationPriors | None = None,
-    calibration: SelfCalibration | None = None,
-    known: SelfCalibration | None = None,
-    camera: CameraEstimate | None = None,
-    clocks: ClockOffset | None = None,
-) -> Reconstruction:
-    """Run a job; see `reconstruct` for the arguments and errors.
-
-    Args:
-        camera: an earlier result of `calibrate_camera` for this recording, whose camera is not calibrated.
-        clocks: an earlier result of `find_offset` for this recording, with which `calibration` was estimated.
-    """
-    with naming_wrong_samples(job.recording):
-        if mode == "imu":
-            return _from_sensors(job)
-        return _from_video(job, mode, calibrate, priors, calibration, known, camera, clocks)
+def run(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:
+    """Run a job; see `reconstruct` for errors, which are raised with the likely cause that a check finds."""
+    try:
+        return _from_sensors(job) if mode == "imu" else _from_video(job, mode, knowledge)
+    except RtofError as error:
+        explained = checks.explained(error, job.recording, job.subject, job.lifter)
+        if explained is None:
+            raise
+        raise explained from error
 
 
-def _from_video(
-    job: Job,
-    mode: Mode,
-    calibrate: bool,
-    priors: CalibrationPriors | None,
-    calibration: SelfCalibration | None,
-    known: SelfCalibration | None,
-    camera: CameraEstimate | None,
-    clocks: ClockOffset | None,
-) -> Reconstruction:
-    """Every mode but imu; arguments as for `run`."""
+def _from_video(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:
+    """Every mode but imu."""
     if job.recording.keypoints is None:
         raise InvalidInputError(f"mode {mode} needs keypoints and the recording has none; use 'imu'")
     sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    estimate = calibrate and calibration is None and sensed
+    calibration, camera, clocks = knowledge.calibration, knowledge.camera, knowledge.clocks
+    estimate = knowledge.calibrate and calibration is None and sensed
     how: Calibrate = "given" if calibration is not None else "yes" if estimate else "no"
     name = "detections" if job.lifter is None else getattr(job.lifter, "name", type(job.lifter).__name__)
-    choices = Choices(how, known is not None, name)
-    known = None if known is None else known.for_another_recording()
+    choices = Choices(how, knowledge.known is not None, name)
+    known = None if knowledge.known is None else knowledge.known.for_another_recording()
     warnings = tuple[str, ...]()
-    with explained(job.recording, job.subject, job.lifter):
-        if clocks is None:
-            again = sensed and (calibration is None or not calibration.of_kind("delay"))
-            clocks = find_offset([job]) if again else ClockOffset()
-            warnings += clocks.warnings
-        job = clocks.corrected(job)
-        if job.recording.video.camera.uncertainty is not None:
-            camera = camera or _found_camera(job, mode)
-            job = replace(job, recording=with_camera(job.recording, camera.found))
-            warnings += camera.sentences
-        if estimate and not clocks.foreign:
-            calibration, more = estimated([job], priors, known)
-            warnings += more
-        elif calibration is None:
-            calibration = known
-        elif known is not None:
-            calibration = known.followed_by(calibration)
-        own = job.calibrated(calibration)
-        prepared, poses, solution = _optimised(own, mode, calibration, clocks.left_out(own))
-        others = list[PoseSequence]()
-        if solution is not None and solution.confidence is not None:
-            others += clocks.apart(poses) if sensed else ()
-            cameras = camera.deviations() if camera is not None else ()
-            silent = replace(own, progress=lambda *_: None)
-            for other in cameras:
-                one = with_camera(own.recording, other)
-                others.append(silent.solved_again(one, mode, prepared.rejected, calibration)[1])
+    if clocks is None:
+        again = sensed and (calibration is None or not calibration.of_kind("delay"))
+        clocks = find_offset([job]) if again else ClockOffset()
+        warnings += clocks.warnings
+    job = clocks.corrected(job)
+    if job.recording.video.camera.uncertainty is not None:
+        camera = camera or _found_camera(job, mode)
+        job = replace(job, recording=with_camera(job.recording, camera.found))
+        warnings += camera.sentences
+    if estimate and not clocks.foreign:
+        calibration, more = estimated([job], knowledge.priors, known)
+        warnings += more
+    elif calibration is None:
+        calibration = known
+    elif known is not None:
+        calibration = known.followed_by(calibration)
+    own = job.calibrated(calibration)
+    prepared, poses, solution = _optimised(own, mode, calibration, clocks.left_out(own))
+    others = list[PoseSequence]()
+    if solution is not None and solution.confidence is not None:
+        others += clocks.apart(poses) if sensed else ()
+        cameras = camera.deviations() if camera is not None else ()
+        silent = replace(own, progress=lambda *_: None)
+        for other in cameras:
+            one = with_camera(own.recording, other)
+            others.append(silent.solved_again(one, mode, prepared.rejected, calibration)[1])
     result = _result(job, own, mode, prepared, poses, solution, calibration, warnings, choices, others, clocks)
     if calibration is not None and clocks.applied is not None:
         calibration = calibration.after(clocks.applied)
@@ -241,13 +224,13 @@ def _result(
     suspect = mode == "rtof" and "motion" in settings.guards and bool(warnings or disagree)
     motion = skeleton.motion(poses)
     legs = None if solution is None else leg_misfit(prepared.keypoints, motion)
-    checks, room = tuple[Check, ...](), unseen_room(declared.recording)
+    found, position = tuple[Check, ...](), PositionErrors.declared(declared.recording)
     if settings.checks:
-        checks, room = _checked(declared, job, prepared, poses, suspect, clocks)
-        if legs is not None and not clocks.foreign:
-            checks = _with_legs(checks, check_legs(legs, poses.times, prepared.bone_imus is not None))
-    _warn(recording, (*_failed(checks), *prepared.faults, *warnings))
-    motion, room = with_covariances(motion, prepared, solution, others, room, legs)
+        found, position = checks.run(
+            declared.recording, prepared, poses, job.lifter, suspect=suspect, belonging=clocks.checks, legs=legs
+        )
+    _warn(recording, (*_failed(found), *prepared.faults, *warnings))
+    motion, position = with_covariances(motion, prepared, solution, others, position, legs)
     stages = prepared.stages | {mode: motion.poses if mode != "lift" else poses}
     scores = stage_metrics(stages, recording.truth, skeleton, mode)
     unused = mode in ("lift", "sf2")
@@ -264,37 +247,10 @@ def _result(
         faults=prepared.faults,
         warnings=warnings,
         calibration=calibration,
-        checks=checks,
+        checks=found,
         choices=replace(choices, settings=settings.with_fragment(None) if unused else settings),
-        room=room,
+        position_errors=position,
     )
-
-
-def _checked(
-    declared: Job, job: Job, prepared: Prepared, poses: PoseSequence, suspect: bool, clocks: ClockOffset
-) -> tuple[tuple[Check, ...], Room]:
-    """Check what the recording declares; arguments as for `_result` and `check_sensor_evidence`."""
-    camera, room = check_camera_evidence(declared.recording, prepared, poses, prepared.skeleton, job.lifter)
-    view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
-    sensors = check_sensor_evidence(
-        declared.recording, prepared, poses, prepared.skeleton, job.lifter, job.settings, suspect, view_suspect
-    )
-    if clocks.foreign and not any(check.failed and check.name == RATE for check in sensors):
-        return (*check_sensor_form(declared.recording), *clocks.checks, *camera), room
-    if clocks.foreign:  # at the right rate of the video they may belong to it
-        return (*sensors, *camera), room
-    return (*clocks.checks, *sensors, *camera), room
-
-
-def _with_legs(checks: tuple[Check, ...], legs: Check) -> tuple[Check, ...]:
-    """The checks with that of the legs' keypoints: before those of directions that it would mislead, and
-    unknown where another cause is likelier.
-    """
-    others = (c for c in checks if c.name not in (VIEW, HEADING) and not c.name.startswith(ROOM_CHECKS))
-    wrong = next((check for check in others if check.failed), None)
-    if legs.failed and wrong is not None:
-        legs = replace(legs, value=float("nan"), advice=f"first {wrong.cause}")
-    return (legs, *checks) if legs.failed else (*checks, legs)
 
 
 def _failed(checks: Iterable[Check]) -> Iterable[str]:
@@ -318,8 +274,10 @@ def calibrate_camera(
         ViewError: the person is behind the camera. Errors of the stages.
     """
     job = Job.of(recording, None, lifter, None, progress)
-    with explained(job.recording, job.subject, job.lifter):
+    try:
         return _found_camera(job, "lift")
+    except ViewError as error:
+        raise checks.explained(error, job.recording, job.subject, job.lifter) or error from error
 
 
 def _from_sensors(job: Job) -> Reconstruction:
@@ -341,8 +299,8 @@ def _from_sensors(job: Job) -> Reconstruction:
         lambda done, total: job.progress("imu", done, total),
         job.times,
     )
-    checks = check_sensor_form(job.recording) if settings.checks else ()
-    _warn(recording, (*_failed(checks), *faults, *found.warnings))
+    wrong = checks.before(job.recording) if settings.checks else ()
+    _warn(recording, (*_failed(wrong), *faults, *found.warnings))
     motion = skeleton.motion(found.solution.poses)
     stages = {"start": found.start, "imu": motion.poses}
     scores = stage_metrics(stages, recording.truth, skeleton, "imu")
@@ -359,6 +317,6 @@ def _from_sensors(job: Job) -> Reconstruction:
         found.path.sigma,
         faults,
         found.warnings,
-        checks=checks,
+        checks=wrong,
         choices=Choices(settings=settings),
     )

@@ -23,9 +23,8 @@ from rtof_kin.reconstruction.camera_evidence import without_heading_drift
 from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.vision.outlier_rejection import gaps, reject_keypoint_outliers
 
 Progress = Callable[[str, int, int], None]

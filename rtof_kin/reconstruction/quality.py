@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -14,17 +13,14 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.checks.position import Room
+from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution, misfits
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
-from rtof_kin.solve.uncertainty.disagreement import disagreement
-from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit, leg_spread, residual_statistics
+from rtof_kin.solve.uncertainty import CovarianceInflation, LegMisfit, disagreement, leg_spread, residual_statistics
 
-_SURE_DEG: Final = 4.0
-"""[deg] Largest standard deviation of a hinge's zero without a warning."""
+_SURE_DEG = 4.0  # [deg] Largest standard deviation of a hinge's zero without a warning
 
 
 def quality_warnings(
@@ -49,11 +45,7 @@ def quality_warnings(
 
 
 def reprojection_errors(keypoints: KeypointSequence, skeleton: SkeletonModel, poses: PoseSequence) -> Array:
-    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Return reprojection errors (T, L) of the landmarks, px; NaN where unknown."""
     keypoints, known = keypoints.landmarks, skeleton.landmarks
     at = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     at = at[:, [list(known).index(name) for name in keypoints.names]]
@@ -82,18 +74,18 @@ def with_covariances(
     prepared: Prepared,
     solution: FragmentSolution | None,
     others: Iterable[PoseSequence],
-    room: Room,
+    position: PositionErrors,
     misfit: LegMisfit | None = None,
-) -> tuple[Motion, Room]:
+) -> tuple[Motion, PositionErrors]:
     """Return the motion with its pose covariances, inflated for autocorrelated errors and what is unverified.
 
     Args:
         solution: None in modes that do not optimise.
         others: poses with the clocks, or a camera that is not calibrated, one standard deviation off.
-        room: what is open of positions in world; it comes back with that in words.
+        position: what is open of positions in world; it comes back with that in words.
     """
     if solution is None or solution.confidence is None:
-        return motion, room
+        return motion, position
     sensors = () if prepared.bone_imus is None else prepared.bone_imus.joints
     statistics = residual_statistics(prepared.keypoints, motion, prepared.stages["lift"], sensors)
     start = prepared.stages.get("sf2", prepared.stages["lift"])
@@ -106,8 +98,8 @@ def with_covariances(
         if spread is not None:
             inflated = inflated.plus(spread)
     inflated = _with_mountings(inflated, mounting_variances(prepared))
-    wide, room = room.added(inflated, motion.poses)
-    return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), room
+    wide, position = position.added(inflated, motion.poses)
+    return replace(motion, confidence=with_camera_uncertainty(wide, motion.poses, others)), position
 
 
 def mounting_variances(prepared: Prepared) -> dict[str, float]:

@@ -19,11 +19,10 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.checks.position import Room
+from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import FragmentSolution
 
 _NOT_ENERGY = ("backend", "compile", "floor_height", "ankle_height", "tolerance", "max_iterations")
@@ -100,7 +99,7 @@ class Reconstruction:
     checks: tuple[Check, ...] = ()
     """Checks of what the recording declares; failed ones name a likely cause."""
     choices: Choices = field(default_factory=Choices)
-    room: Room | None = None
+    position_errors: PositionErrors | None = None
     """What is left open of positions in world; None without keypoints."""
     parts: tuple[Reconstruction, ...] = ()
     """Those that a long recording was reconstructed in."""
@@ -120,11 +119,7 @@ def _energy(settings: JointSpaceSettings | CartesianSettings) -> dict[str, Any]:
 
 
 def measurements_of(result: Reconstruction) -> Measurements:
-    """Return the measurements at the times of the motion, corrected by the calibration that was applied.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Return the measurements at the times of the motion, corrected by the calibration that was applied."""
     recording, times = result.recording, result.motion.poses.times
     seen = () if result.keypoints is None else (result.keypoints, *recording.views)
     measured, calibration = result.bone_imus, recording.calibration

@@ -12,7 +12,13 @@ import numpy as np
 from rtof_kin.body.metrics import at_times
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate, Evidence, estimate_camera
-from rtof_kin.calibration.clock_scan import Scan, Turning, image_turning, joined, turning_of
+from rtof_kin.calibration.clock_scan import (
+    AngularVelocities,
+    ClockScan,
+    angular_velocities,
+    joined,
+    velocities_in_image,
+)
 from rtof_kin.calibration.clocks import REPEATED, ClockEstimate, small_offset
 from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.excerpt import Slice
@@ -32,7 +38,7 @@ from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared, Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 
 def calibrate_recording(
@@ -47,7 +53,7 @@ def calibrate_recording(
     """Calibrate a recording from its own motion; see `rtof_kin.calibration.estimate`.
 
     Args:
-        skeleton: the subject's. Default: that of the recording.
+        Default: that of the recording.
         priors: unknowns and their prior standard deviations. Default: `CalibrationPriors.of` the recording.
         lifter, settings, progress: as for `reconstruct`.
 
@@ -130,9 +136,6 @@ a short recording reach four in one of three."""
 def check_height(recording: Recording) -> None:
     """Raise where a declared height and declared bone lengths are of different bodies.
 
-    Args:
-        recording: its height may be missing.
-
     Raises:
         CalibrationError: the heights differ by more than 10 %; names both.
     """
@@ -164,15 +167,11 @@ def consistency_warnings(recording: Recording, calibration: SelfCalibration) -> 
     return tuple(found)
 
 
-_MOST_SECONDS: Final = 40.0
-"""[s] of a longer recording that are used: those in which the person comes and goes most."""
-_ENOUGH_HZ: Final = 25.0
-"""Frames per second that are enough; of faster videos, every second, third ... frame is used."""
-_STEP: Final = 5.0
-"""[s] between the beginnings of excerpts that are compared."""
+_MOST_SECONDS = 40.0  # [s] of a longer recording that are used: those in which the person comes and goes most
+_ENOUGH_HZ = 25.0  # Frames per second that are enough; of faster videos, every second, third ... frame is used.
+_STEP = 5.0  # [s] between the beginnings of excerpts that are compared
 
-Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]
-"""Prepare a recording and solve its poses."""
+Solve = Callable[[Recording], tuple[Prepared, PoseSequence]]  # Prepare a recording and solve its poses
 
 
 def with_camera(recording: Recording, camera: Camera) -> Recording:
@@ -192,7 +191,7 @@ def find_camera(
     """Estimate the unknowns of the first camera from its recording, without further views.
 
     Args:
-        skeleton: the subject's. lifter: default: the shipped one. progress: called with (steps done, steps in all).
+        lifter: default: the shipped one. progress: called with (steps done, steps in all).
 
     Raises:
         Errors of the stages, with the camera as declared.
@@ -244,19 +243,13 @@ def _spread(values: Array) -> float:
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
 DAYS_APART: Final = "video and sensors are of different days"
-CLOCK_DOUBT: Final = "when the sensors began is in doubt"
-"""Beginnings of notes of a recording that was set up so."""
+CLOCK_DOUBT: Final = "when the sensors began is in doubt"  # Beginnings of notes of a recording that was set up so
 _SIGMAS_APART: Final = 3.0
-_LEAST: Final = 0.01
-"""Standard deviations and [s] from which an offset is corrected."""
-_NAMED: Final = 0.03
-"""[s] Offset, also by drift, from which it is named."""
-_UNSHARP: Final = 0.01
-"""[s] Standard deviation above which the energy decides."""
-_EXCERPT: Final = 2.5
-"""[s] of the recording that it takes."""
-_SURE_DRIFT_UNNAMED: Final = 1.5
-"""Standard deviations from which a drift that is not sure counts as uncertain."""
+_LEAST = 0.01  # Standard deviations and [s] from which an offset is corrected
+_NAMED = 0.03  # [s] Offset, also by drift, from which it is named
+_UNSHARP = 0.01  # [s] Standard deviation above which the energy decides
+_EXCERPT = 2.5  # [s] of the recording that it takes
+_SURE_DRIFT_UNNAMED = 1.5  # Standard deviations from which a drift that is not sure counts as uncertain
 _FEW: Final = 4
 _EXPLAINED: Final = (0.05, 0.1)
 """[1] Part of the image's motion that the sensors of a recording explain at least, of fewer than `_FEW`
@@ -264,27 +257,20 @@ sensors and of more; right ones explain 0.2 at least, of those of other takes on
 (benchmarks/results/clock_offsets.md)."""
 _ANYWHERE: Final = (0.15, 0.2)
 """[1] The same at offsets up to `_ELSEWHERE` or on other segments, by which a wrong start or map is named."""
-_ELSEWHERE: Final = 6.0
-"""[s] Offsets at which sensors may be that belong to the video."""
-_MOVING: Final = 0.15
-"""[rad/s] per axis: motion of the sensors below which nothing relates them to the image."""
+_ELSEWHERE = 6.0  # [s] Offsets at which sensors may be that belong to the video
+_MOVING = 0.15  # [rad/s] per axis: motion of the sensors below which nothing relates them to the image
 
 
 @dataclass(frozen=True)
 class ClockOffset:
     """What is known of the clocks of a recording."""
 
-    delay: Quantity | None = None
-    """Delay of the video; None where the motion does not show it."""
-    applied: SelfCalibration | None = None
-    """Correction of the recording; None where none is sure."""
-    checks: tuple[Check, ...] = ()
-    """That the sensors belong to the video."""
+    delay: Quantity | None = None  # Delay of the video; None where the motion does not show it
+    applied: SelfCalibration | None = None  # Correction of the recording; None where none is sure
+    checks: tuple[Check, ...] = ()  # That the sensors belong to the video
     warnings: tuple[str, ...] = ()
-    middle: float = 0.0
-    """[s] Time stamp of the constant of the delay."""
-    uncertain_drift: float = 0.0
-    """[s/s] Drift that is likely, but not sure."""
+    middle: float = 0.0  # [s] Time stamp of the constant of the delay
+    uncertain_drift: float = 0.0  # [s/s] Drift that is likely, but not sure
     repeats: float = 0.0
     """[s] Time after which the motion repeats itself, where the sensors may be a repetition off; else 0."""
 
@@ -336,6 +322,18 @@ def _noted(recording: Recording) -> tuple[str, ...]:
     return tuple(line[line.index(note) :] for note in about for line in lines if note in line)
 
 
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of a recording before it is solved, and whether it is calibrated; as for `reconstruct`."""
+
+    calibrate: bool = False
+    priors: CalibrationPriors | None = None
+    calibration: SelfCalibration | None = None
+    known: SelfCalibration | None = None
+    camera: CameraEstimate | None = None  # Of an uncalibrated camera; None: to be estimated
+    clocks: ClockOffset | None = None  # With which `calibration` was estimated; None: to be estimated
+
+
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
 
@@ -345,7 +343,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     if not jobs:
         return ClockOffset()
     try:
-        seen, sensed, columns = _turnings(jobs)
+        seen, sensed, columns = _angular_velocities(jobs)
         found = small_offset(seen.of(columns), sensed)
     except RtofError:  # without keypoints or calibration the stages say so
         return ClockOffset()
@@ -371,7 +369,7 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     doubt = next((note for note in noted if note.startswith(CLOCK_DOUBT)), "")
     if not doubt:
         return ClockOffset(delay, applied, (check,), warnings, middle, unsure)
-    others = Scan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
+    others = ClockScan.of(seen.of(columns), sensed, 0.0, _ELSEWHERE).rivals(REPEATED)
     stride = min(others, key=abs, default=0.0)
     return ClockOffset(replace(delay, doubt=doubt), applied, (check,), warnings, middle, unsure, stride)
 
@@ -384,7 +382,7 @@ def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Q
     return Quantity("delay", "video", np.array(value), sigmas, prior, known, doubt)
 
 
-def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
+def _angular_velocities(jobs: Sequence[Job]) -> tuple[AngularVelocities, AngularVelocities, list[int]]:
     """Angular velocities of segments by the image alone and of sensors, and the segments of the sensors."""
     seen, sensed, columns = [], [], list[int]()
     for job in jobs:
@@ -394,8 +392,8 @@ def _turnings(jobs: Sequence[Job]) -> tuple[Turning, Turning, list[int]]:
         lifted = replace(job, recording=replace(recording, views=())).prepare("lift")
         native = recording.calibration.apply(recording.imus)
         columns = list(lifted.skeleton.index(*native.joints))
-        seen.append(image_turning(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
-        sensed.append(turning_of(native.times, native.R_world_bone))
+        seen.append(velocities_in_image(lifted.stages["lift"], lifted.recording.video, lifted.skeleton))
+        sensed.append(angular_velocities(native.times, native.R_world_bone))
     return joined(seen), joined(sensed), columns
 
 
@@ -418,7 +416,9 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
     return _delay([delay.value[0] + found.value[0]], [found.sigma[0]])
 
 
-def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int], found: ClockEstimate) -> Check:
+def _check_belonging(
+    job: Job, seen: AngularVelocities, sensed: AngularVelocities, columns: list[int], found: ClockEstimate
+) -> Check:
     """Check that the sensors move as the image shows where and when they are declared."""
     S = len(columns)
     least, explained = _EXPLAINED[S >= _FEW], found.explained
@@ -432,9 +432,10 @@ def _check_belonging(job: Job, seen: Turning, sensed: Turning, columns: list[int
         carriers |= {job.subject.names[j] for j in columns}
         anywhere = list(job.subject.index(*sorted(carriers)))
         for segments, known in ((columns, True), (anywhere, False)):
-            scan = Scan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            scan = ClockScan.of(seen.of(segments), sensed, 0.0, _ELSEWHERE, known)
+            best = scan.peaks[0][0]
             if scan.explained >= _ANYWHERE[S >= _FEW]:
-                when = f"{abs(scan.best):.1f} s {'later' if scan.best > 0 else 'earlier'} than declared"
+                when = f"{abs(best):.1f} s {'later' if best > 0 else 'earlier'} than declared"
                 other = f"began {when}" if known else "are on other segments"
                 cause += f", or they {other}"
                 advice = f"They would turn as the limbs in the video if they {other}"

@@ -32,12 +32,10 @@ from rtof_kin.inertial.root_path import (
 )
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
-_LOW = 0.75
-"""Fraction of the standing root height below which a person sits, kneels or lies."""
-_LONG = 1.0
-"""[s] of that, or without contact, that causes a warning."""
+_LOW = 0.75  # Fraction of the standing root height below which a person sits, kneels or lies
+_LONG = 1.0  # [s] of that, or without contact, that causes a warning
 
 
 @dataclass(frozen=True)
@@ -58,15 +56,12 @@ class SensorsAloneSettings:
 class SensorsAlone:
     """A motion from sensors alone, with its contacts and root path."""
 
-    start: PoseSequence
-    """Poses frame by frame, on the root path."""
+    start: PoseSequence  # Poses frame by frame, on the root path
     solution: FragmentSolution
-    bone_imus: BoneImuSequence
-    """Sensors at the frames' times."""
+    bone_imus: BoneImuSequence  # Sensors at the frames' times
     contacts: Contacts
     path: RootPath
-    warnings: tuple[str, ...]
-    """Limitations of the root path, in sentences."""
+    warnings: tuple[str, ...]  # Limitations of the root path, in sentences
 
 
 def reconstruct_from_sensors(
@@ -83,7 +78,7 @@ def reconstruct_from_sensors(
 
     Args:
         recording: with IMUs and their calibration; its floor height counts, 0 where it has none.
-        skeleton: the subject's. sensor_joints: further segments for which the compiled problem has room for a sensor.
+        sensor_joints: further segments for which the compiled problem has room for a sensor.
         progress: called with (fragments done, fragments in all).
         times: (T,) s of the frames; by default `frame_times`.
 

@@ -9,10 +9,9 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.choices import GUARDS, SPACES, Backend, Guard, Space
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import usual_space
-from rtof_kin.solve.inertial_ik import InertialGuidedIKSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InertialGuidedIKSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,6 @@ class ReconstructionSettings:
 
     def solver(self, skeleton: SkeletonModel) -> JointSpaceSettings | CartesianSettings:
         """Return the settings of the fragment solver: those given, else the defaults.
-
-        Args:
-            skeleton: the subject's.
 
         Raises:
             InvalidInputError: there is no such backend.

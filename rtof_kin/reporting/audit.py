@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.metrics import hinges
-from rtof_kin.calibration.camera_estimate import FOUND, UNKNOWNS, CameraEstimate, prior_sigma
+from rtof_kin.calibration.camera_estimate import FOUND, CameraEstimate, prior_sigma
+from rtof_kin.calibration.camera_unknowns import UNKNOWNS
 from rtof_kin.calibration.result import SelfCalibration, Verdict
 from rtof_kin.clinical.angle_table import clinical_name
 from rtof_kin.data.confidence import BAND_95
@@ -24,7 +25,7 @@ from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, FAULT, ROOM, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult
 from rtof_kin.reporting.statistics import ReconstructionStatistics
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import SolverStatus
 
 _MODEL: Final = JointSpaceSettings()
@@ -404,7 +405,7 @@ def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         yield AuditResult.not_checked(ROOM, _POSITION, f"mode {first.mode} has no standard deviations")
     else:
         half = BAND_95 * math.sqrt(3) * statistics["position sigma"].rms_of_all
-        open_ = "" if first.room is None else first.room.unverified
+        open_ = "" if first.position_errors is None else first.position_errors.unverified
         limit = math.inf if open_ else _WIDE_M
         yield AuditResult(ROOM, ROOM_BAND, _POSITION, half, "m", limit, source=_USER, note=open_, weak=bool(open_))
 

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES, AngleRow, AngleTable, clinical_name
 from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
@@ -100,9 +100,8 @@ def report(
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    with MotionReader(folder) as reader:
-        motion = reader
-        analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+    with MotionReader(folder) as motion:
+        analysis = analyse(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 

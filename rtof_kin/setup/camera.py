@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.calibration.camera_estimate import pitch_and_roll
+from rtof_kin.calibration.camera_unknowns import pitch_and_roll
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.camera_motion import CameraMotion
@@ -30,8 +30,7 @@ from rtof_kin.vision.background_motion import BackgroundMotion, estimate_camera_
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.lens_prior import LensPrior
 
-HEIGHT, SIGMA_HEIGHT = 1.2, 0.4
-"""Height of an assumed camera over the floor and its standard deviation, m."""
+HEIGHT, SIGMA_HEIGHT = 1.2, 0.4  # Height of an assumed camera over the floor and its standard deviation, m
 SIGMA_PITCH_DEG, SIGMA_ROLL_DEG = 10.0, 4.0
 """Standard deviations of pitch and roll of an assumed camera, degrees: tripods and shelves look down."""
 _POSE: Final = "pose"
@@ -182,8 +181,7 @@ def _size(camera: Camera, size: Field) -> dict[str, Field]:
     return {"width_px": replace(size, value=camera.width_px), "height_px": Field(camera.height_px)}
 
 
-MOTION: Final = "camera_motion.npz"
-"""File of a recording's folder."""
+MOTION: Final = "camera_motion.npz"  # File of a recording's folder
 _log = logging.getLogger(__name__)
 
 
@@ -192,8 +190,7 @@ class FilmingCamera:
     """The camera of a take, and how it turned."""
 
     camera: SetupCamera
-    motion: CameraMotion | None = None
-    """None where it stood still, or nothing tells."""
+    motion: CameraMotion | None = None  # None where it stood still, or nothing tells
     doubts: tuple[str, ...] = ()
 
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.calibration.video_offset import find_video_offset
+from rtof_kin.calibration.clocks import find_video_offset
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera

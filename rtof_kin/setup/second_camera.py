@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.video_offset import VideoOffset, find_video_offset
+from rtof_kin.calibration.clocks import ClockEstimate, find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
@@ -33,35 +33,25 @@ TURN, MOVE, FOCAL, DELAY, SIZE = slice(0, 3), slice(3, 6), slice(6, 8), 8, 9
 """Unknowns of all frames: the second camera's rotation vector in world, rad, and movement, m; logarithms of
 the focal lengths' factors; seconds; logarithm of the size's factor."""
 _UNKNOWNS: Final = 10
-_UNKNOWN: Final = 1e3
-"""[rad, m] Prior standard deviation of the second camera's heading and position."""
-_NORMAL_MEDIAN: Final = 0.6745
-"""Median of the absolute values of a standard normal distribution."""
-_ROBUST: Final = 2.0
-"""[sigma] Scale of the Cauchy loss."""
+_UNKNOWN = 1e3  # [rad, m] Prior standard deviation of the second camera's heading and position
+_NORMAL_MEDIAN = 0.6745  # Median of the absolute values of a standard normal distribution
+_ROBUST = 2.0  # [sigma] Scale of the Cauchy loss
 
 
 @dataclass(frozen=True)
 class BundleSettings:
     """Prior standard deviations of a bundle adjustment."""
 
-    sigma_focal: tuple[float, float] = (0.1, 0.1)
-    """[1] of each focal length; 0 where it is known."""
-    sigma_delay: float = 0.05
-    """[s] of the second video's times."""
-    sigma_size: float = 0.03
-    """[1] of the body's size."""
-    sigma_tilt: float = np.radians(3.0)
-    """[rad] of the second camera's tilt as given, about each horizontal axis."""
+    sigma_focal: tuple[float, float] = (0.1, 0.1)  # [1] of each focal length; 0 where it is known
+    sigma_delay: float = 0.05  # [s] of the second video's times
+    sigma_size: float = 0.03  # [1] of the body's size
+    sigma_tilt: float = np.radians(3.0)  # [rad] of the second camera's tilt as given, about each horizontal axis
     sigma_image: float = 0.004
     """[1] of a joint in an image per axis, relative to the focal length; residuals do not tell it where the
     joints are free."""
-    sigma_shapes: tuple[float, float] = (0.06, 0.06)
-    """[m] of a joint of each shape about the mean of all, per axis."""
-    sigma_bone: float = 0.025
-    """[m] of a bone's length in one frame."""
-    sigma_start: float = 1.0
-    """[m] of a joint about its start, per axis."""
+    sigma_shapes: tuple[float, float] = (0.06, 0.06)  # [m] of a joint of each shape about the mean of all, per axis
+    sigma_bone: float = 0.025  # [m] of a bone's length in one frame
+    sigma_start: float = 1.0  # [m] of a joint about its start, per axis
     frames_as_one: float = 1.0
     """Number of used frames in a row with the information of one: errors are correlated in time."""
     iterations: int = 60
@@ -71,14 +61,10 @@ class BundleSettings:
 class Images:
     """Joints of F frames in the images of two cameras."""
 
-    uv_px: Array
-    """(2, F, n, 2) undistorted; any value where unobserved."""
-    weight: Array
-    """(2, F, n) 0 where unobserved, up to 1."""
-    drift: Array
-    """(F, n, 2) velocity in the second image, px/s."""
-    bones: Sequence[tuple[int, int, float]]
-    """Two joints and the length between them, m."""
+    uv_px: Array  # (2, F, n, 2) undistorted; any value where unobserved
+    weight: Array  # (2, F, n) 0 where unobserved, up to 1
+    drift: Array  # (F, n, 2) velocity in the second image, px/s
+    bones: Sequence[tuple[int, int, float]]  # Two joints and the length between them, m
     shapes: Array
     """(2, F, n, 3) joints as each video alone shows them, m, in world with the second camera as at the start;
     their mean is not used."""
@@ -89,14 +75,10 @@ class Adjusted:
     """Result of a bundle adjustment."""
 
     cameras: tuple[Camera, Camera]
-    p_world_joint: Array
-    """(F, n, 3) m."""
-    x: Array
-    """(10,) unknowns of all frames; `TURN` to `SIZE`."""
-    covariance: Array
-    """(10, 10) of them."""
-    sigma: float
-    """Standard deviation of a joint in an image per axis, relative to the focal length."""
+    p_world_joint: Array  # (F, n, 3) m
+    x: Array  # (10,) unknowns of all frames; `TURN` to `SIZE`
+    covariance: Array  # (10, 10) of them
+    sigma: float  # Standard deviation of a joint in an image per axis, relative to the focal length
 
 
 def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array, settings: BundleSettings) -> Adjusted:
@@ -267,56 +249,36 @@ JOINTS: Final = (
     "LeftFoot",
 )
 """Joints that detectors show; those of the trunk are only interpolated."""
-_FEWEST_JOINTS: Final = 6
-"""Joints that both cameras see in a used frame."""
+_FEWEST_JOINTS = 6  # Joints that both cameras see in a used frame
 _FEWEST_FRAMES: Final = 20
 _MOST_FRAMES: Final = 240
 _SENSED, _SEEN, _LIFTED = 0.03, 0.05, 0.06
 """[m] Standard deviations per axis of a joint about the mean of all: by the first camera with sensors, by the
 first camera alone, by a lift."""
-_USUAL_FOCAL: Final = 0.1
-"""[1] Relative standard deviation of a focal length where a camera states none."""
-_USUAL_TILT: Final = np.radians(3.0)
-"""[rad] Standard deviation of the second camera's pitch and roll, likewise."""
-_MEMORY: Final = 3.0
-"""[s] for which a detector's errors count as one."""
-_STEP: Final = 0.1
-"""[s] of the difference that gives a joint's velocity in the image."""
-_LARGEST_TURN_DEG: Final = 5.0
-"""[deg] Standard deviation of the camera's orientation from which it is in doubt."""
-_LARGEST_RESIDUAL: Final = 0.03
-"""[1] Size of the residuals relative to the focal length, likewise."""
+_USUAL_FOCAL = 0.1  # [1] Relative standard deviation of a focal length where a camera states none
+_USUAL_TILT = np.radians(3.0)  # [rad] Standard deviation of the second camera's pitch and roll, likewise
+_MEMORY = 3.0  # [s] for which a detector's errors count as one
+_STEP = 0.1  # [s] of the difference that gives a joint's velocity in the image
+_LARGEST_TURN_DEG = 5.0  # [deg] Standard deviation of the camera's orientation from which it is in doubt
+_LARGEST_RESIDUAL = 0.03  # [1] Size of the residuals relative to the focal length, likewise
 
 
 @dataclass(frozen=True)
 class SecondCamera:
     """A second camera in the first one's world."""
 
-    first: Camera
-    """The first camera with its focal length as estimated; its pose defines the world."""
-    view: KeypointSequence
-    """The second camera and its keypoints on the first one's clock, a view of the recording."""
-    offset: float
-    """[s] that was added to the second video's times."""
-    sigma_offset: float
-    """[s] Its standard deviation."""
-    sigma_position: Array
-    """(3,) of the second camera's position in world, m."""
-    sigma_turn: Array
-    """(3,) of its orientation, about the axes of the world, rad."""
-    sigma_focal: Array
-    """(2,) relative, of the two focal lengths."""
-    residual: float
-    """Standard deviation of the joints in the images, relative to the focal length."""
-    doubt: str
-    """What may be wrong, in a sentence; empty where sure."""
+    first: Camera  # The first camera with its focal length as estimated; its pose defines the world
+    view: KeypointSequence  # The second camera and its keypoints on the first one's clock, a view of the recording
+    offset: float  # [s] that was added to the second video's times
+    sigma_offset: float  # [s] Its standard deviation
+    sigma_position: Array  # (3,) of the second camera's position in world, m
+    sigma_turn: Array  # (3,) of its orientation, about the axes of the world, rad
+    sigma_focal: Array  # (2,) relative, of the two focal lengths
+    residual: float  # Standard deviation of the joints in the images, relative to the focal length
+    doubt: str  # What may be wrong, in a sentence; empty where sure
 
     def apply(self, recording: Recording) -> Recording:
-        """Return the recording with the second camera as a further view.
-
-        Args:
-            recording: of the first camera.
-        """
+        """Return the recording with the second camera as a further view."""
         first = replace(recording.video, camera=self.first)
         return replace(recording, keypoints=first, views=(*recording.views, self.view))
 
@@ -370,7 +332,7 @@ def find_second_camera(
     return _result(found, view, clock)
 
 
-def _result(found: Adjusted, view: KeypointSequence, clock: VideoOffset) -> SecondCamera:
+def _result(found: Adjusted, view: KeypointSequence, clock: ClockEstimate) -> SecondCamera:
     sigma, delay = np.sqrt(np.diag(found.covariance)), float(found.x[DELAY])
     words = (*view.camera.assumed, "pose of the second camera, from the moving person")
     camera = replace(found.cameras[1], assumed=tuple(dict.fromkeys(words)), uncertainty=None)

@@ -15,8 +15,8 @@ import numpy as np
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.alignment import Alignment, align_sensors
 from rtof_kin.calibration.assignment import assign_sensors, check_assignment
-from rtof_kin.calibration.clock_scan import APART
 from rtof_kin.calibration.clocks import ClockEstimate, find_clock
+from rtof_kin.calibration.offset_scan import APART
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError, InvalidInputError
@@ -32,27 +32,21 @@ from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, ca
 from rtof_kin.recording.sensor_files import IMUS, imus_of_log
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 
-_STILL: Final = np.radians(8.0)
-"""[rad/s] 95th percentile of the angular speed below which a sensor does not move."""
-_STEP: Final = 0.1
-"""[s] over which that speed is measured, so that noise is no motion."""
-_SURE: Final = 0.95
-"""Probability of a segment below which a sensor is left out: lower ones are stated too high."""
+_STILL = np.radians(8.0)  # [rad/s] 95th percentile of the angular speed below which a sensor does not move
+_STEP = 0.1  # [s] over which that speed is measured, so that noise is no motion
+_SURE = 0.95  # Probability of a segment below which a sensor is left out: lower ones are stated too high
 _USUAL_REACH, _NEAR = 600.0, 60.0
 """[s] Offsets that are searched: at least, and, beside the video's length, about the one that files state."""
-_BELONGING: Final = 0.15
-"""[1] Part of the image's motion below which sensors are of another take; of right ones 0.2 at least."""
+_BELONGING = 0.15  # [1] Part of the image's motion below which sensors are of another take; of right ones 0.2 at least
 _SAME_DAY: Final = timedelta(days=1)
-_LEAST_COMMON: Final = 2.0
-"""[s] Least time that video and sensors have in common."""
+_LEAST_COMMON = 2.0  # [s] Least time that video and sensors have in common
 
 
 @dataclass(frozen=True)
 class SetupSensors:
     """Sensors of a recording, the table ``[imus]`` that describes them, and what is in doubt."""
 
-    imus: ImuSequence
-    """On the sensors' clock, which begins at 0."""
+    imus: ImuSequence  # On the sensors' clock, which begins at 0
     fields: Tables
     doubts: tuple[str, ...]
 

@@ -22,14 +22,13 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import Footholds
 from rtof_kin.solve.cartesian.problem import TERMS as CARTESIAN_TERMS
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
-from rtof_kin.solve.energy.problem import TERMS as JOINT_TERMS
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
-from rtof_kin.solve.point_terms import PointData, PointTerm, check_terms
+from rtof_kin.solve.joint_space.terms import BUILT_IN
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, FragmentSolution, SolverStatus
+from rtof_kin.solve.terms import PointData, PointTerm, Term, check_terms
 
 __all__ = ["FragmentReport", "FragmentSolution", "FragmentSolver", "SolverStatus"]
 
@@ -52,7 +51,7 @@ class FragmentSolver:
         settings: CartesianSettings | JointSpaceSettings | None = None,
         sensor_joints: tuple[str, ...] | None = None,
         space: Space | None = None,
-        terms: Sequence[PointTerm] = (),
+        terms: Sequence[Term] = (),
     ) -> None:
         """Build the solver.
 
@@ -85,13 +84,14 @@ class FragmentSolver:
         self.sensor_joints = carriers if sensor_joints is None else tuple(sensor_joints)
         skeleton.index(*self.sensor_joints)
         self.terms = tuple(terms)
-        check_terms(self.terms, skeleton.names, JOINT_TERMS if space == "joint" else CARTESIAN_TERMS)
+        check_terms(self.terms, skeleton.names, BUILT_IN if space == "joint" else CARTESIAN_TERMS, space)
         self._solver: CartesianSolver | JointSpaceSolver
         if space == "joint" and isinstance(settings, JointSpaceSettings):
             places = tuple(sensor_joints or ())
             self._solver = JointSpaceSolver(skeleton, frames, settings, places, self.terms)
         elif space == "cartesian" and isinstance(settings, CartesianSettings):
-            self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints, self.terms)
+            points = tuple(term for term in self.terms if isinstance(term, PointTerm))
+            self._solver = CartesianSolver(skeleton, frames, settings, self.sensor_joints, points)
         else:
             raise InvalidInputError(f"settings: {type(settings).__name__} are not those of space {space!r}")
 

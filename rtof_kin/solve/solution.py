@@ -101,11 +101,11 @@ class FragmentSolution:
     """Blended poses. In Cartesian space orientations follow from positions, with the sensors' twist."""
     fragments: tuple[FragmentReport, ...]
     confidence: Confidence | None = None
-    """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for
-    autocorrelated errors (see `uncertainty.covariance_inflation`)."""
+    """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for autocorrelated errors
+    (see `uncertainty.covariance_inflation`)."""
     spread: Confidence | None = None
-    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated
-    ones; None where everything is seen."""
+    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated ones; None
+    where everything is seen."""
 
     @property
     def status(self) -> SolverStatus:

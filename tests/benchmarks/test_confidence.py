@@ -25,14 +25,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve.joint_space.covariance import segment_pairs
-from rtof_kin.solve.uncertainty.covariance_inflation import (
-    OTHER,
-    SEEN,
-    CovarianceInflation,
-    ResidualStatistics,
-    Widening,
-)
-from rtof_kin.solve.uncertainty.disagreement import disagreement
+from rtof_kin.solve.uncertainty import OTHER, SEEN, CovarianceInflation, ResidualStatistics, Widening, disagreement
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

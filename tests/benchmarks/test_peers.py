@@ -22,9 +22,8 @@ from benchmarks.solvers import measuring, report, side_by_side
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InertialGuidedIK
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 Array = NDArray[np.float64]
 N, T = 8, 24

@@ -64,7 +64,7 @@ def test_a_shift_of_the_clocks_is_measured(seconds: float) -> None:
     scan = scan_clocks(images)
     assert scan is not None
     assert scan.best == pytest.approx(-seconds, abs=0.03)
-    assert scan.second[1] < scan.gain - 10
+    assert scan.rival[1] < scan.gain - 10
 
 
 def test_exchanged_sides_of_a_walk_are_no_late_clock() -> None:

@@ -6,15 +6,15 @@ import numpy as np
 import planted
 from clocks_support import filmed, skeleton, worn
 
-from rtof_kin.calibration.clock_scan import STEP, image_turning, sensor_turning
+from rtof_kin.calibration.clock_scan import STEP, velocities_in_image, velocities_of_sensors
 from rtof_kin.core import rotations as so3
 
 
 def test_a_sensor_turns_like_its_segment_but_for_the_heading() -> None:
     motion = planted.moving(skeleton(), 600)
     log, calibration = worn(motion)
-    seen = image_turning(*filmed(motion, 0.0, 10.0, radians=0.0), skeleton())
-    sensed = sensor_turning(log)
+    seen = velocities_in_image(*filmed(motion, 0.0, 10.0, radians=0.0), skeleton())
+    sensed = velocities_of_sensors(log)
     T = min(len(seen.w_world), len(sensed.w_world))
     for s, joint in enumerate(calibration.joints):
         w = sensed.w_world[:T, s] @ calibration.R_world_inertial[s].T
@@ -25,7 +25,7 @@ def test_a_sensor_turns_like_its_segment_but_for_the_heading() -> None:
 def test_frames_that_do_not_show_the_person_are_missing() -> None:
     motion = planted.moving(skeleton(), 600)
     poses, keypoints = filmed(motion, 0.0, 10.0)
-    seen = image_turning(poses, planted.unseen(keypoints, slice(240, 360)), skeleton())
+    seen = velocities_in_image(poses, planted.unseen(keypoints, slice(240, 360)), skeleton())
     assert not seen.known[round(4.2 / STEP) : round(5.8 / STEP)].any()
     assert seen.known[: round(3.9 / STEP)].all()
 
@@ -35,5 +35,5 @@ def test_fast_turns_are_limited() -> None:
     poses, keypoints = filmed(motion, 0.0, 5.0)
     R = poses.R_world_bone.copy()
     R[150] = so3.about_axis("z", np.pi) @ R[150]
-    seen = image_turning(poses.with_poses(slice(None), poses.p_world_joint, R), keypoints, skeleton())
+    seen = velocities_in_image(poses.with_poses(slice(None), poses.p_world_joint, R), keypoints, skeleton())
     assert np.nanmax(np.linalg.norm(seen.w_world, axis=-1)) < 7.0

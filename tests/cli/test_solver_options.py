@@ -18,8 +18,7 @@ from rtof_kin.core.choices import GUARDS
 from rtof_kin.core.environment import limit_threads, threads
 from rtof_kin.reconstruction.result import _energy_name
 from rtof_kin.reporting.angle_names import plain_words
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 
 def summary_after(cli: Any, recording: Path, out: Path, *options: str) -> tuple[dict[str, Any], str]:

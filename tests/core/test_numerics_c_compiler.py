@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics.c_compiler import compiled
+from rtof_kin.core.numerics.simd import Mapped, compile_simd
+from rtof_kin.core.numerics.simd_codegen import FrameFunction
 from rtof_kin.core.resources import cache_folder
 
 pytestmark = [
@@ -25,21 +26,21 @@ pytestmark = [
 POINT = np.array([0.3, -1.2, 2.5])
 
 
-def functions(scale: float = 1.0) -> list[Any]:
+def functions(scale: float = 1.0) -> list[FrameFunction]:
     """Two small functions, one with several outputs."""
     x = ca.SX.sym("x", 3)
-    y = ca.vertcat(ca.sin(scale * x[0]) * x[1], ca.exp(x[2]) / x[1])
-    return [ca.Function("first", [x], [y, ca.densify(ca.jacobian(y, x))]), ca.Function("second", [x], [ca.sumsqr(x)])]
+    y = ca.vertcat(ca.sin(scale * x[0]) * x[1], ca.cos(x[2]) / x[1])
+    first = ca.Function("first", [x], [y, ca.densify(ca.jacobian(y, x))])
+    return [FrameFunction(f) for f in (first, ca.Function("second", [x], [ca.sumsqr(x)]))]
 
 
-def check_compiled(given: list[Any], made: list[Any]) -> None:
+def check_compiled(given: list[FrameFunction], code: dict[str, Any]) -> None:
     """Check that functions are machine code and give the numbers of the interpreted ones."""
-    assert [f.name() for f in made] == [f.name() for f in given]
-    assert all(f.class_name() == "External" for f in made)
-    for a, b in zip(given, made, strict=True):
-        assert a.sparsity_out(0) == b.sparsity_out(0)
-        for x, y in zip(a.call([POINT]), b.call([POINT]), strict=True):
-            np.testing.assert_allclose(np.array(x), np.array(y), rtol=1e-14)
+    assert set(code) == {f.function.name() for f in given}
+    for f in given:
+        own, plain = (Mapped(made, f, 1)(POINT[None]) for made in (code[f.function.name()], None))
+        for x, y in zip(own, plain, strict=True):
+            np.testing.assert_allclose(x, y, rtol=1e-14)
 
 
 def test_cache_folder_follows_the_environment(
@@ -54,15 +55,15 @@ def test_cache_folder_follows_the_environment(
     assert cache_folder() == tmp_path / "home" / ".cache" / "rtof_kin"
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RTOF_KIN_CACHE", "relative")
-    check_compiled(functions(), compiled(functions()))
+    check_compiled(functions(), compile_simd(functions()))
     assert len(list(tmp_path.glob("relative/*.so"))) == 1
 
 
 def test_functions_are_compiled_once_and_loaded_without_a_compiler(
     compile_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    check_compiled(functions(), compiled(functions()))
-    check_compiled(functions(2.0), compiled(functions(2.0)))
+    check_compiled(functions(), compile_simd(functions()))
+    check_compiled(functions(2.0), compile_simd(functions(2.0)))
     assert len(list(compile_cache.glob("*.so"))) == 2
     assert {path.suffix for path in compile_cache.iterdir()} <= {".so", ".json", ".lock"}
     assert "compiling the energy, once" in caplog.text
@@ -72,9 +73,9 @@ def test_functions_are_compiled_once_and_loaded_without_a_compiler(
         raise AssertionError("compiled again")
 
     monkeypatch.setattr(subprocess, "run", fail)
-    check_compiled(functions(), compiled(functions()))
+    check_compiled(functions(), compile_simd(functions()))
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    check_compiled(functions(2.0), compiled(functions(2.0)))
+    check_compiled(functions(2.0), compile_simd(functions(2.0)))
     assert not caplog.records
 
 
@@ -84,20 +85,20 @@ def test_damaged_library_is_compiled_again_or_interpreted(
 ) -> None:
     given = functions(3.0)
     for _ in range(2):
-        check_compiled(given, compiled(given))
+        check_compiled(given, compile_simd(given))
         (library,) = compile_cache.glob("*.so")
         library.unlink()
         library.write_bytes(damage)
     monkeypatch.setattr(shutil, "which", lambda name: None)
     caplog.clear()
-    assert compiled(given) == given
+    assert compile_simd(given) == {}
     assert "interpreted, which is slower" in caplog.text
 
 
 def in_a_process(scale: float) -> list[float]:
-    (first, second) = compiled(functions(scale))
-    assert first.class_name() == "External"
-    return [float(first(POINT)[0][0]), float(second(POINT))]
+    given = functions(scale)
+    code = compile_simd(given)
+    return [float(Mapped(code[f.function.name()], f, 1)(POINT[None])[0][0, 0]) for f in given]
 
 
 def test_only_one_of_several_processes_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +133,7 @@ def test_functions_that_cannot_be_compiled_are_interpreted(
     else:
         monkeypatch.setenv("RTOF_KIN_COMPILE", "never")
     given = functions()
-    assert compiled(given) == given
+    assert compile_simd(given) == {}
     if reason == "environment":
         assert not caplog.records
     else:

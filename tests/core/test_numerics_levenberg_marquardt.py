@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.solve.energy.problem import JointProblem
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.state import Limits
 
 Array = NDArray[np.float64]
 N = 8
@@ -20,7 +20,7 @@ FINE = 1e-9
 class Start:
     """A problem with data of one motion, and an initial state 0.1 rad away."""
 
-    def __init__(self, kind: str = "bare", frames: int = N) -> None:
+    def __init__(self, kind: str = "all bare", frames: int = N) -> None:
         self.built, self.problem = js.built(kind), js.problem(kind, frames)
         truth = js.states(self.built.space, frames, 0, 0.02)
         self.data = js.random_data(self.built, truth, 7)
@@ -36,7 +36,7 @@ def start() -> Start:
     return Start()
 
 
-def apart(problem: JointProblem, x: Array, y: Array) -> float:
+def apart(problem: FragmentEnergy, x: Array, y: Array) -> float:
     """Largest distance of joints, m."""
     return float(np.abs(problem.space.poses(x)[0] - problem.space.poses(y)[0]).max())
 
@@ -77,7 +77,7 @@ def test_minimum_is_that_of_scipy() -> None:
     assert apart(problem, solved.x, problem.space.retract(solved.x, peer.x.reshape(5, D))) < 0.05
 
 
-@pytest.mark.parametrize("kind", ["bare", "whole", "balls"])
+@pytest.mark.parametrize("kind", ["all bare", "all whole", "all balls"])
 def test_energy_decreases_and_gradient_vanishes(kind: str) -> None:
     start = Start(kind)
     problem = start.problem
@@ -144,7 +144,7 @@ def check_optimality(start: Start, solved: Solved) -> None:
     assert np.abs(lagrangian_gradient(start, solved)).max() < 1e-4 * first
 
 
-@pytest.mark.parametrize("kind", ["bare", "whole"])
+@pytest.mark.parametrize("kind", ["all bare", "all whole"])
 def test_limits_are_satisfied_with_the_multipliers_of_an_optimum(kind: str) -> None:
     start = Start(kind)
     free = LevenbergMarquardt(start.problem, None).solve(start.x, 300, FINE)
@@ -152,7 +152,7 @@ def test_limits_are_satisfied_with_the_multipliers_of_an_optimum(kind: str) -> N
     assert np.degrees(beyond) > 5
     solved = LevenbergMarquardt(start.problem, start.limits).solve(start.x, 400, 1e-8)
     assert solved.converged
-    assert np.count_nonzero(solved.multipliers) > 3
+    assert np.count_nonzero(solved.multipliers) > 2
     check_optimality(start, solved)
     assert start.problem.total(solved.x) > start.problem.total(free.x)
 

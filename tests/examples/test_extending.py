@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 
 from rtof_kin import FragmentSolver, JointSpaceSettings, Recording
+from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.sensors import files
-from rtof_kin.solve.point_terms import PointData
+from rtof_kin.solve.terms import PointData
 from rtof_kin.vision import layouts
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "extending"
-QUOTED = {"sensor_reader": "reader", "detector_layout": "layout", "residual": "residual"}
+QUOTED = {"sensor_reader": ["reader"], "detector_layout": ["layout"], "residual": ["residual", "term"]}
 
 
 @pytest.fixture(autouse=True)
@@ -40,9 +41,10 @@ def example(name: str) -> Any:
 @pytest.mark.parametrize("name", QUOTED)
 def test_the_guide_quotes_the_example(name: str) -> None:
     text = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
-    found = re.search(rf"# \[{QUOTED[name]}\]\n(.*?)# \[end\]", text, re.DOTALL)
-    assert found is not None
-    assert f"```python\n{found[1].strip()}\n```" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    for part in QUOTED[name]:
+        found = re.search(rf"# \[{part}\]\n(.*?)# \[end\]", text, re.DOTALL)
+        assert found is not None
+        assert f"```python\n{found[1].strip()}\n```" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
 
 def test_the_reader_gives_si_units(capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,3 +133,19 @@ def test_distances_bring_the_root_back() -> None:
         for observed in ({}, {"anchor": PointData(values, 0.05)})
     ]
     assert off[1] < 0.08 < 0.15 < off[0]
+
+
+def test_an_inclinometer_straightens_the_chest() -> None:
+    """A term of another kind than positions: the start leans by 20 degrees, the sensor does not."""
+    own, recording = example("residual"), Recording.load(model_path("demo"))
+    assert recording.truth is not None
+    truth, chest = recording.truth[:24], recording.skeleton.names.index("Spine3")
+    R = truth.R_world_bone @ so3.exp([0.35, 0.0, 0.0])
+    start = truth.with_poses(slice(None), truth.p_world_joint, R)
+    data = PointData(truth.R_world_bone[:, chest, 2], 0.01)
+    solver = FragmentSolver(recording.skeleton, 24, JointSpaceSettings(), terms=[own.TILT])
+    off = []
+    for observed in ({}, {"tilt": data}):
+        found = solver.solve(start, recording.keypoints[:24], observed=observed).poses.R_world_bone[:, chest, 2]
+        off.append(np.degrees(np.arccos(np.clip(np.sum(found * data.values, axis=1), -1, 1))).mean())
+    assert off[1] < 3 < off[0]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,12 @@ from protocol_support import read_json, row
 
 from lifting.checkpoint import save_checkpoint
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.cli import main
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
-from rtof_kin.protocols import pictures, published
-from rtof_kin.protocols.human36m import STILL, Human36MProtocol, all_tables, run
-from rtof_kin.protocols.tables import Table
+from rtof_kin.protocols import human36m, published, run
+from rtof_kin.protocols.human36m import Human36MProtocol, all_tables
+from rtof_kin.protocols.tables import STILL, Table
 
 SUBJECTS = ("S9", "S11")
 
@@ -67,31 +65,11 @@ def table_of(about: Human36MProtocol, outcome: Outcome) -> dict[str, Table]:
 
 @pytest.fixture(scope="module")
 def measured(root: Path, lifter: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One action of each subject in both modes by the command, with everything it can write."""
+    """One action of each subject in both modes, with everything that is written."""
     folder = tmp_path_factory.mktemp("measured")
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        code = main(
-            [
-                "human36m",
-                "--root",
-                str(root),
-                "--model",
-                str(lifter),
-                "--cameras",
-                "1",
-                "--actions",
-                "Action 1",
-                "--workers",
-                "1",
-                "-o",
-                str(folder / "out"),
-                "--save",
-                str(folder / "motions"),
-                "--json",
-                str(folder / "all.json"),
-            ]
-        )
-    assert code == 0
+    settings = {"lifter": lifter, "cameras": (1,), "actions": ("Action 1",), "save": folder / "motions"}
+    found = run("human36m", root, folder / "out", workers=1, json_file=folder / "all.json", **settings)
+    assert found.problem == ""
     return folder
 
 
@@ -148,7 +126,7 @@ def test_the_table_has_the_papers_rows_then_ours_then_no_motion(measured: Path) 
 
 def test_means_are_over_the_frames_of_all_actions(root: Path, lifter: Path, tmp_path: Path) -> None:
     about = protocol(root, lifter, actions=("Action",))
-    outcome = run(about, tmp_path, workers=1)
+    outcome = about.run(tmp_path, workers=1)
     assert (len(outcome.done), outcome.failed) == (4, {})
     expected = np.average(
         [facts["methods"]["lift"]["mpjpe_rr_mm"] for facts in outcome.done.values()],
@@ -168,7 +146,7 @@ def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path
     positions["S9"] = positions["S9"] | {"Action 0": np.zeros((30, 5))}
     h36m.write_positions(tmp_path, positions)
     about = protocol(tmp_path, lifter, actions=("Action 0", "Action 1"), keypoints="cpn_ft_h36m_dbb")
-    outcome = run(about, tmp_path / "out", workers=1)
+    outcome = about.run(tmp_path / "out", workers=1)
     assert list(outcome.done) == ["S9_Action_1_cam0"]
     tables = table_of(about, outcome)
     note = "INCOMPLETE, without 1 recordings and any of S11: see the last table."
@@ -182,48 +160,36 @@ def test_damaged_actions_and_absent_subjects_are_reported(lifter: Path, tmp_path
         protocol(tmp_path, lifter, subjects=("S11",)).jobs()
 
 
-BAD = {
-    "an unknown subject": (["--subjects", "S2"], "unknown subject 'S2'"),
-    "a misspelt action": (["--actions", "Action 1,Acton 0"], "unknown action 'Acton 0'. Did you mean 'Action 0'?"),
-    "a mode with sensors": (["--modes", "rtof"], "unknown mode without sensors 'rtof'"),
-    "no lifter": (["--model", "{tmp}/none.pt"], "none.pt: no such file; train a lifter"),
-    "no archives": (["--root", "{tmp}"], "data_3d_h36m.npz"),
-}
-
-
-@pytest.fixture
-def unpictured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "write_pictures", lambda *about: [])
-
-
-@pytest.mark.usefixtures("unpictured")
-@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize(
+    "given, message",
+    [
+        ({"subjects": ("S2",)}, "unknown subject 'S2'"),
+        ({"actions": ("Action 1", "Acton 0")}, "unknown action 'Acton 0'. Did you mean 'Action 0'?"),
+        ({"modes": ("rtof",)}, "unknown mode without sensors 'rtof'"),
+        ({"lifter": Path("none.pt")}, "none.pt: no such file; train a lifter"),
+        ({"root": Path("none")}, "data_3d_h36m.npz"),
+    ],
+)
 def test_bad_input_writes_nothing(
-    bad: str, root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: dict[str, Any], message: str, root: Path, lifter: Path, tmp_path: Path
 ) -> None:
-    given, expected = BAD[bad]
-    out = tmp_path.with_name(f"{tmp_path.name}_out")
-    arguments = ["human36m", "--root", str(root), "--model", str(lifter), "-o", str(out)]
-    assert main([*arguments, *(text.replace("{tmp}", str(tmp_path)) for text in given)]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("error: ")
-    assert expected in lines[0]
-    assert not (out / "runs").exists() or not list((out / "runs").iterdir())
+    about = {"root": root, "lifter": lifter} | given
+    with pytest.raises(RtofError, match=re.escape(message)):
+        run("human36m", about.pop("root"), tmp_path / "out", **about)
     assert not list(tmp_path.iterdir())
 
 
-def test_input_that_fails_in_every_measurement_is_refused(
-    root: Path, lifter: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_input_that_fails_in_every_measurement_is_a_problem(
+    root: Path, lifter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(human36m, "figures", lambda *about: [])
     made = untrained_lifter(rate_hz=50.0)
     save_checkpoint(tmp_path / "21.pt", made.network, made.description)
-    arguments = ["human36m", "--root", str(root), "--modes", "lift", "--workers", "1"]
-    for k, (path, keypoints, expected) in enumerate(
-        ((lifter, "hrnet", "unknown keypoints"), (tmp_path / "21.pt", "gt", "joint"))
+    usual = {"modes": ("lift",), "workers": 1}
+    for name, own, expected in (
+        ("0", {"lifter": lifter, "keypoints": "hrnet"}, "unknown keypoints"),
+        ("1", {"lifter": tmp_path / "21.pt"}, "joint"),
     ):
-        options = ["--model", str(path), "--keypoints", keypoints, "-o", str(tmp_path / str(k))]
-        assert main([*arguments, *options]) == 2
-        message = capsys.readouterr().err.splitlines()[-1]
-        assert message.startswith("error: ")
-        assert expected in message
+        problem = run("human36m", root, tmp_path / name, **usual, **own).problem
+        assert problem.startswith("nothing could be measured; first of all: ")
+        assert expected in problem

@@ -15,10 +15,9 @@ from protocol_support import cells_of, read_json, row
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
-from rtof_kin.protocols.pictures import error_curves
-from rtof_kin.protocols.tables import Table, pooled, write_tables
-from rtof_kin.protocols.total_capture import LOW_PASSED, STILL, TotalCaptureProtocol
-from rtof_kin.protocols.total_capture_tables import all_tables
+from rtof_kin.protocols.measures import error_curves
+from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, document_of, pooled, write_results
+from rtof_kin.protocols.total_capture import TotalCaptureProtocol, all_tables
 
 FRAMES = {
     "walking2": (3189, 3575, 3239, 3376, 3738),
@@ -128,7 +127,8 @@ def test_markdown_has_every_cell_rounded_in_its_column() -> None:
 
 def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: Path) -> None:
     asked = tmp_path / "deep" / "all.json"
-    paths = write_tables(tmp_path / "out", [PLAIN], {"settings": {"seed": 3}}, asked)
+    found = document_of("A study", "Of one table.", [PLAIN], {"settings": {"seed": 3}})
+    paths = write_results(found, tmp_path / "out", asked)
     assert paths == [tmp_path / "out" / "tables.md", tmp_path / "out" / "tables.json", asked]
     content = read_json(asked)
     assert content["settings"] == {"seed": 3}
@@ -139,9 +139,11 @@ def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: P
         "notes": ["First.", "Second [mm]."],
     }
     assert asked.read_bytes() == (tmp_path / "out" / "tables.json").read_bytes()
-    assert len(write_tables(tmp_path / "out", [PLAIN, PLAIN], {})) == 2
+    assert content["headline"] == "Of one table."
+    assert (tmp_path / "out" / "tables.md").read_text() == f"Of one table.\n\n{PLAIN.markdown()}"
+    assert len(write_results(found, tmp_path / "out")) == 2
     with pytest.raises(RtofError, match=f"{tmp_path}: is a folder; name a file"):
-        write_tables(tmp_path / "out", [PLAIN], {}, tmp_path)
+        write_results(found, tmp_path / "out", tmp_path)
 
 
 def complete(cameras: Iterable[int] = (1, 3), modes: Sequence[str] = MODES, **figures: Any) -> dict[str, Any]:

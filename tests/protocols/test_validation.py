@@ -1,10 +1,8 @@
-"""The command validate on small made sets: planted errors, failing takes, resuming, and evaluate --angles."""
+"""Validation of angles on small made sets: planted errors, failing takes, resuming."""
 
 from __future__ import annotations
 
-import contextlib
 import csv
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,30 +14,20 @@ from overlay_support import write_film
 from protocol_support import read_json
 from public_sets import known, true_motion
 
-from rtof_kin.body.motion_file import write_motion
-from rtof_kin.cli import main
+from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_errors import ALL, AngleDifferences, error_rows
 from rtof_kin.clinical.angles import clinical_angles
-from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, UnknownNameError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.datasets.movi import CENTRES
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import MOVEMENTS
-from rtof_kin.protocols import validation
-from rtof_kin.protocols.angle_tables import error_table, published_table, write_angle_tables
-from rtof_kin.protocols.published_angles import PUBLISHED
-from rtof_kin.protocols.validation import SETS, Validation, ValidationProtocol, compared_with
-from rtof_kin.protocols.validation_tables import first_line
+from rtof_kin.protocols import SETS, Measured, run, validation
+from rtof_kin.protocols.angles import against_opensim, against_recording, angle_document, published_table
+from rtof_kin.protocols.published import PUBLISHED
+from rtof_kin.protocols.tables import write_results
+from rtof_kin.protocols.validation import ValidationProtocol, compared_with, first_line
 from rtof_kin.vision.detections import Detections
-
-
-def silent(*arguments: str) -> tuple[int, str]:
-    """Run a command; return its exit code and what it printed."""
-    text = io.StringIO()
-    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
-        code = main(list(arguments))
-    return code, " ".join(text.getvalue().split())
-
 
 # --- a take against its reference -----------------------------------------------------------------
 
@@ -76,8 +64,7 @@ def test_a_lag_that_is_not_found_is_in_doubt_in_the_first_line(tmp_path: Path) -
     facts, _ = compared(tmp_path / "beyond", shift=1.6)
     assert facts["clock"]["shift_s"] == 0.0
     assert facts["clock"]["how"] == "as recorded: the movements hardly agree at any shift"
-    found = Validation((), Outcome(Path(), {"a": facts}, {}))
-    line = first_line(ValidationProtocol("opencap", Path()), found)
+    line = first_line(ValidationProtocol(Path(), "opencap"), Outcome(Path(), {"a": facts}, {}))
     assert "IN DOUBT: in 1 takes the movements hardly agree at any shift" in line
     assert line.endswith("another movement: a; leave them out by --takes.")
 
@@ -115,29 +102,28 @@ def test_the_files_hold_the_same_numbers(tmp_path: Path) -> None:
     degrees = np.radians(np.array([1.0, 2.0, 3.0, 10.0]))
     found = AngleDifferences("left_knee_flexion", "walk", "t<1>", degrees, np.radians(np.full(4, 2.0)))
     rows = error_rows([found], MOVEMENTS)
-    tables = (error_table(rows, "Joint angles <here>"), published_table(rows))
-    write_angle_tables(tmp_path, rows, tables, "first & foremost", {})
+    write_results(angle_document(rows, "Joint angles <here>", "first & foremost"), tmp_path)
     with (tmp_path / "angle_errors.csv").open(encoding="utf-8") as stream:
         (knee,) = [one for one in csv.DictReader(stream) if (one["angle"], one["movement"]) == ("knee_flexion", ALL)]
     assert float(knee["median_deg"]) == pytest.approx(2.5)
     assert float(knee["within_95_share"]) == 0.75  # 10 degrees are beyond 1.96 of 2
     content = read_json(tmp_path / "tables.json")
     assert content["rows"][0]["mae_deg"] == pytest.approx(4.0)
-    assert content["first"] == "first & foremost"
+    assert content["headline"] == "first & foremost"
     assert (tmp_path / "tables.md").read_text().startswith("first & foremost\n")
-    page = (tmp_path / "angle_errors.html").read_text()
+    page = (tmp_path / "tables.html").read_text()
     assert "first &amp; foremost" in page
     assert "Joint angles &lt;here&gt;" in page
-    assert "<svg" in page
+    assert "data:image/png;base64," in page
 
 
 def test_sensors_that_made_the_reference_are_said_first() -> None:
     facts = {"of_sensors": True, "kind": "walk", "clock": {"how": "as recorded"}}
-    found = Validation((), Outcome(Path(), {"a": facts}, {}))
-    line = first_line(ValidationProtocol("vidimu", Path(), mode="rtof"), found)
+    found = Outcome(Path(), {"a": facts}, {})
+    line = first_line(ValidationProtocol(Path(), "vidimu", mode="rtof"), found)
     assert "NOT ACCURACY" in line
     assert "use --mode rto" in line
-    assert "NOT" not in first_line(ValidationProtocol("vidimu", Path()), found)
+    assert "NOT" not in first_line(ValidationProtocol(Path(), "vidimu"), found)
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -153,39 +139,27 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+def validate(sets: Path, out: Path, **settings: Any) -> Measured:
+    """Measure the trials by the network alone, which is quick."""
+    settings = {"keypoints": sets / "kp", "mode": "lift"} | settings
+    return run("opencap", sets / "opencap", out, workers=1, **settings)
+
+
 @pytest.fixture(scope="module")
-def measured(sets: Path) -> tuple[int, str, Path]:
-    """What the command says of it, by the network alone, which is quick."""
-    out = sets / "out"
-    code, said = silent(
-        "validate",
-        "opencap",
-        "--root",
-        str(sets / "opencap"),
-        "--keypoints",
-        str(sets / "kp"),
-        "--mode",
-        "lift",
-        "--workers",
-        "1",
-        "-o",
-        str(out),
-    )
-    return code, said, out
+def measured(sets: Path) -> Path:
+    assert list(validate(sets, sets / "out").outcome.failed) == ["subject2_Session1_Cam1_squats1"]
+    return sets / "out"
 
 
-def test_a_failed_take_is_counted_named_and_makes_the_exit_code(measured: tuple[int, str, Path]) -> None:
-    code, said, out = measured
-    assert code == 1
-    first = (out / "tables.md").read_text().splitlines()[0]
+def test_a_failed_take_is_counted_and_named(measured: Path) -> None:
+    first = (measured / "tables.md").read_text().splitlines()[0]
     assert first.startswith("OpenCap's laboratory validation, mode lift: 1 of 2 takes measured, 1 FAILED")
     assert "subject2_Session1_Cam1_squats1:" in first
     assert "the inverse kinematics of the markers is missing" in first
-    assert first[:60] in said
 
 
-def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path]) -> None:
-    out = measured[2]
+def test_errors_are_those_of_the_written_motion(measured: Path) -> None:
+    out = measured
     content = read_json(out / "tables.json")
     (facts,) = content["takes"].values()
     angles = facts["methods"]["angles"]
@@ -202,16 +176,13 @@ def test_errors_are_those_of_the_written_motion(measured: tuple[int, str, Path])
     assert overall["median_deg"] < overall["mae_deg"] < overall["rmse_deg"]
     motion = out / "takes" / "subject2_Session1_Cam1_walking1" / "motion.h5"
     mot = out.parent / "opencap" / "subject2" / "OpenSimData" / "Mocap" / "IK" / "walking1.mot"
-    code, said = silent("evaluate", str(motion), "--truth", str(mot), "--movement", "walk", "-o", str(out / "own"))
-    assert code == 0, said
+    write_results(against_opensim(Motion.load(motion), mot, "walk"), out / "own")
     again = read_json(out / "own" / "tables.json")["rows"]
     for name in ("rmse_deg", "mae_deg", "median_deg", "offset_deg"):
         assert again[0][name] == pytest.approx(overall[name], rel=1e-6)
 
 
-def test_it_goes_on_where_it_was_stopped(
-    sets: Path, measured: tuple[int, str, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_goes_on_where_it_was_stopped(sets: Path, measured: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran = []
 
     def measure(job: validation.ValidationJob) -> Any:
@@ -219,66 +190,31 @@ def test_it_goes_on_where_it_was_stopped(
         raise FileFormatError(job.folder, "still missing")
 
     monkeypatch.setattr(validation, "measure", measure)
-    out = measured[2]
+    out = measured
     before = (out / "angle_errors.csv").read_text()
-    command = (
-        "validate",
-        "opencap",
-        "--root",
-        str(sets / "opencap"),
-        "--keypoints",
-        str(sets / "kp"),
-        "--workers",
-        "1",
-        "-o",
-        str(out),
-    )
-    assert silent(*command, "--mode", "lift")[0] == 1
+    validate(sets, out)
     assert ran == ["subject2_Session1_Cam1_squats1"]  # the other one has its result
     assert (out / "angle_errors.csv").read_text() == before
-    code, said = silent(*command, "--mode", "rto")
-    assert code == 2
-    assert "holds results of other settings (mode)" in said
+    with pytest.raises(OutputExistsError, match=r"holds results of other settings \(mode\)"):
+        validate(sets, out, mode="rto")
 
 
 def test_takes_are_listed_and_chosen(sets: Path) -> None:
-    root = ("--root", str(sets / "opencap"))
-    code, said = silent("validate", "opencap", *root, "--list")
-    assert code == 0
-    assert said == "subject2_Session1_Cam1_squats1 squat subject2_Session1_Cam1_walking1 walk"
-    code, said = silent("validate", "opencap", *root, "--takes", "*_Cam7_*")
-    assert code == 2
-    assert "--takes *_Cam7_*: none of 2, such as subject2_Session1_Cam1_squats1" in said
+    takes = ValidationProtocol(sets / "opencap", "opencap").chosen
+    assert [(take.key, take.kind) for take in takes] == [
+        ("subject2_Session1_Cam1_squats1", "squat"),
+        ("subject2_Session1_Cam1_walking1", "walk"),
+    ]
+    with pytest.raises(InvalidInputError, match=r"--takes \*_Cam7_\*: none of 2, such as subject2_Session1_Cam1_sq"):
+        validate(sets, sets / "none", takes=("*_Cam7_*",))
 
 
-def test_nothing_measured_is_an_error(sets: Path, tmp_path: Path) -> None:
-    code, said = silent(
-        "validate", "opencap", "--root", str(sets / "opencap"), "--workers", "1", "-o", str(tmp_path / "out")
-    )
-    assert code == 2
-    assert "no take could be measured; first of all:" in said
-    assert "there is no video and no detection of it" in said
-
-
-def test_sensors_are_wanted_of_a_set_that_has_them(sets: Path, tmp_path: Path) -> None:
-    code, said = silent(
-        "validate",
-        "opencap",
-        "--root",
-        str(sets / "opencap"),
-        "--keypoints",
-        str(sets / "kp"),
-        "--mode",
-        "rtof",
-        "--takes",
-        "*walking1",
-        "--workers",
-        "1",
-        "-o",
-        str(tmp_path / "out"),
-    )
-    assert code == 2
-    assert "it has no sensors, which mode rtof needs; use --mode rto" in said
+def test_nothing_measured_is_a_problem(sets: Path, tmp_path: Path) -> None:
+    problem = validate(sets, tmp_path / "a", keypoints=None, mode=None, takes=("*walking1",)).problem
+    assert problem.startswith("nothing could be measured; first of all:")
+    assert "there is no video and no detection of it" in problem
+    problem = validate(sets, tmp_path / "b", mode="rtof", takes=("*walking1",)).problem
+    assert "it has no sensors, which mode rtof needs; use --mode rto" in problem
 
 
 @pytest.mark.parametrize(
@@ -291,22 +227,21 @@ def test_sensors_are_wanted_of_a_set_that_has_them(sets: Path, tmp_path: Path) -
 )
 def test_wrong_settings_are_refused(changes: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        ValidationProtocol(**({"dataset": "opencap", "root": Path()} | changes))
+        ValidationProtocol(**({"root": Path(), "dataset": "opencap"} | changes))
 
 
-def test_every_set_of_the_command_line_exists() -> None:
-    code, said = silent("validate", "opencap", "--root", "/nowhere")
-    assert code == 2
-    assert "there is no such folder; give the one into which LabValidation_withVideos was unpacked" in said
-    assert list(SETS) == ["opencap", "vidimu", "movi", "gaitex"]
+def test_every_set_exists() -> None:
+    for name in SETS:
+        settings = {"lifter": Path("perfect")} if name == "human36m" else {}
+        with pytest.raises(FileFormatError, match=r"/nowhere"):
+            run(name, Path("/nowhere"), Path("/nowhere/out"), **settings)
+    with pytest.raises(UnknownNameError, match="data set 'kit'"):
+        run("kit", Path(), Path())
 
 
 def test_gaitex_recovers_the_planted_knees_from_orientations_alone(tmp_path: Path) -> None:
     made.write_gaitex(tmp_path / "set")
-    code, said = silent(
-        "validate", "gaitex", "--root", str(tmp_path / "set"), "--workers", "1", "-o", str(tmp_path / "out")
-    )
-    assert code == 0, said
+    assert run("gaitex", tmp_path / "set", tmp_path / "out", workers=1).outcome.failed == {}
     rows = {one["angle"]: one for one in read_json(tmp_path / "out" / "tables.json")["rows"]}
     assert rows["knee_flexion"]["rmse_deg"] < 3.0
     assert abs(rows["knee_flexion"]["offset_deg"]) < 1.5
@@ -327,47 +262,23 @@ def test_one_video_of_many_motions_is_detected_once_and_cut(tmp_path: Path, monk
         return Detections(uv[:, None], np.ones(uv.shape[:2])[:, None], times)
 
     monkeypatch.setattr(validation, "detect_video", detect_video)
-    code, said = silent(
-        "validate",
-        "movi",
-        "--root",
-        str(root),
-        "--takes",
-        "*_PG1",
-        "--mode",
-        "lift",
-        "--workers",
-        "1",
-        "-o",
-        str(tmp_path / "out"),
-    )
+    found = run("movi", root, tmp_path / "out", workers=1, takes=("*_PG1",), mode="lift")
     assert seen == ["F_PG1_Subject_1_L.avi"]
     content = read_json(tmp_path / "out" / "tables.json")
     walk = content["takes"]["Subject_1_02_walking_PG1"]
     # The cut begins with the motion; the detector of the demo is 50 ms late.
     assert walk["clock"]["shift_s"] == pytest.approx(0.05, abs=0.025)
     assert walk["clock"]["agreement"] > 0.8
-    assert code == 1  # the first motion has no joint centres
-    assert list(content["failed"]) == ["Subject_1_01_kicking_PG1"]
-    assert "1 of 2 takes measured, 1 FAILED" in said
+    assert list(content["failed"]) == ["Subject_1_01_kicking_PG1"]  # which has no joint centres
+    assert "1 of 2 takes measured, 1 FAILED" in found.document.headline
 
 
 # --- evaluate -------------------------------------------------------------------------------------
 
 
-def test_evaluate_prints_the_table_of_angles_against_a_recording(tmp_path: Path) -> None:
+def test_angles_of_a_perfect_motion_are_those_of_the_truth() -> None:
     found = known()
-    take = tmp_path / "take"
-    recording = replace(
-        found.recording, keypoints=found.video, imus=None, calibration=None, truth=found.poses, name="walk"
-    )
-    recording.save(take)
-    motion = true_motion()
-    write_motion(tmp_path / "motion.h5", motion, mode="rto")
-    code, said = silent(
-        "evaluate", str(tmp_path / "motion.h5"), "--truth", str(take), "--angles", "-o", str(tmp_path / "out")
-    )
-    assert code == 0, said
-    assert "Joint angles against the truth of walk:" in said
-    rows = read_json(tmp_path / "out" / "tables.json")["rows"]
-    assert max(one["rmse_deg"] for one in rows) < 1e-3
+    recording = replace(found.recording, keypoints=found.video, imus=None, calibration=None, truth=found.poses)
+    document = against_recording(true_motion(), replace(recording, name="walk"))
+    assert document.headline.startswith("Joint angles against the truth of walk: ")
+    assert max(one["rmse_deg"] for one in document.facts["rows"]) < 1e-3

@@ -25,12 +25,10 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import calibrate_recording
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation
-from rtof_kin.solve.uncertainty.disagreement import disagreement
+from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
+from rtof_kin.solve.uncertainty import CovarianceInflation, disagreement
 
 Results = dict[str, Reconstruction]
 

@@ -21,9 +21,9 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import FaultKind
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.prepare import evenly_spaced
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.initial_guess import InertialGuidedIK
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks.scoring import bands
+from rtof_kin.calibration.camera_unknowns import FOCAL, PITCH, displacements
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
-from rtof_kin.reconstruction.checks.position import displacements
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import with_camera
@@ -96,7 +96,7 @@ def test_displacements_are_those_of_another_camera() -> None:
     d, step = displacements(CAMERA, POINTS), 1e-5
     depth = CAMERA.to_camera(POINTS) * [1.0, 1.0, 1.0 + step]
     longer = (depth - CAMERA.t_camera_world) @ CAMERA.R_camera_world
-    np.testing.assert_allclose((POINTS - longer) / step, d[..., 0], atol=1e-4)
+    np.testing.assert_allclose((POINTS - longer) / step, d[..., FOCAL], atol=1e-4)
     R = so3.exp(np.array([step, 0.0, 0.0])) @ CAMERA.R_camera_world  # the true one
     true = CAMERA.to_camera(POINTS) @ R + CAMERA.center_world
-    np.testing.assert_allclose((POINTS - true) / step, d[..., 4], atol=1e-4)
+    np.testing.assert_allclose((POINTS - true) / step, d[..., PITCH], atol=1e-4)

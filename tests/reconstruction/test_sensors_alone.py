@@ -28,8 +28,8 @@ from rtof_kin.reconstruction.sensors_alone import SensorsAloneSettings, frame_ti
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.figures import TRUTH, skeletons
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolver, SolverStatus
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 WHOLE = ("Hips", "Spine3", *planted.LIMBS)

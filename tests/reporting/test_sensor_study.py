@@ -31,7 +31,7 @@ from rtof_kin.reporting.sensor_study.files import study_data, write_study
 from rtof_kin.reporting.sensor_study.part import Part, liveliest_part
 from rtof_kin.reporting.sensor_study.sentences import NO_ERROR, sentences
 from rtof_kin.reporting.sensor_study.study import SensorStudy, identity_of, number_of_runs, study_sensors
-from rtof_kin.solve.compiled import fragment_energy
+from rtof_kin.solve.joint_space import fragment as fragment_energy
 
 Array = NDArray[np.float64]
 LOSSES = np.radians([8.0, 6.0, 1.0])

@@ -8,7 +8,7 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.video_offset import find_video_offset
+from rtof_kin.calibration.clocks import find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence

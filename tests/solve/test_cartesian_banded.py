@@ -21,8 +21,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.numerics import c_compiler as compiled
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import FragmentProblem
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentReport, SolverStatus
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 N = 8

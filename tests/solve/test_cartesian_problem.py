@@ -17,7 +17,7 @@ from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem, fragment_problem, rigid_pairs
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.human36m()

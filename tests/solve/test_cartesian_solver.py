@@ -18,8 +18,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import Provenance
 from rtof_kin.solve.cartesian.problem import rigid_pairs
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 N = 16

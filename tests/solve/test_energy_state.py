@@ -13,7 +13,7 @@ from rtof_kin.body.metrics import hinges
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
-from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.state import StateSpace
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

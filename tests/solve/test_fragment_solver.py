@@ -15,12 +15,11 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import InvalidInputError, SolverError, UnknownNameError, ViewError
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.solve.cartesian.settings import CartesianSettings
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.joint_space.initial_guess import initial_guess
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import initial_guess
 from rtof_kin.solve.joint_space.solver import JointSpaceSolver
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()

@@ -17,7 +17,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
+from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
 
 Array = NDArray[np.float64]
 SKELETON = SkeletonModel.default()

@@ -14,10 +14,10 @@ from rtof_kin.core.errors import InvalidInputError, SolverError, ViewError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import Annealing
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

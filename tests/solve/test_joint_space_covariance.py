@@ -14,13 +14,12 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.energy.state import StateSpace
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.covariance import blended, confidence_of, segment_pairs, state_covariances
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -16,12 +16,10 @@ from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import SolverError
 from rtof_kin.inertial.root_path import FEET, Footholds
 from rtof_kin.solve.fragment_solver import FragmentSolver
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
-from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
-from rtof_kin.solve.joint_space.marginal_prior import MEMORY, MarginalPrior, WindowEnergy, marginalised
+from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess
+from rtof_kin.solve.joint_space.fixed_lag import MEMORY, FixedLagSmoother, MarginalPrior, WindowEnergy, marginalised
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -15,7 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.joint_space.initial_guess import initial_guess
+from rtof_kin.solve.initial_guess import initial_guess
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

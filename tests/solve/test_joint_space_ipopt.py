@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
-from rtof_kin.solve.energy.problem import FragmentData
 from rtof_kin.solve.fragment_solver import FragmentSolver, SolverStatus
+from rtof_kin.solve.joint_space.fragment import FragmentData
 from rtof_kin.solve.joint_space.ipopt import Ipopt
-from rtof_kin.solve.joint_space.limits import Limits
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 N = 12

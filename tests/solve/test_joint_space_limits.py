@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.solve.energy.state import StateSpace
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.state import Limits, StateSpace
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

@@ -16,11 +16,11 @@ from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import FEET, Footholds
-from rtof_kin.solve.energy.frame_energy import TORSO
 from rtof_kin.solve.fragment_solver import FragmentSolver
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.terms import TORSO
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -120,7 +120,7 @@ ALL_BONES = {side + bone for side in ("Left", "Right") for bone in ("Arm", "Fore
 )
 def test_bones_of_limbs_without_a_sensor_are_anchored(sensors: tuple[str, ...], bare: set[str]) -> None:
     found = observed(start(), worn(*sensors) if sensors else None)
-    bones, anchored = found.problem.energy.shape.bones, found.rows["w_bone"] > 0
+    bones, anchored = found.problem.energy["bone"].bones, found.rows["w_bone"] > 0
     assert {BODY.names[bones[i][0]] for i in np.flatnonzero(anchored.all(axis=0))} == bare
     assert np.array_equal(anchored.all(axis=0), anchored.any(axis=0))
     p = POSES.p_world_joint
@@ -212,7 +212,7 @@ def test_contacts_of_one_foot_share_the_energy_of_both() -> None:
 
     one, both = (with_places((), footholds=stands(*feet)) for feet in (("RightFoot",), FEET))
     assert one.problem.energy is both.problem.energy
-    stood = [BODY.names[j] == "RightFoot" for j in one.problem.energy.shape.contacts]
+    stood = [BODY.names[j] == "RightFoot" for j in one.problem.energy["floor"].contacts]
     assert (one.rows["w_contact"] > 0).all(axis=0).tolist() == stood
     own, other = (found.rows["p_contact"][:, stood] for found in (one, both))
     np.testing.assert_array_equal(own, other)

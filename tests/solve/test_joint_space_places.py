@@ -13,8 +13,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
-from rtof_kin.solve.joint_space.places import estimated_places
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.annealing import estimated_places
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.vision.detector_errors import detector_points
 from rtof_kin.vision.image_points import image_points
 

@@ -21,11 +21,11 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.solve.energy.problem import TERMS
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.initial_guess import InertialGuidedIK
 from rtof_kin.solve.joint_space import solver as solver_module
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.terms import BUILT_IN
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -214,7 +214,7 @@ def test_individual_limits_are_kept(source: str, tmp_path: Path) -> None:
 def test_report_has_every_term_and_counts_iterations(solution: FragmentSolution) -> None:
     assert [f.first_frame for f in solution.fragments] == [-8, 0, 8, 16, 24, 32]
     for f in solution.fragments:
-        assert tuple(f.energy) == TERMS
+        assert tuple(f.energy) == BUILT_IN
         assert min(f.energy.values()) >= 0
         assert f.infeasibility <= LIMIT
         assert 0 < f.optimality < np.inf

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.initial_guess import InitialGuess
+from rtof_kin.solve.joint_space.covariance import unseen_covariance, unseen_times
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.joint_space.unseen import unseen_covariance, unseen_times
+from rtof_kin.solve.settings import JointSpaceSettings
 
 BODY = SkeletonModel.default()
 T, HIDDEN = 150, slice(30, 120)

@@ -13,17 +13,17 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.solve.joint_space.covariance import segment_pairs
-from rtof_kin.solve.uncertainty.covariance_inflation import (
+from rtof_kin.solve.uncertainty import (
     OTHER,
     SEEN,
     USUAL_TORSO_SIGMA,
     CovarianceInflation,
+    Disagreement,
     ResidualStatistics,
     Widening,
     seen_by,
     unsided,
 )
-from rtof_kin.solve.uncertainty.disagreement import Disagreement
 
 BODY = SkeletonModel.default()
 PAIRS = ((WORLD, "Hips"), ("Hips", "LeftUpLeg"))

@@ -11,7 +11,7 @@ import pytest
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.confidence import WORLD
-from rtof_kin.solve.uncertainty.disagreement import WINDOW, disagreement
+from rtof_kin.solve.uncertainty import WINDOW, disagreement
 
 BODY = SkeletonModel.default()
 SOLVED = planted.moving(BODY, 60, 2).poses

@@ -13,8 +13,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import WORLD, Confidence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.solve.uncertainty.covariance_inflation import USUAL_TORSO_SIGMA
-from rtof_kin.solve.uncertainty.residual_statistics import autocorrelation, leg_misfit, leg_spread, residual_statistics
+from rtof_kin.solve.uncertainty import USUAL_TORSO_SIGMA, autocorrelation, leg_misfit, leg_spread, residual_statistics
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

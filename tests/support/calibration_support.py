@@ -19,8 +19,8 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess, initial_guess
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.initial_guess import InitialGuess, initial_guess
+from rtof_kin.solve.settings import JointSpaceSettings
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

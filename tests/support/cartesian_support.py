@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.solve.cartesian.problem import TERMS, FragmentProblem
 from rtof_kin.solve.fragment_solver import FragmentReport, FragmentSolver
-from rtof_kin.solve.inertial_ik import InertialGuidedIK
+from rtof_kin.solve.initial_guess import InertialGuidedIK
 
 Array = NDArray[np.float64]
 BODY, SMALL = SkeletonModel.default(), SkeletonModel.human36m()

@@ -1,6 +1,6 @@
 """The joint-space energy in plain NumPy and SciPy, from its description, and random problems for it.
 
-An energy is a list of `Term`: half the sum of a loss of squared norms of whitened residuals. Value,
+An energy is a list of `Reference` terms: half the sum of a loss of squared norms of whitened residuals. Value,
 gradient and Gauss-Newton Hessian follow from the residuals and their finite differences alone.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import planted
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.inertial.root_path import FEET
-from rtof_kin.solve.energy.frame_energy import TORSO, FrameEnergy, Shape
-from rtof_kin.solve.energy.problem import FragmentData, JointProblem
-from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.core.choices import Compile
+from rtof_kin.solve.joint_space.energy import FrameEnergy
+from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy, FragmentFunctions
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.joint_space.terms import Acceleration, Bone, Floor, Orientation, Prior, Root, Torso, Visual
+from rtof_kin.solve.terms import Term
 
 Array = NDArray[np.float64]
 Loss = Callable[[Array], tuple[Array, Array]]
@@ -29,8 +31,9 @@ BODY = SkeletonModel.default()
 RATE = 60.0
 CAMERA = planted.camera()
 DELTA_PX, DELTA_ORIENTATION, DELTA_ACCELERATION, CUTOFF = 2.0, 3.0, 1.5, 0.2
-EXTRA = ("Nose", "LeftHeel", "LeftToe", "RightHandEnd")
-ALL_SENSORS = (*planted.LIMBS, "Hips", "Head", "LeftFoot")
+MOVING = ("Hips", "Spine", "LeftArm", "LeftForeArm", "RightUpLeg", "RightLeg")
+SEEN = ("Hips", "LeftForeArm", "LeftHand", "RightLeg", "RightFoot", "LeftToe", "Nose")
+ALL_SENSORS = ("Hips", "LeftForeArm", "RightUpLeg", "RightLeg")
 
 
 def pseudo_huber(delta: float) -> Loss:
@@ -48,7 +51,7 @@ def cut_off(metres: float, sigma: float) -> Loss:
 
 
 @dataclass(frozen=True)
-class Term:
+class Reference:
     """Residuals (G, n) in sigmas: G groups, each with a loss of its squared norm."""
 
     name: str
@@ -56,7 +59,7 @@ class Term:
     loss: Loss
 
 
-def value(terms: list[Term]) -> dict[str, float]:
+def value(terms: list[Reference]) -> dict[str, float]:
     """Energy by name."""
     out: dict[str, float] = {}
     for term in terms:
@@ -65,7 +68,7 @@ def value(terms: list[Term]) -> dict[str, float]:
     return out
 
 
-def derivatives(terms: Callable[[Array], list[Term]], size: int, step: float = 1e-6) -> tuple[Array, Array]:
+def derivatives(terms: Callable[[Array], list[Reference]], size: int, step: float = 1e-6) -> tuple[Array, Array]:
     """Gradient (n) and Gauss-Newton Hessian (n, n) at zero, from central differences of residuals."""
     here = terms(np.zeros(size))
     columns = []
@@ -78,6 +81,30 @@ def derivatives(terms: Callable[[Array], list[Term]], size: int, step: float = 1
     slopes = [np.repeat(t.loss(np.sum(t.residuals**2, axis=-1))[1], t.residuals.shape[1]) for t in here]
     slope = np.concatenate(slopes)
     return J.T @ (slope * r), (J.T * slope) @ J
+
+
+class Shape(NamedTuple):
+    """Segments of what is observed."""
+
+    landmarks: tuple[tuple[int, bool], ...]
+    sensors: tuple[int, ...]
+    torso: tuple[int, ...]
+    bones: tuple[tuple[int, int], ...]
+    feet: tuple[int, ...]
+    contacts: tuple[int, ...]
+
+    def terms(self, space: StateSpace) -> tuple[Term, ...]:
+        """The energy's terms."""
+        return (
+            Visual(self.landmarks),
+            Orientation(self.sensors, DELTA_ORIENTATION),
+            Torso(self.torso),
+            Bone(self.bones),
+            Root(),
+            Floor(self.feet, CUTOFF, self.contacts),
+            Prior(len(space.joints) - 1),
+            Acceleration(self.sensors, DELTA_ACCELERATION),
+        )
 
 
 @dataclass(frozen=True)
@@ -93,31 +120,26 @@ class Built:
 
 @cache
 def built(kind: str) -> Built:
-    """'bare': landmarks alone. 'whole': everything seen and sensed. 'balls': without hinges, two sensors.
-    'feet': no camera, four sensors, footholds."""
-    inner = {BODY.names[p] for p in BODY.parents if p >= 0}
-    moving = inner if kind == "bare" else set(BODY.names)
-    sensors = {
-        "bare": (),
-        "whole": ALL_SENSORS,
-        "balls": ("LeftForeArm", "RightLeg"),
-        "feet": ("Hips", "LeftLeg", "RightLeg", "RightForeArm"),
-    }[kind]
-    landmarks = () if kind == "feet" else (*BODY.names, *(EXTRA if kind == "whole" else ()))
-    space = StateSpace(BODY, [n for n in BODY.names if n in moving], hinged=kind != "balls")
-    bones = (("LeftArm", "LeftForeArm"), ("RightLeg", "RightFoot"))
-    anchored = kind != "bare"
+    """A body whose trunk, arm and leg alone move. 'bare': landmarks alone. 'whole': everything seen and sensed.
+    'balls': without hinges, one sensor. 'feet': no camera, two sensors, contact points. After 'all ' all joints move.
+    """
+    index, of_all, kind = BODY.index, kind.startswith("all "), kind.removeprefix("all ")
+    sensors = {"bare": (), "whole": ALL_SENSORS, "balls": ("LeftForeArm", "RightLeg"), "feet": ("Hips", "RightLeg")}[
+        kind
+    ]
+    seen = () if kind == "feet" else BODY.names if of_all else SEEN
+    anchored = kind in ("whole", "balls")
+    inner = [BODY.names[p] for p in BODY.parents if p >= 0]
+    space = StateSpace(BODY, inner if of_all else MOVING, hinged=kind != "balls")
     shape = Shape(
-        landmarks=tuple((BODY.index(BODY.landmarks[n][0])[0], n in BODY.names) for n in landmarks),
-        sensors=tuple(BODY.index(*sensors)),
-        torso=tuple(BODY.index(*TORSO)) if anchored else (),
-        bones=tuple((BODY.index(a)[0], BODY.index(b)[0]) for a, b in bones) if anchored else (),
-        feet=tuple(BODY.index(*FEET)) if anchored else (),
-        robust_orientation=DELTA_ORIENTATION,
-        floor_cutoff=CUTOFF,
-        contacts=tuple(BODY.index(*FEET)) if kind == "feet" else (),
+        landmarks=tuple((index(BODY.landmarks[n][0])[0], n in BODY.names) for n in seen),
+        sensors=tuple(index(*sensors)),
+        torso=tuple(index("Hips")) if anchored else (),
+        bones=((index("RightLeg")[0], index("RightFoot")[0]),) if anchored else (),
+        feet=tuple(index("RightFoot")) if anchored else (),
+        contacts=() if seen else tuple(index("RightFoot")),
     )
-    return Built(space, shape, FrameEnergy(space, shape), landmarks)
+    return Built(space, shape, FrameEnergy(space, shape.terms(space)), seen)
 
 
 def states(space: StateSpace, frames: int, seed: int = 0, step: float = 0.05) -> Array:
@@ -215,11 +237,14 @@ def sigma_jerk(space: StateSpace) -> Array:
 
 
 @cache
-def problem(kind: str, frames: int) -> JointProblem:
-    """A fragment's problem, interpreted."""
+def functions(kind: str, compile: Compile) -> FragmentFunctions:
+    return FragmentFunctions.of(built(kind).energy, compile)
+
+
+def problem(kind: str, frames: int, compile: Compile = "never") -> FragmentEnergy:
+    """A fragment's problem."""
     b = built(kind)
-    functions = b.energy.functions()
-    return JointProblem(b.space, functions, b.energy, frames, sigma_jerk(b.space), DELTA_ACCELERATION)
+    return FragmentEnergy(functions(kind, compile), b.energy, frames, sigma_jerk(b.space))
 
 
 def poses(b: Built, x: Array) -> tuple[Array, Array]:
@@ -248,7 +273,7 @@ def matrices(quat_wxyz: Array) -> Array:
     return Rotation.from_quat(quat_wxyz, scalar_first=True).as_matrix()
 
 
-def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
+def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Reference]:
     """Terms of single frames, for all frames."""
     O, C = data.observation, data.constant
     p, R = poses(b, x)
@@ -257,36 +282,36 @@ def frame_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
     for i, (j, is_joint) in enumerate(b.shape.landmarks):
         point = p[:, j] + (0 if is_joint else R[:, j] @ C["places"][:, i])
         r = CAMERA.project(point) - O["uv_px"][:, i]
-        out.append(Term("visual", root["w_visual"][:, i, None] * r, pseudo_huber(DELTA_PX)))
+        out.append(Reference("visual", root["w_visual"][:, i, None] * r, pseudo_huber(DELTA_PX)))
     for s, j in enumerate(b.shape.sensors):
         W = C["whitening"][:, s].reshape(3, 3).T
         r = chord(matrices(O["quat_sensor"][:, s]), R[:, j]) @ W.T
         loss = pseudo_huber(DELTA_ORIENTATION)
-        out.append(Term("orientation", root["w_sensor"][:, s, None] * r, loss))
+        out.append(Reference("orientation", root["w_sensor"][:, s, None] * r, loss))
     for i, j in enumerate(b.shape.torso):
         r = chord(matrices(O["quat_torso"][:, i]), R[:, j])
-        out.append(Term("torso", root["w_torso"][:, i, None] * r, cauchy))
+        out.append(Reference("torso", root["w_torso"][:, i, None] * r, cauchy))
     for i, (j, child) in enumerate(b.shape.bones):
         r = p[:, child] - p[:, j] - O["b_world"][:, i]
-        out.append(Term("bone", root["w_bone"][:, i, None] * r, cauchy))
-    out.append(Term("root", root["w_root"][:, None] * (p[:, 0] - O["p_root"]), cauchy))
+        out.append(Reference("bone", root["w_bone"][:, i, None] * r, cauchy))
+    out.append(Reference("root", root["w_root"][:, None] * (p[:, 0] - O["p_root"]), cauchy))
     for i, j in enumerate(b.shape.feet):
         for t in np.flatnonzero(O["w_floor"][:, i]):
             loss = cut_off(CUTOFF, 1 / root["w_floor"][t, i])
             height = root["w_floor"][t, i] * (p[t, j, 2:] - C["floor"])
-            out.append(Term("floor", height[None], loss))
+            out.append(Reference("floor", height[None], loss))
     for i, j in enumerate(b.shape.contacts):
         r = root["w_contact"][:, i, None] * (p[:, j] - O["p_contact"][:, i])
-        out.append(Term("floor", r, pseudo_huber(3.0)))
+        out.append(Reference("floor", r, pseudo_huber(3.0)))
     local = x[:, 7:].reshape(len(x), -1, 4)
     inverse_mean = np.swapaxes(matrices(C["quat_mean"].T), -1, -2)
     turns = inverse_mean @ matrices(local.reshape(-1, 4)).reshape(*local.shape[:2], 3, 3)
     vectors = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(len(x), -1)
     white = vectors @ np.linalg.cholesky(C["precision"])
-    return [*out, Term("prior", root["w_prior"][:, None] * white, lambda s: (s, np.ones_like(s)))]
+    return [*out, Reference("prior", root["w_prior"][:, None] * white, lambda s: (s, np.ones_like(s)))]
 
 
-def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
+def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Reference]:
     """Acceleration of the sensors and jerk of the tangent coordinates."""
     p, R = poses(b, x)
     out = []
@@ -294,7 +319,7 @@ def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         sensor = p[:, j] + R[:, j] @ data.constant["levers"][:, s]
         r = np.diff(sensor, n=2, axis=0) * data.rate_hz**2 - data.a_world[:, s]
         w = np.sqrt(data.w_acceleration[:, s, None])
-        out.append(Term("acceleration", w * r, pseudo_huber(DELTA_ACCELERATION)))
+        out.append(Reference("acceleration", w * r, pseudo_huber(DELTA_ACCELERATION)))
     steps = [np.diff(x[:, :3], axis=0)]
     before, after = (Rotation.from_quat(part[:, 3:].reshape(-1, 4), scalar_first=True) for part in (x[:-1], x[1:]))
     turns = (before.inv() * after).as_rotvec().reshape(len(x) - 1, -1, 3)
@@ -302,13 +327,13 @@ def temporal_terms(b: Built, x: Array, data: FragmentData) -> list[Term]:
         steps.append(turns[:, a] if axis < 0 else turns[:, a, axis : axis + 1])
     jerk = np.diff(np.concatenate(steps, axis=1), n=2, axis=0) * data.rate_hz**3
     white = np.sqrt(data.w_jerk)[:, None] * jerk / sigma_jerk(b.space)
-    return [*out, Term("smooth", white, lambda s: (s, np.ones_like(s)))]
+    return [*out, Reference("smooth", white, lambda s: (s, np.ones_like(s)))]
 
 
-def terms_about(b: Built, x: Array, data: FragmentData) -> Callable[[Array], list[Term]]:
+def terms_about(b: Built, x: Array, data: FragmentData) -> Callable[[Array], list[Reference]]:
     """Step (N D) -> all terms of a fragment at the state retracted by it."""
 
-    def terms(d: Array) -> list[Term]:
+    def terms(d: Array) -> list[Reference]:
         y = b.space.retract(x, d.reshape(len(x), -1))
         return frame_terms(b, y, data) + temporal_terms(b, y, data)
 

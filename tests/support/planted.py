@@ -22,7 +22,7 @@ from rtof_kin.data.imu import GRAVITY_WORLD, BoneImuSequence, ImuCalibration, Im
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.cartesian.settings import CartesianSettings
+from rtof_kin.solve.settings import CartesianSettings
 
 Array = NDArray[np.float64]
 LIMBS = ("LeftArm", "RightArm", "LeftForeArm", "RightForeArm", "LeftUpLeg", "RightUpLeg", "LeftLeg", "RightLeg")

@@ -108,9 +108,9 @@ def read_object_npz(path: Path, names: tuple[str, ...], limit: int = LARGEST_BYT
     try:
         with zipfile.ZipFile(path) as archive:
             there = array_members(path, archive)
+            check_sizes(path, [there[name] for name in names if name in there], limit)
             if missing := [name for name in names if name not in there]:
                 raise FileFormatError(path, f"no member {missing[0]!r}; there is {', '.join(there) or 'none'}")
-            check_sizes(path, [there[name] for name in names], limit)
             return [_loaded(path, name, io.BytesIO(archive.read(there[name])), boxed=True) for name in names]
     except FileFormatError:
         raise

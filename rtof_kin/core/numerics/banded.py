@@ -1,8 +1,8 @@
 """Symmetric banded systems: Cholesky factorisation, and diagonal blocks of the inverse.
 
-`inverse_diagonal` is Takahashi's recursion by blocks (Rue & Held 2005, section 2.3.1) from the last block
-column of the factor to the first. With G = L_below L_tt^-1, where L_below are the blocks of column t below
-the diagonal, and Z_window the part of the inverse Z that couples with it::
+`inverse_diagonal` is Takahashi's recursion by blocks (Rue & Held 2005, section 2.3.1) from the last block column of the
+factor to the first. With G = L_below L_tt^-1, where L_below are the blocks of column t below the diagonal, and Z_window
+the part of the inverse Z that couples with it::
 
     Z_below = -Z_window G             Z_tt = L_tt^-T L_tt^-1 - G^T Z_below
 """
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import InvalidInputError, SolverError
+from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.c_compiler import SWITCH, built, native
 from rtof_kin.core.resources import cache_folder
 
@@ -31,18 +31,20 @@ class Factor:
 
     band: Array
     """(w, n) in LAPACK's lower band storage."""
+    _compiled: tuple[Store, Array] | None = None
+    """The `Store` whose code made it, and all of its numbers."""
 
     def solve(self, right: Array) -> Array:
-        """Return the solution in the shape of the right-hand side.
-
-        Args:
-            right: n numbers in any shape.
+        """Return the solution in the shape of the right-hand side, n numbers in any shape.
 
         Raises:
             SolverError: `right` has another size.
         """
         if right.size != self.band.shape[1]:
             raise SolverError(f"{right.size} numbers for a system of {self.band.shape[1]}")
+        if self._compiled is not None:
+            store, factor = self._compiled
+            return np.asarray(store._solve(factor, right.ravel()).reshape(right.shape))
         x, info = lapack.dpbtrs(self.band, right.ravel(), lower=1)
         if info:
             raise SolverError("the banded system could not be solved")
@@ -51,9 +53,6 @@ class Factor:
     def forward_columns(self, right: Array) -> Array:
         """Return the inverse of the factor L times right-hand sides (n, k): half of a solution.
 
-        Args:
-            right: (n, k).
-
         Raises:
             SolverError: `right` has another number of rows.
         """
@@ -61,6 +60,9 @@ class Factor:
             raise SolverError(f"right-hand sides {right.shape} for a system of {self.band.shape[1]}")
         if right.size == 0:
             return np.zeros(right.shape)
+        if self._compiled is not None:
+            store, factor = self._compiled
+            return store._forward(factor, right)
         x, info = lapack.dtbtrs(self.band, right, uplo="L")
         if info:
             raise SolverError("the banded system could not be solved")
@@ -75,7 +77,23 @@ class Factor:
         Returns:
             Element [t, k] has the rows of block t + k and the columns of block t, 0 beyond the end.
         """
-        return _blocks(self.band.ravel(order="F"), self.band.shape[0] - 1, self.band.shape, size, lags)
+        width, unknowns = self.band.shape
+        band, frames = width - 1, unknowns // size
+        if unknowns % size or band >= lags * size:
+            raise SolverError(f"{unknowns} unknowns with a band of {band}: not {lags} blocks of {size}")
+        if self._compiled is not None:
+            store, flat = self._compiled
+            step = store.step  # entry (i, j) is flat[i + j * step]
+        else:
+            flat, step = self.band.ravel(order="F"), band
+        out, word = np.zeros((frames, lags, size, size)), flat.itemsize
+        for k in range(min(lags, frames)):
+            shape, strides = (frames - k, size, size), (size * (1 + step) * word, step * word, word)
+            columns = np.lib.stride_tricks.as_strided(flat[k * size :], shape, strides)
+            out[: frames - k, k] = np.swapaxes(columns, 1, 2)
+        # Above the diagonal and below the band the view shows other columns.
+        below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
+        return np.where((below >= 0) & (below <= band), out, 0.0)
 
 
 def inverse_diagonal(factor: Array) -> Array:
@@ -115,25 +133,23 @@ def factorise(band: Array) -> Factor:
 
 
 class Store:
-    """A symmetric banded matrix of n unknowns in LAPACK's storage, with compiled factorisation.
+    """A symmetric banded matrix of n unknowns in LAPACK's storage, factorised by compiled code or by LAPACK.
 
     Attributes:
-        entries: (n, step + 1), row c is column c of the matrix from its diagonal downwards; entries below
-            the band or the last row stay zero.
+        entries: (n, step + 1), row c is column c of the matrix from its diagonal downwards; entries below the band or
+            the last row stay zero.
         step: entry (i, j) of the matrix is element i + j * step of the flat storage.
     """
 
-    def __init__(self, size: int, band: int) -> None:
+    def __init__(self, size: int, band: int, compiled: bool = True) -> None:
         """Allocate a matrix of `size` unknowns with `band` diagonals below the main one.
 
-        Raises:
-            InvalidInputError: there is no compiled code (`available`).
+        Args:
+            compiled: whether it is factorised by compiled code where there is any.
         """
-        code = _code()
-        if code is None:
-            raise InvalidInputError("banded systems are not compiled here; use `factorise`")
-        self._code, self.size, self.band = code, size, band
-        wide, tile = code.banded_wide(), code.banded_tile()
+        self._code: Any = _code() if compiled else None
+        self.size, self.band = size, band
+        wide, tile = (8, 8) if self._code is None else (self._code.banded_wide(), self._code.banded_tile())
         self._blocked = -(-size // wide) * wide
         self.step = -(-(band + tile) // wide) * wide
         self._all = _aligned((self._blocked + 1) * (self.step + 1))
@@ -142,24 +158,24 @@ class Store:
         rows[size:, 0] = 1.0
         self.entries, self._padding = rows[:size], band + tile
 
-    @staticmethod
-    def available() -> bool:
-        """Return whether there is compiled code for this machine."""
-        return _code() is not None
-
-    def factorise(self, damping: float) -> StoredFactor:
+    def factorise(self, damping: float) -> Factor:
         """Factorise the matrix, which is kept.
 
         Raises:
             SolverError: it is not positive definite.
         """
+        if self._code is None:
+            band = self.entries[:, : self.band + 1].copy()
+            band[:, 0] += damping
+            return factorise(band)
         factor = _aligned(len(self._all))
         failed = self._code.banded_factorise(
             self._all.ctypes.data, factor.ctypes.data, self._blocked, self.band, self.step, damping
         )
         if failed:
             raise SolverError("the fragment's Hessian is not positive definite")
-        return StoredFactor(factor, self.size, self.band, self.step, self._solve, self._forward)
+        band = factor[: self.size * (self.step + 1)].reshape(self.size, -1).T[: self.band + 1]
+        return Factor(band, (self, factor))
 
     def _solve(self, factor: Array, right: Array) -> Array:
         x = np.zeros(self._blocked + self._padding)
@@ -175,50 +191,6 @@ class Store:
             own[: self.size, : part.shape[1]] = part
             self._code.banded_forward(factor.ctypes.data, own.ctypes.data, self._blocked, self.band, self.step)
         return np.asarray(np.moveaxis(x[:, : self.size], 0, 1).reshape(self.size, -1)[:, : right.shape[1]])
-
-
-@dataclass(frozen=True)
-class StoredFactor:
-    """Cholesky factor of a `Store`; methods as those of `Factor`."""
-
-    _factor: Array
-    _size: int
-    _band: int
-    _step: int
-    _solved: Any
-    _forwarded: Any
-
-    def solve(self, right: Array) -> Array:
-        """See `Factor.solve`."""
-        if right.size != self._size:
-            raise SolverError(f"{right.size} numbers for a system of {self._size}")
-        return np.asarray(self._solved(self._factor, right.ravel()).reshape(right.shape))
-
-    def forward_columns(self, right: Array) -> Array:
-        """See `Factor.forward_columns`."""
-        if right.ndim != 2 or len(right) != self._size:
-            raise SolverError(f"right-hand sides {right.shape} for a system of {self._size}")
-        return np.asarray(self._forwarded(self._factor, right))
-
-    def blocks(self, size: int, lags: int) -> Array:
-        """See `Factor.blocks`."""
-        return _blocks(self._factor, self._step, (self._band + 1, self._size), size, lags)
-
-
-def _blocks(flat: Array, step: int, shape: tuple[int, ...], size: int, lags: int) -> Array:
-    """Return `Factor.blocks`; entry (i, j) is ``flat[i + j * step]``, `shape` is (diagonals, unknowns)."""
-    band, frames = shape[0] - 1, shape[1] // size
-    if shape[1] % size or band >= lags * size:
-        raise SolverError(f"{shape[1]} unknowns with a band of {band}: not {lags} blocks of {size}")
-    out, word = np.zeros((frames, lags, size, size)), flat.itemsize
-    for k in range(min(lags, frames)):
-        columns = np.lib.stride_tricks.as_strided(
-            flat[k * size :], (frames - k, size, size), (size * (1 + step) * word, step * word, word)
-        )
-        out[: frames - k, k] = np.swapaxes(columns, 1, 2)
-    # Above the diagonal and below the band the view shows other columns.
-    below = np.arange(lags * size).reshape(lags, size)[:, :, None] - np.arange(size)
-    return np.where((below >= 0) & (below <= band), out, 0.0)
 
 
 def _aligned(count: int) -> Array:

@@ -30,32 +30,9 @@ COMPILERS = ("cc", "gcc", "clang")
 SWITCH = "RTOF_KIN_COMPILE"
 """Environment variable; 'never' turns compilation off."""
 BUILDING = threading.RLock()
-"""Lock for building and compiling with CasADi and solving with IPOPT: CasADi releases the GIL, but its
-reference counts of expression nodes and MUMPS are not thread-safe. Any thread may evaluate a function that is
-built, with buffers of its own."""
-
-
-def compiled(functions: list[Any]) -> list[Any]:
-    """Compile functions together, or load them from the cache. A first compilation takes 10 to 30 s.
-
-    Args:
-        functions: CasADi functions. They are returned as they are, to be interpreted (same numbers, several
-            times slower), if compilation is impossible or ``RTOF_KIN_COMPILE`` is 'never'.
-    """
-    if os.environ.get(SWITCH) == "never":
-        return functions
-
-    def source() -> str:
-        generator = ca.CodeGenerator("energy.c")
-        for function in functions:
-            generator.add(function)
-        return str(generator.dump())
-
-    def loaded(library: Path) -> list[Any]:
-        return [ca.external(function.name(), str(library)) for function in functions]
-
-    made_of = "".join(function.serialize() for function in functions)
-    return built(made_of, source, loaded) or functions
+"""Lock for building and compiling with CasADi and solving with IPOPT: CasADi releases the GIL, but its reference counts
+of expression nodes and MUMPS are not thread-safe. Any thread may evaluate a function that is built, with buffers of its
+own."""
 
 
 def built(
@@ -68,8 +45,8 @@ def built(
     """Return the contents of a shared library, compiled unless it is cached; None if impossible.
 
     Args:
-        options: further compiler options; if any, the library is specific to this kind of processor.
-        name: of the library; compiling an 'energy', which takes long, is logged.
+        options: further compiler options; if any, the library is specific to this kind of processor. name: of the
+        library; compiling an 'energy', which takes long, is logged.
     """
     _USED[name] = "interpreted"
     if os.environ.get(SWITCH) == "never":

@@ -1,8 +1,8 @@
 """Real-time solver: Levenberg-Marquardt on a banded system, limits by augmented Lagrangian.
 
-Damping is absolute and small: relative to the diagonal, which jerk makes huge, it would freeze the root's
-depth. If the decrease of the last step was close to the predicted one, the next step reuses the factor (a
-gradient costs a quarter of a Hessian with its factor), even if multipliers or weights have changed.
+Damping is absolute and small: relative to the diagonal, which jerk makes huge, it would freeze the root's depth. If the
+decrease of the last step was close to the predicted one, the next step reuses the factor (a gradient costs a quarter of
+a Hessian with its factor), even if multipliers or weights have changed.
 """
 
 from __future__ import annotations
@@ -146,15 +146,15 @@ class LevenbergMarquardt:
 
         Args:
             x: (N, ...) initial state.
-            tolerance: relative predicted decrease of the energy at which it stops; limits are satisfied to 0.1
-                degrees, and closer below 1e-4.
+            tolerance: relative predicted decrease of the energy at which it stops; limits are satisfied to 0.1 degrees,
+                and closer below 1e-4.
             multipliers: (N, M) of an earlier solution.
             reweigh: called with the initial and every new state; may change the weights of the problem, and returns
                 whether it did.
 
         Raises:
-            SolverError: the energy of the initial state is not finite, or no damping makes its Hessian
-                positive definite.
+            SolverError: the energy of the initial state is not finite, or no damping makes its Hessian positive
+                definite.
         """
         M = 0 if self.limits is None else len(self.limits.names)
         m = np.zeros((len(x), M)) if multipliers is None else multipliers
@@ -228,8 +228,8 @@ class LevenbergMarquardt:
     # --- limits ----------------------------------------------------------------------------------
 
     def _pushed(self, x: Array, m: Array) -> Array | None:
-        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts; None
-        where nothing is beyond its limit.
+        """Return the excess (N, M) of the angles shifted by the multipliers, on which the penalty acts; None where
+        nothing is beyond its limit.
         """
         if self.limits is None:
             return None
@@ -268,8 +268,8 @@ class LevenbergMarquardt:
     def _updated(self, x: Array, m: Array) -> tuple[Array, float]:
         """Return updated multipliers, and the largest violation of a limit or of complementarity, rad.
 
-        A multiplier changes by the stiffness times the violation of its limit, or times the slack of an
-        inactive limit with a multiplier.
+        A multiplier changes by the stiffness times the violation of its limit, or times the slack of an inactive limit
+        with a multiplier.
         """
         pushed = self._pushed(x, m)
         new = np.zeros_like(m) if pushed is None else STIFFNESS * pushed

@@ -1,14 +1,14 @@
-"""CasADi functions compiled to SIMD code that evaluates several frames at once, one per vector element.
+"""CasADi functions of a frame over many frames: compiled to SIMD code with a frame per vector element, or interpreted.
 
-CasADi's own code is scalar. Here the same expressions are generated with vectors in place of numbers, so
-eight frames take little longer than one. Arguments and results are arrays of columns (n, width), a number
-per row and a frame per column; the array of the next frame is the same array shifted by one column.
+CasADi's own code is scalar. Here the same expressions are generated with vectors in place of numbers, so eight frames
+take little longer than one. Arguments and results are arrays of columns (n, width), a number per row and a frame per
+column; the array of the next frame is the same array shifted by one column.
 """
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import ShapeError
-from rtof_kin.core.numerics.c_compiler import built, native
+from rtof_kin.core.numerics.c_compiler import Buffered, built, native
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction, c_name, identity, source
 
 Index = NDArray[np.int64]
@@ -27,7 +27,7 @@ _OPTIONS = ("-O1", "-fexpensive-optimizations", "-fno-math-errno")
 
 
 class Over:
-    """A compiled function bound to arrays, which it reads and writes in place for all frames."""
+    """A function bound to arrays, which it reads and writes in place for all frames; compiled, or interpreted."""
 
     def __init__(
         self,
@@ -41,10 +41,10 @@ class Over:
         """Bind a function to arrays.
 
         Args:
-            code: the function in its library (`compile_simd`).
+            code: the function in its library (`compile_simd`), None to interpret it.
             inputs: (n, >= `whole(frames)`) columns, or (n,) if shared.
-            outputs: the same; columns after the last frame, up to whole vectors, are set to zero. All columns have
-                the same stride.
+            outputs: the same; columns after the last frame, up to whole vectors, are set to zero. All columns have the
+                same stride.
             places: (groups,) of a placed output (frames, k): column of each group in the row of a frame; rows may
                 overlap.
 
@@ -66,20 +66,19 @@ class Over:
             else:
                 _check(f"{f.name()} output {i}", array, (f.nnz_out(i), whole(frames)), width)
         place = np.zeros(0, np.int64) if places is None else np.array(places, dtype=np.int64)
+        if code is None:
+            self._run: Callable[[], None] = _Interpreted(given, frames, ins, outs, place)
+            return
         spare = np.zeros(int(place.max(initial=0)) + GROUP)
-        self._kept, self._code = (ins, outs, place, spare), code
+        self._kept = ins, outs, place, spare
         step = outs[-1].strides[0] // spare.itemsize
         numbers = (ctypes.c_longlong(n) for n in (width // spare.itemsize, step, frames))
-        self._arguments = (
-            _pointers(ins),
-            _pointers(outs),
-            *(ctypes.c_void_p(a.ctypes.data) for a in (place, spare)),
-            *numbers,
-        )
+        addresses = (ctypes.c_void_p(a.ctypes.data) for a in (place, spare))
+        self._run = partial(code, _pointers(ins), _pointers(outs), *addresses, *numbers)
 
     def __call__(self) -> None:
         """Evaluate."""
-        self._code(*self._arguments)
+        self._run()
 
     @staticmethod
     def _place(name: str, array: Array, frames: int, count: int, places: Index | None) -> None:
@@ -91,6 +90,35 @@ class Over:
             raise ShapeError(f"{name}: {array.shape} for {frames} rows of {least}")
         if array.strides[1] != array.itemsize or array.dtype != np.float64:
             raise ShapeError(f"{name}: give numbers of double precision that lie together")
+
+
+class _Interpreted:
+    """A function evaluated by CasADi frame by frame, with the arrays of an `Over`."""
+
+    def __init__(
+        self, given: FrameFunction, frames: int, inputs: list[Array], outputs: list[Array], places: Index
+    ) -> None:
+        f = given.function
+        self._mapped = Buffered(f.map(f"{f.name()}_{frames}", "serial", frames, list(given.shared), []))
+        self._pairs = [
+            (own if i in given.shared else own.reshape(frames, -1).T, array if i in given.shared else array[:, :frames])
+            for i, (own, array) in enumerate(zip(self._mapped.inputs, inputs, strict=True))
+        ]
+        found = [own.reshape(frames, -1) for own in self._mapped.outputs]
+        columns = outputs[:-1] if given.placed else outputs
+        self._found = [(own.T, array[:, : whole(frames)]) for own, array in zip(found, columns, strict=False)]
+        self._placed = (found[-1], outputs[-1][:frames]) if given.placed else None
+        self._frames, self._places = frames, (places[:, None] + np.arange(GROUP)).ravel()
+
+    def __call__(self) -> None:
+        for own, array in self._pairs:
+            own[:] = array
+        self._mapped()
+        for own, array in self._found:
+            array[:, : self._frames], array[:, self._frames :] = own, 0.0
+        if self._placed is not None:
+            own, rows = self._placed
+            rows[:, self._places] = own
 
 
 class Columns:
@@ -127,7 +155,7 @@ class Columns:
 
 
 class Mapped:
-    """A compiled function from arrays (N, n) to arrays (N, n)."""
+    """A function from arrays (N, n) to arrays (N, n)."""
 
     def __init__(self, code: Any, given: FrameFunction, frames: int) -> None:
         f, self._columns = given.function, Columns(frames)
@@ -153,8 +181,8 @@ def whole(frames: int) -> int:
     return -(-frames // GROUP) * GROUP
 
 
-def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
-    """Compile functions together, or load them from the cache, by name; None if impossible.
+def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any]:
+    """Compile functions together, or load them from the cache, by name; none if impossible.
 
     Args:
         functions: to be compiled; see `c_compiler.built`.
@@ -168,7 +196,7 @@ def compile_simd(functions: Sequence[FrameFunction]) -> dict[str, Any] | None:
             raise OSError(f"{library.name}: {error}") from error
 
     text = partial(source, functions)
-    return built(identity(functions), text, loaded, (*_OPTIONS, *native()))
+    return built(identity(functions), text, loaded, (*_OPTIONS, *native())) or {}
 
 
 def _check(name: str, array: Array, shape: tuple[int, ...], width: int) -> None:

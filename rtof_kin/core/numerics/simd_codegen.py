@@ -1,7 +1,7 @@
 """C code with SIMD vectors for CasADi's SX functions: the same expressions, one frame per vector element.
 
-The instructions are split into pieces, one C function each. Values that a later piece needs are kept in an
-array of vectors; inputs and constants are read again.
+The instructions are split into pieces, one C function each. Values that a later piece needs are kept in an array of
+vectors; inputs and constants are read again.
 """
 
 from __future__ import annotations

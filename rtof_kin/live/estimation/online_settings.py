@@ -7,7 +7,7 @@ from typing import Final
 
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _LONGEST_LAG_S: Final = 1.0
 _LEAST_FRAMES: Final = 8  # of a window

@@ -14,7 +14,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.live.estimation.window import Window
 from rtof_kin.solve.joint_space.covariance import confidence_of
-from rtof_kin.solve.uncertainty.covariance_inflation import CovarianceInflation, ResidualStatistics
+from rtof_kin.solve.uncertainty import CovarianceInflation, ResidualStatistics
 
 _TORSO_SHARE: Final = 0.05
 """Share of a new lift in the mean of the torso's standard deviations."""

@@ -23,10 +23,10 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
 from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
 from rtof_kin.live.samples import FrameSample
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.fixed_lag import FixedLagSmoother
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.vision.image_points import measurements
 
 if TYPE_CHECKING:
@@ -73,8 +73,8 @@ class Window:
         self.smoother = FixedLagSmoother(self.data, frames)
         names = skeleton.names
         self.seen = np.zeros((frames, len(names)), dtype=bool)
-        shape = self.data.problem.energy.shape
-        self.torso, self._bones = list(shape.torso), shape.bones
+        energy = self.data.problem.energy
+        self.torso, self._bones = list(energy["torso"].segments), energy["bone"].bones
         self._torso_weights = np.zeros((frames, len(self.torso)))
         self._bone_weights, self._root_weight = self.data.rows["w_bone"][0], self.data.rows["w_root"][0]
         worn = () if sensors is None else sensors.joints

@@ -55,7 +55,7 @@ class WindowPoses:
         """(J,) segments whose sensor has data in frame i."""
         out = np.zeros(len(self._skeleton.names), dtype=bool)
         has = self._window.smoother.rows["w_sensor"][i] > 0
-        out[list(self._window.data.problem.energy.shape.sensors)] = has
+        out[list(self._window.data.problem.energy["orientation"].sensors)] = has
         return out
 
     def _whole(self, seen: Mask) -> Mask:

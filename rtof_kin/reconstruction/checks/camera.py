@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,7 +14,6 @@ from rtof_kin.calibration.bone_images import Limbs
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
-from rtof_kin.core.errors import ViewError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
@@ -24,25 +22,23 @@ from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.inertial.root_path import FEET
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT, WALK_IN_DEPTH, Scene, check_walk, standing_feet
 from rtof_kin.reconstruction.checks.image import Picture, look_at_picture, sensed
-from rtof_kin.reconstruction.checks.position import Room, look_at_room, unseen_room
+from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
 from rtof_kin.recording.body_checks import check_camera
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.uncertainty.residual_statistics import LegMisfit
+from rtof_kin.solve.uncertainty import LegMisfit
 
 LEAST_HEIGHT, LEAST_HEIGHT_SENSED, HEIGHT_PER_DISTANCE = 0.16, 0.12, 0.02
 """[m] Tolerance of that height without and with sensors, and per m of distance (one degree of camera tilt)."""
-LARGEST_SCALE = 1.14
-"""Tolerated factor of bone lengths by the accelerations of two sensors."""
+LARGEST_SCALE = 1.14  # Tolerated factor of bone lengths by the accelerations of two sensors
 FLATTEST, LEAST_DISTINCT = 0.55, 0.88
 """Perspective of the bones relative to that of the focal length, below which the focal length is too
 short; and the fraction of the misfit that must remain with it."""
 _PERSPECTIVES = np.linspace(0.0, 3.0, 31)
 _AS_GIVEN = 10
 _LARGEST_MISFIT = 0.3
-_PARTS = 4
-"""Parts of a recording that have to agree on it."""
+_PARTS = 4  # Parts of a recording that have to agree on it
 _CUTOFF_HZ, _LEAST_SAMPLES, _LEAST_ACCELERATION, _LEAST_EXPLAINED = 3.0, 90, 1.0, 0.5
 _EDGE = 5
 _SCALE, _PERSPECTIVE = "length of bones by accelerations", "perspective"
@@ -52,12 +48,9 @@ _SCALE, _PERSPECTIVE = "length of bones by accelerations", "perspective"
 class Standing:
     """Position of a standing person by the size of the body alone."""
 
-    height: float
-    """z in world of the ankle that stands, m."""
-    distance: float
-    """Of the hips along the camera's axis, m."""
-    tolerance: float
-    """How far the height may be off, m."""
+    height: float  # z in world of the ankle that stands, m
+    distance: float  # Of the hips along the camera's axis, m
+    tolerance: float  # How far the height may be off, m
 
 
 def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
@@ -77,11 +70,7 @@ def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing
 
 
 def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> Check:
-    """Check bone lengths by the accelerations of two sensors at a joint.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Check bone lengths by the accelerations of two sensors at a joint."""
     bounds = None if bone_imus is None else _length_ratio(bone_imus, skeleton)
     if bounds is None:
         return Check.unknown(_SCALE, "bones", "times", "no two sensors at one joint that turns fast enough")
@@ -137,11 +126,7 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float
 
 
 def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
-    """Check the focal length by the perspective of bones away from the image centre.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Check the focal length by the perspective of bones away from the image centre."""
     what = "the picture"
     if picture.bone_imus is None:
         return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")
@@ -174,25 +159,16 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
     )
 
 
-FURTHEST = 100.0
-"""[m] of a camera from the world's origin; beyond it the unit is wrong."""
-WIDEST_DEG = 100.0
-"""Horizontal field of view of a lens without distortion."""
-BODY, BODY_FACTOR = 1.62, 1.35
-"""[m] Usual height of a body, and the factor either way: 1.2 to 2.19 m."""
-HEIGHT_DIFFERENCE = 10.0
-"""% difference of a declared height from that of the bones."""
-DISTANCE, DISTANCE_FACTOR = 4.5, 9.0
-"""[m] Usual distance of a person from the camera, and the factor either way."""
-MOST_OUTSIDE = 50.0
-"""% of the detected points that may lie outside the image."""
-LONGEST_FROZEN = 0.5
-"""[s] for which a detector may repeat its points exactly."""
+FURTHEST = 100.0  # [m] of a camera from the world's origin; beyond it the unit is wrong
+WIDEST_DEG = 100.0  # Horizontal field of view of a lens without distortion
+BODY, BODY_FACTOR = 1.62, 1.35  # [m] Usual height of a body, and the factor either way: 1.2 to 2.19 m
+HEIGHT_DIFFERENCE = 10.0  # % difference of a declared height from that of the bones
+DISTANCE, DISTANCE_FACTOR = 4.5, 9.0  # [m] Usual distance of a person from the camera, and the factor either way
+MOST_OUTSIDE = 50.0  # % of the detected points that may lie outside the image
+LONGEST_FROZEN = 0.5  # [s] for which a detector may repeat its points exactly
 _FEWEST, _FRAMES = 6, 64
-_OF_ASSUMED = 2.5
-"""Standard deviations of an assumption by which it may be off."""
-_LARGE = 0.6
-"""[m] between ankle and floor from which the floor is more likely wrong than a scale."""
+_OF_ASSUMED = 2.5  # Standard deviations of an assumption by which it may be off
+_LARGE = 0.6  # [m] between ankle and floor from which the floor is more likely wrong than a scale
 UNVERIFIED = "camera unverified: pelvis angles may be off by 20 deg"
 _DISTANCE, _FEET = "distance from the camera", "height of the standing ankle"
 ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre")
@@ -200,31 +176,26 @@ ROOM_CHECKS = (_DISTANCE, _FEET, WALK_IN_DEPTH, "principal point off the centre"
 
 
 def check_camera_evidence(
-    recording: Recording,
-    prepared: Prepared,
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    lifter: LifterLike | None = None,
-) -> tuple[tuple[Check, ...], Room]:
+    recording: Recording, prepared: Prepared, poses: PoseSequence, lifter: LifterLike | None = None
+) -> tuple[tuple[Check, ...], PositionErrors]:
     """Check the declared camera, image and body.
 
     Args:
-        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
-        lifter: the shipped one where not given.
+        prepared: the prepared streams and the poses of each stage before the solver. lifter: default: the shipped one.
 
     Returns:
         Every check that the recording allows; failed ones name a likely cause, the likeliest first. And what
-        they leave open of positions in the room.
+        they leave open of positions in world.
     """
+    skeleton, video = prepared.skeleton, prepared.recording.video
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
     picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
-    video = prepared.recording.video
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
     scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
-    room = look_at_room(unseen_room(recording), scene, video, poses, picture)
-    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), room
+    position = PositionErrors.declared(recording).seen(scene, video, poses, picture)
+    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), position
 
 
 def check_camera_alone(
@@ -233,7 +204,7 @@ def check_camera_alone(
     """Check the same before a reconstruction.
 
     Args:
-        skeleton: the subject's. lifter: default: the shipped one.
+        lifter: default: the shipped one.
     """
     picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
     stands = None
@@ -242,23 +213,6 @@ def check_camera_alone(
         R = np.broadcast_to(np.eye(3), (*p.shape, 3))
         stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
     return _ordered(recording, picture, skeleton, stands)
-
-
-@contextmanager
-def explained(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Iterator[None]:
-    """Prepend the cause found by the checks to a `ViewError` raised inside.
-
-    Args:
-        skeleton: the subject's. lifter: default: the shipped one.
-    """
-    try:
-        yield
-    except ViewError as error:
-        checks = check_camera_alone(recording, skeleton, lifter)
-        cause = next((check.cause for check in checks if check.failed and check.cause), None)
-        if cause is None:
-            raise
-        raise ViewError(f"{cause}: {error}") from error
 
 
 def _ordered(
@@ -461,8 +415,7 @@ def _check_frozen(keypoints: KeypointSequence) -> Check:
 _LEGS_MM: Final = 130.0
 """[mm] Largest misfit of the legs without an alarm; 98 right recordings of people whom nothing was fitted on
 reach 87, a squat with hidden hips 120."""
-_TOGETHER: Final = 0.6
-"""Misfit of the shanks relative to that of the thighs, from which wrong sensors explain both."""
+_TOGETHER = 0.6  # Misfit of the shanks relative to that of the thighs, from which wrong sensors explain both
 
 
 def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.calibration.bone_images import STEP, BoneImages
+from rtof_kin.calibration.bone_images import STEP, BoneImages, projected
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -28,20 +28,16 @@ TILT, VIEW, HEADING = "tilt of the sensors' world", "tilt of the camera", "headi
 RATE, STILL, TWIST = "frame rate of the video", "motion beside a still sensor", "twist of a sensor"
 _TILT_DEG, _TILT_DEG_S = 1.7, 7.0
 """[deg] and [deg s]: largest tilt of the mean acceleration over a duration, less the change of velocity."""
-_APART = 1.0
-"""[m/s^2] Median distance of the sensors' mean accelerations from a shared one."""
+_APART = 1.0  # [m/s^2] Median distance of the sensors' mean accelerations from a shared one
 _ROLL_DEG, _PITCH_DEG, _HEADING_DEG, _SIGMAS, _VAGUE_DEG = 7.0, 12.0, 10.0, 2.5, 15.0
 """[deg] Largest rotation of all sensors against the image about the line of sight, up or down (a lifted body
 leans more than it rolls) and about the vertical; standard deviations that it must exceed too; and the
 standard deviation of one that is not observed."""
-_FEWEST, _SCALE = 5, 0.3
-"""Sensors whose errors average out, and standard deviation of the logarithm of the body's size."""
+_FEWEST, _SCALE = 5, 0.3  # Sensors whose errors average out, and standard deviation of the logarithm of the body's size
 _AGREEING: Final = 1.4
 """[nats] a frame and sensor: largest difference that a rotation may leave; 0.2 to 1.3 in right recordings."""
-_MEMORY: Final = 1.0
-"""[s] Correlation time of differences between image and sensors."""
-_ENDS: Final = 0.3
-"""[s] over which the velocity at both ends is averaged."""
+_MEMORY = 1.0  # [s] Correlation time of differences between image and sensors
+_ENDS = 0.3  # [s] over which the velocity at both ends is averaged
 _LEAST_SECONDS: Final = 2.0
 _SPEEDS: Final = (0.25, 0.42, 0.5, 0.6, 0.67, 0.8, 0.83, 1.2, 1.25, 1.5, 1.67, 2.0, 2.4, 4.0)
 """Ratios of two of the usual frame rates, 24 to 240 Hz."""
@@ -168,7 +164,7 @@ def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] 
 
     def off(W: Array, scale: float) -> Array:
         d = np.exp(scale) * directions @ (R @ W).T
-        difference = images.vectors - d[..., :2] + images.rays * d[..., 2:]
+        difference = images.vectors - projected(d, images.rays)
         return np.where(known[..., None], difference, 0.0) / images.sigma[:, None]
 
     def cost(W: Array, scale: float = 0.0) -> float:
@@ -257,9 +253,6 @@ def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
 def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
     """Check that a sensor whose orientation rests is on a segment that rests, by the joint it shares with
     the next sensor, whose acceleration both give.
-
-    Args:
-        skeleton: the subject's.
     """
     times, worst = native.times, (0.0, 0, 0.0, 0.0)
     if len(times) < 3 or np.ptp(times) < _STILL_WINDOW:
@@ -321,11 +314,7 @@ def _at_joints(native: BoneImuSequence, skeleton: SkeletonModel, s: int, rate_hz
 
 
 def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> Check:
-    """Check that no sensor is turned about its bone against the motion on the whole.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Check that no sensor is turned about its bone against the motion on the whole."""
     worst = (0.0, "sensors", _TWIST_DEG)
     for s, joint in enumerate(bone_imus.joints):
         children = kinematics.children_of(skeleton.parents, skeleton.names.index(joint))

@@ -27,28 +27,22 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.outlier_rejection import side_pairs
 
 Undo = Callable[[KeypointSequence], KeypointSequence]
-STEP, PIECE, PIECES = 0.1, 48, 2
-"""[s] between the frames of an excerpt, frames of a piece, and number of pieces."""
+STEP, PIECE, PIECES = 0.1, 48, 2  # [s] between the frames of an excerpt, frames of a piece, and number of pieces
 LEAST_GAIN, LEAST_GAIN_SENSED = 1.1, 0.35
 """Least gain of a hypothesis to be reported, without and with sensors; correct recordings stay below
 (benchmarks/results/planted.md)."""
-LEAST_GAIN_OF_SIZE = 0.1
-"""The same for the lifter's certainty in another image size."""
-_CERTAINTY = 3.0
-"""Weight of a gain in certainty relative to one in the logarithm of the sensors' misfit."""
+LEAST_GAIN_OF_SIZE = 0.1  # The same for the lifter's certainty in another image size
+_CERTAINTY = 3.0  # Weight of a gain in certainty relative to one in the logarithm of the sensors' misfit
 _CONTRADICTED, _UNSUPPORTED = -0.1, 0.7
 """Gain in certainty below which a hypothesis is excluded whatever the sensors measure; and the gain by
 sensors that a hypothesis needs about which the lifter is neutral."""
 _UNSEEN, _UPRIGHT = 4.4, 6.3
 """Certainty below which keypoints are no person, and above which they are one standing upright."""
-_AGREED = 0.5
-"""Misfit of sensors below which the image is upright; in rotated images it is above 0.8."""
-_CLOSE = 0.5
-"""Hypotheses whose gains differ by less are reported together."""
+_AGREED = 0.5  # Misfit of sensors below which the image is upright; in rotated images it is above 0.8
+_CLOSE = 0.5  # Hypotheses whose gains differ by less are reported together
 _REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
 _HEADINGS = np.radians(np.arange(0, 360, 15))
-_REACH = 0.55
-"""Fraction of the image beyond which points of an image half as large cannot lie."""
+_REACH = 0.55  # Fraction of the image beyond which points of an image half as large cannot lie
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
 OF_PICTURE: Final = (_SIZE, _TURN, _SIDES)
 _LEGS = "left and right of the legs' keypoints are exchanged"
@@ -62,10 +56,8 @@ _MIRRORED_VIDEO = "the video is mirrored, and its sides were named as they appea
 class Lifted:
     """Keypoints as lifted."""
 
-    p_world_joint: Array
-    """(T, J, 3) m."""
-    certainty: float
-    """Larger for keypoints as people have them; NaN of a lifter without uncertainties."""
+    p_world_joint: Array  # (T, J, 3) m
+    certainty: float  # Larger for keypoints as people have them; NaN of a lifter without uncertainties
 
 
 @dataclass(frozen=True)
@@ -73,14 +65,10 @@ class Picture:
     """Excerpt of a recording and the checks of its image."""
 
     keypoints: KeypointSequence
-    lifted: Lifted | None
-    """As given; None where too little is visible."""
-    bone_imus: BoneImuSequence | None
-    """The sensors at the same times."""
-    checks: tuple[Check, ...]
-    """Of its orientation, its size, its sides."""
-    small: str
-    """Cause of a wrong scale if points fill little of the image; else empty."""
+    lifted: Lifted | None  # As given; None where too little is visible
+    bone_imus: BoneImuSequence | None  # The sensors at the same times
+    checks: tuple[Check, ...]  # Of its orientation, its size, its sides
+    small: str  # Cause of a wrong scale if points fill little of the image; else empty
 
     @property
     def wrong(self) -> str:
@@ -92,7 +80,6 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
     """Compare the keypoints with each usual mistake undone.
 
     Args:
-        skeleton: the subject's.
         lifter: None for one that predicts no uncertainties: image orientation remains unchecked.
     """
     keypoints = excerpt(recording.video)
@@ -130,7 +117,7 @@ def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
     """Return the calibrated sensors at times (T,), s; None where they have no samples.
 
     Args:
-        recording: with or without IMUs. times: (T,) s.
+        times: (T,) s.
     """
     try:
         found = recording.bone_imus(times=times)
@@ -212,11 +199,7 @@ def halved(keypoints: KeypointSequence) -> KeypointSequence:
 
 
 def certainty(keypoints: KeypointSequence, skeleton: SkeletonModel, lifter: LifterLike) -> Lifted | None:
-    """Lift keypoints without sensors and floor; None where no person is visible.
-
-    Args:
-        skeleton: the subject's.
-    """
+    """Lift keypoints without sensors and floor; None where no person is visible."""
     try:
         result = lifter.predict(keypoints, skeleton.joint_offsets)
     except InvalidInputError:

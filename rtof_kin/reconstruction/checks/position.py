@@ -1,13 +1,13 @@
-"""How far off positions in the room may be: what a recording leaves open of its camera and its body.
+"""How far off positions in world may be: what a recording leaves open of its camera and its body.
 
 The camera, the floor and the size of the body are declared. Where the true ones differ by theta from these,
 the motion is off by the sum of displacements d_k theta_k:
 
 ::
 
-    focal length, log     -z forward                 pitch, roll    turns about the camera's centre
+    focal length, log     -z forward                 pitch, roll    rotations about the camera's centre
     size of the body, log -(p - centre)              height         -up
-    principal point, rad   z right, z down           heading        a turn about the vertical
+    principal point, rad   z right, z down           heading        a rotation about the vertical
 
 with z the depth of a joint. The evidence r of `camera_evidence` is J theta and errors of covariance W; before
 it, theta is N(0, P). The mean square of theta, about the declared values, is then
@@ -24,10 +24,24 @@ the world's axes: positions are relative to them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
+from rtof_kin.calibration.camera_unknowns import (
+    CAMERA_UNKNOWNS,
+    DOWN,
+    FOCAL,
+    HEADING,
+    HEIGHT,
+    PITCH,
+    RIGHT,
+    ROLL,
+    SIZE,
+    STATED,
+    displacements,
+    sigma_of,
+)
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.confidence import BAND_95, Confidence
@@ -38,34 +52,10 @@ from rtof_kin.reconstruction.camera_evidence import Scene, floor_plane, lasting,
 from rtof_kin.reconstruction.checks.image import STEP, Picture
 from rtof_kin.recording.recording import Recording
 
-FOCAL, SIZE, RIGHT, DOWN, PITCH, HEADING, ROLL, HEIGHT = range(8)
-_DEG: Final = float(np.radians(1.0))
-_NAMES: Final = (
-    "the focal length",
-    "the size of the body",
-    "the principal point",
-    "the principal point",
-    "the camera's tilt",
-    "the camera's heading",
-    "the camera's roll",
-    "the height of camera or floor",
-)
-_STATED: Final = "state the accuracy of its calibration"
-_REMEDIES: Final = (
-    f"{_STATED}, or walk two metres towards the camera with sensors on thighs and shanks",
-    "give the person's height",
-    *(_STATED,) * 2,
-    *("measure the camera's height and give the floor's",) * 4,
-)
-DECLARED: Final = np.array([0.12, 0.04, 0.02, 0.02, 2 * _DEG, 3 * _DEG, 2 * _DEG, 0.05])
-"""(8,) standard deviations of what is declared without its accuracy, by the order above: the focal length
-between a calibration and an unknown phone (0.15), as videos are cropped, zoomed and stabilised."""
-SIZE_BY_HEIGHT: Final = 0.03
-"""[1] of the size of a body whose height is declared."""
+SIZE_BY_HEIGHT: Final = 0.03  # [1] Standard deviation of the size of a body whose height is declared
 TURN: Final = np.radians([2.4, 3.0, 1.8])
-"""[rad] Standard deviations (3,) of the turn between image and sensors with the true camera."""
-_SEEN_PITCH: Final = 0.5
-"""Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet."""
+"""[rad] Standard deviations (3,) of the rotation between image and sensors with the true camera."""
+_SEEN_PITCH = 0.5  # Share of a wrong pitch by which a lifted body is turned: it is lifted to stand on its feet
 _LONGEST: Final = float(np.expm1(BAND_95 * 0.12) / (BAND_95 * 0.12))
 """Factor on changes of scale: those at the upper end of a band of a logarithm."""
 _MENTIONED, _BESIDE = 0.5, 0.2
@@ -74,18 +64,21 @@ which others are named beside it."""
 
 
 @dataclass(frozen=True)
-class Room:
-    """What a recording leaves open of its camera and its body."""
+class PositionErrors:
+    """What a recording leaves open of its camera and its body, by the order of `CAMERA_UNKNOWNS`."""
 
     camera: Camera
-    moment: Array
-    """(8, 8) M."""
-    elsewhere: Array
-    """(8,) standard deviations that the covariances of an estimated camera contain already."""
-    unverified: str = ""
-    """What makes positions in the room uncertain, and what helps; empty where nothing does."""
+    moment: Array  # (9, 9) M
+    elsewhere: Array  # (9,) standard deviations that the covariances of an estimated camera contain already
+    unverified: str = ""  # What makes positions in world uncertain, and what helps; empty where nothing does
 
-    def added(self, confidence: Confidence, poses: PoseSequence) -> tuple[Confidence, Room]:
+    @classmethod
+    def declared(cls, recording: Recording) -> Self:
+        """Return what is open of a recording without any evidence."""
+        camera = recording.video.camera
+        return cls(camera, np.diag(_declared_sigma(recording) ** 2), sigma_of(camera.uncertainty))
+
+    def added(self, confidence: Confidence, poses: PoseSequence) -> tuple[Confidence, Self]:
         """Return covariances in world with what is open, and this with it in words."""
         d = displacements(self.camera, poses.p_world_joint)
         if not np.isfinite(confidence.position_covariance[:, 0]).any() or not np.isfinite(d[:, 0]).any():
@@ -94,100 +87,66 @@ class Room:
         own = float(np.nanmean(np.trace(confidence.position_covariance[:, 0], axis1=-2, axis2=-1)))
         open_ = np.nanmean((d[:, 0] ** 2).sum(axis=1), axis=0) * (np.diag(self.moment) + self.elsewhere**2)
         worst = int(open_.argmax())
-        named = dict.fromkeys(_NAMES[i] for i in np.argsort(-open_) if open_[i] > _BESIDE**2 * open_[worst])
+        named = [CAMERA_UNKNOWNS[i].name for i in np.argsort(-open_) if open_[i] > _BESIDE**2 * open_[worst]]
+        named = list(dict.fromkeys(named))
         more = np.einsum("tjak,kl,tjbl->tjab", d, self.moment, d)
         position = confidence.position_covariance + np.nan_to_num((more + np.swapaxes(more, -1, -2)) / 2)
-        remedy = _REMEDIES[worst]
+        remedy = CAMERA_UNKNOWNS[worst].remedy
         if self.camera.uncertainty is not None:
-            remedy = remedy.replace(_STATED, "calibrate it with a chessboard")
-        what = " and ".join(filter(None, (", ".join([*named][:-1]), [*named][-1])))
+            remedy = remedy.replace(STATED, "calibrate it with a chessboard")
+        what = " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
         verb = "is" if len(named) == 1 else "are"
         words = f"{what} {verb} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
+    def seen(self, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture) -> Self:
+        """Return what the evidence of a recording leaves open.
 
-def displacements(camera: Camera, p_world: Array) -> Array:
-    """Return by how much points are off per unit of each unknown (..., 3, 8), m.
+        Args:
+            picture: excerpt, lifted without sensors.
+        """
+        camera, size = keypoints.camera, len(CAMERA_UNKNOWNS)
+        feet = scene.skeleton.index(*scene.contacts.joints)
+        ankles = refit_root(poses, keypoints, sigma_depth=1.0).p_world_joint[:, feet][scene.contacts.standing]
+        floor = scene.floor_height
+        plane = floor_plane(camera, ankles, floor or 0.0)
+        rows = []
+        if plane is not None:
+            own = slice(0 if floor is not None else 1, None)
+            slopes = plane.fit @ displacements(camera, plane.p)[:, 2]
+            rows += [(plane.evidence.value[own], plane.evidence.sigma[own], slopes[own])]
+        paths = walk(scene, camera, poses)
+        rows += [(paths.value, paths.sigma, -1.0 * (np.arange(size) == FOCAL)[None])]
+        J = np.zeros((3, size))
+        J[0, PITCH], J[2, ROLL] = _SEEN_PITCH, 1.0
+        J[:, HEADING], J[1, RIGHT], J[0, DOWN] = camera.R_camera_world[:, 2], 1.0, -_SEEN_PITCH
+        rows += [(_rotation(scene, picture), TURN * lasting(STEP * len(picture.keypoints)), J)]
+        value, errors, J = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        weight = np.where(np.isfinite(value), 1 / errors**2, 0.0)
+        S = np.sqrt(self.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
+        C = S @ np.linalg.solve(np.eye(size) + S @ (J.T * weight) @ J @ S, S)
+        m = C @ (J.T * weight) @ np.nan_to_num(value)
+        return replace(self, moment=C + np.outer(m, m))
 
-    Args:
-        p_world: (..., 3) m.
-    """
-    right, down, forward = camera.R_camera_world
-    away = p_world - camera.center_world
-    depth = (away @ forward)[..., None]
-    up = np.array([0.0, 0.0, 1.0])
-    columns = [
-        -depth * forward,
-        -away,
-        depth * right,
-        depth * down,
-        np.cross(right, away),
-        np.cross(up, away),
-        np.cross(forward, away),
-        np.broadcast_to(-up, away.shape),
-    ]
-    return np.stack(columns, axis=-1)
 
-
-def declared_sigma(recording: Recording) -> Array:
-    """Return the standard deviations (8,) of what a recording declares; 0 where another estimate has it."""
-    camera, sigma = recording.video.camera, DECLARED.copy()
+def _declared_sigma(recording: Recording) -> Array:
+    """Standard deviations (9,) of what a recording declares; 0 where another estimate has it."""
+    camera, sigma = recording.video.camera, np.array([unknown.declared for unknown in CAMERA_UNKNOWNS])
+    of_camera = [FOCAL, PITCH, ROLL, HEIGHT]
     if recording.height is not None:
         sigma[SIZE] = SIZE_BY_HEIGHT
     if camera.accuracy is not None:
-        own = camera.accuracy
-        roll = own.tilt if own.roll is None else own.roll
-        sigma[[FOCAL, PITCH, HEADING, ROLL, HEIGHT]] = own.focal, own.tilt, own.tilt, roll, own.height
-        sigma[[RIGHT, DOWN]] = own.focal
+        sigma[of_camera] = sigma_of(camera.accuracy)[of_camera]
+        sigma[HEADING], sigma[[RIGHT, DOWN]] = camera.accuracy.tilt, camera.accuracy.focal
     if recording.imus is None:
         sigma[HEADING] = 0.0
     if camera.uncertainty is not None:
-        sigma[[FOCAL, PITCH, HEADING, ROLL, HEIGHT]] = 0.0
+        sigma[[*of_camera, HEADING]] = 0.0
     return sigma
 
 
-def unseen_room(recording: Recording) -> Room:
-    """Return what is open of a recording without any evidence."""
-    camera, elsewhere = recording.video.camera, np.zeros(8)
-    if (left := camera.uncertainty) is not None:
-        roll = left.tilt if left.roll is None else left.roll
-        elsewhere[[FOCAL, PITCH, ROLL, HEIGHT]] = left.focal, left.tilt, roll, left.height
-    return Room(camera, np.diag(declared_sigma(recording) ** 2), elsewhere)
-
-
-def look_at_room(room: Room, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture) -> Room:
-    """Return what the evidence leaves open.
-
-    Args:
-        picture: excerpt, lifted without sensors.
-    """
-    camera = keypoints.camera
-    feet = scene.skeleton.index(*scene.contacts.joints)
-    ankles = refit_root(poses, keypoints, sigma_depth=1.0).p_world_joint[:, feet][scene.contacts.standing]
-    floor = scene.floor_height
-    plane = floor_plane(camera, ankles, floor or 0.0)
-    rows = []
-    if plane is not None:
-        own = slice(0 if floor is not None else 1, None)
-        slopes = plane.fit @ displacements(camera, plane.p)[:, 2]
-        rows += [(plane.evidence.value[own], plane.evidence.sigma[own], slopes[own])]
-    paths = walk(scene, camera, poses)
-    rows += [(paths.value, paths.sigma, -1.0 * (np.arange(8) == FOCAL)[None])]
-    turn, spread = _turn(scene, picture), TURN * lasting(STEP * len(picture.keypoints))
-    J = np.zeros((3, 8))
-    J[0, PITCH], J[2, ROLL] = _SEEN_PITCH, 1.0
-    J[:, HEADING], J[1, RIGHT], J[0, DOWN] = camera.R_camera_world[:, 2], 1.0, -_SEEN_PITCH
-    rows += [(turn, spread, J)]
-    value, errors, J = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    weight = np.where(np.isfinite(value), 1 / errors**2, 0.0)
-    S = np.sqrt(room.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
-    C = S @ np.linalg.solve(np.eye(8) + S @ (J.T * weight) @ J @ S, S)
-    m = C @ (J.T * weight) @ np.nan_to_num(value)
-    return replace(room, moment=C + np.outer(m, m))
-
-
-def _turn(scene: Scene, picture: Picture) -> Array:
-    """Turn (3,) of the image against the sensors, camera axes, rad; NaN where one is missing."""
+def _rotation(scene: Scene, picture: Picture) -> Array:
+    """Rotation vector (3,) of the image against the sensors, camera axes, rad; NaN where one is missing."""
     if picture.lifted is None or picture.bone_imus is None:
         return np.full(3, np.nan)
     p, times = picture.lifted.p_world_joint, picture.keypoints.times

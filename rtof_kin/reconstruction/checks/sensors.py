@@ -7,7 +7,6 @@ sensors share, then single sensors. A check that an earlier failure would mislea
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from rtof_kin.calibration.assignment import AssignmentCheck, check_assignment
 from rtof_kin.calibration.bone_images import NAME as CLOCKS
 from rtof_kin.calibration.bone_images import BoneImages, best_exchange, bone_images, check_clocks
 from rtof_kin.core.checks import Check
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, SolverError
+from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.imu_stream import SensorLog
@@ -29,7 +28,6 @@ from rtof_kin.inertial.setup_diagnosis import LEAST_RATIO, Fault, FaultKind, dia
 from rtof_kin.reconstruction.checks.causes import check_frame_rate, check_still, check_tilt, check_turned, check_twist
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Prepared, evenly_spaced, prepare
-from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 
 SETUP = "evidence for another setup"
@@ -38,10 +36,8 @@ _SURE, _SURE_OF_ONE = 25.0, 40.0
 which unusual movement resembles."""
 _OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
 """Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
-_THINNED = 0.05
-"""[s] between the samples in which exchanged sensors are looked for."""
-_LEAST_SECONDS = 2.0
-"""[s] Shortest movement by which placement and references of sensors can be checked."""
+_THINNED = 0.05  # [s] between the samples in which exchanged sensors are looked for
+_LEAST_SECONDS = 2.0  # [s] Shortest movement by which placement and references of sensors can be checked
 _OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
 """Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
@@ -67,17 +63,15 @@ def check_sensor_evidence(
     recording: Recording,
     prepared: Prepared,
     poses: PoseSequence,
-    skeleton: SkeletonModel,
     lifter: LifterLike | None,
-    settings: ReconstructionSettings,
     suspect: bool = False,
     view_suspect: bool = False,
 ) -> tuple[Check, ...]:
     """Check the declared sensors and clocks.
 
     Args:
-        prepared: the prepared streams and the poses of each stage before the solver. skeleton: the subject's.
-        lifter, settings: as for `reconstruct`. suspect: another finding may be explained by a wrong sensor setup.
+        prepared: the prepared streams and the poses of each stage before the solver.
+        lifter: as for `reconstruct`. suspect: another finding may be explained by a wrong sensor setup.
         view_suspect: a check of the camera failed; a rotated or mirrored image makes all sensors seem rotated
             together.
 
@@ -95,7 +89,7 @@ def check_sensor_evidence(
         why = f"the samples are not as declared: {wrong.cause}"
         unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
         return (*form, *(Check.unknown(*what, why) for what in unknown))
-    seen, lifted = _as_seen(recording, prepared), prepared.stages["lift"]
+    seen, lifted, skeleton = _as_seen(recording, prepared), prepared.stages["lift"], prepared.skeleton
     images = bone_images(seen, native, lifted, skeleton)
     if images is not None:
         rate = check_frame_rate(images, seen)
@@ -121,7 +115,7 @@ def check_sensor_evidence(
     if prepared.bone_imus is None and prepared.calibration is None:
         image_only = prepared
     else:
-        image_only = prepare(recording, skeleton, "lift", lifter, settings, lambda *_: None)
+        image_only = prepare(recording, skeleton, "lift", lifter, prepared.settings, lambda *_: None)
     setup = _check_setup(image_only, recording.calibration, view_suspect)
     return (*form, clocks, setup)
 
@@ -142,18 +136,6 @@ def _measured(
     if prepared.bone_imus is not None and not view_suspect:
         found.append(check_twist(poses, prepared.bone_imus, skeleton))
     return found
-
-
-@contextmanager
-def naming_wrong_samples(recording: Recording) -> Iterator[None]:
-    """Prepend failed checks of the samples to errors raised inside."""
-    try:
-        yield
-    except (CalibrationError, InvalidInputError, SolverError) as error:
-        causes = [check.message for check in check_sensor_form(recording) if check.failed]
-        if not causes:
-            raise
-        raise type(error)("; ".join([*causes, f"therefore {error}"])) from error
 
 
 def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:

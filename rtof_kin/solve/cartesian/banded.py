@@ -1,12 +1,12 @@
 """Cartesian energy of a fragment for the real-time solver: its Hessian as one narrow band.
 
-Acceleration, bone vectors, jerk and the prior are linear in the positions: their energy is a quadratic
-form, computed once per fragment. The rest are small elements, the reprojection of a landmark or a rigid
-distance, from functions of one element mapped over all.
+Acceleration, bone vectors, jerk and the prior are linear in the positions: their energy is a quadratic form, computed
+once per fragment. The rest are small elements, the reprojection of a landmark or a rigid distance, from functions of
+one element mapped over all.
 
-Without rigid distances the printed energy separates into groups of joints: those of a limb, and every
-other joint alone. Ordered group by group, then frame by frame, the Hessian of 3,150 unknowns has a
-bandwidth of 27; with weighted bone lengths all joints are coupled and it is 189.
+Without rigid distances the printed energy separates into groups of joints: those of a limb, and every other joint
+alone. Ordered group by group, then frame by frame, the Hessian of 3,150 unknowns has a bandwidth of 27; with weighted
+bone lengths all joints are coupled and it is 189.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.numerics.banded import Factor, Store, StoredFactor, factorise
+from rtof_kin.core.numerics.banded import Factor, Store
 from rtof_kin.core.numerics.c_compiler import Buffered
 from rtof_kin.core.numerics.simd import Mapped, compile_simd
 from rtof_kin.core.numerics.simd_codegen import FrameFunction
@@ -54,10 +54,10 @@ class BandedProblem:
         if problem.settings.bone_lengths == "weighted":
             a, b = (points.reshape(N, J, 3)[:, list(ends)] for ends in zip(*problem.pairs, strict=True))
             parts.append((problem.rigid_distance, np.concatenate([a, b], axis=-1).reshape(-1, 6)))
-        parts += [(function, points.reshape(N, J, 3)[:, joint]) for joint, _, function in problem.elements]
+        parts += [(f, points.reshape(N, J, 3)[:, list(joints)].reshape(N, -1)) for joints, _, f in problem.elements]
         self._points = [term for _, term, _ in problem.elements]
         functions = [FrameFunction(function, (2,)) for function, _ in parts]
-        code = (compile_simd(functions) if compile == "auto" else None) or {}
+        code = compile_simd(functions) if compile == "auto" else {}
         self._curvature, self._slope_of = Buffered(problem.curvature), Buffered(problem.slope)
         row, column = problem.curvature.sparsity_out(0).get_triplet()
         self._order = _grouped(N * 3 * J, np.array(row), np.array(column), [i for _, i in parts])
@@ -68,11 +68,8 @@ class BandedProblem:
             for given, (_, index) in zip(functions, parts, strict=True)
         ]
         width = max(int(at[1].max()) for at in (self.at, *(e.at for e in self._elements))) + 1
-        self._base, self._store = np.zeros((N * 3 * J, width)), None
-        self._band = np.zeros_like(self._base)
-        if compile == "auto" and Store.available():
-            self._store = Store(N * 3 * J, width - 1)
-            self._band = self._store.entries[:, :width]
+        self._base, self._store = np.zeros((N * 3 * J, width)), Store(N * 3 * J, width - 1, compile == "auto")
+        self._band = self._store.entries[:, :width]
 
     def bind(self, values: dict[str, Array], parameters: Array) -> None:
         """Set the fragment to be evaluated."""
@@ -127,13 +124,9 @@ class BandedProblem:
             element.add_hessian(self._band)
         return value, gradient
 
-    def factorise(self, damping: float) -> Factor | StoredFactor:
+    def factorise(self, damping: float) -> Factor:
         """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""
-        if self._store is not None:
-            return self._store.factorise(damping)
-        band = self._band.copy()
-        band[:, 0] += damping
-        return factorise(band)
+        return self._store.factorise(damping)
 
     def _at_point(self, x: Array) -> tuple[Array, float, Array]:
         """The point, and energy and gradient there."""
@@ -158,8 +151,7 @@ class _Elements:
 
     def __init__(self, given: FrameFunction, index: Index, code: Any) -> None:
         self._index, size = index, index.shape[1]
-        self._compiled = None if code is None else Mapped(code, given, len(index))
-        self._mapped = Buffered(given.function.map(len(index))) if code is None else None
+        self._evaluate = Mapped(code, given, len(index))
         self.own, self.shared = np.zeros((len(index), 0)), np.zeros(0)
         r, c = np.tril_indices(size)
         self._entries = c * size + r  # CasADi's order of a dense matrix
@@ -171,20 +163,12 @@ class _Elements:
 
     def evaluate(self, x: Array, gradient: Array) -> float:
         """Return the energy at x and add the gradient."""
-        value, own, self._hessian = self._evaluated(x[self._index])
+        value, own, self._hessian = self._evaluate(x[self._index], self.own, self.shared)
         if self._distinct:
             gradient[self._index.ravel()] += own.ravel()
         else:
             gradient += np.bincount(self._index.ravel(), own.ravel(), len(gradient))
         return float(value.sum())
-
-    def _evaluated(self, x: Array) -> list[Array]:
-        """Value, gradient and Hessian (n, ...) of every element."""
-        if self._compiled is not None:
-            return self._compiled(x, self.own, self.shared)
-        assert self._mapped is not None
-        shared = np.tile(self.shared, len(x))
-        return [v.reshape(len(x), -1) for v in self._mapped(x.ravel(), self.own.ravel(), shared)]
 
     def add_hessian(self, band: Array) -> None:
         """Add the Hessian of the last evaluation."""

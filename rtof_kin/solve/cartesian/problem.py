@@ -4,9 +4,9 @@
 
     E(X) = k_V E_V + k_I (k_A E_A + k_B E_B + k_S E_S) + E_L + E_P
 
-The state is X (N, J, 3), joint positions in world, m. Each term is the mean of its squared whitened
-residuals (residuals divided by their standard deviations), so that the k do not depend on their number.
-E_L and E_P are added to the printed energy (see `CartesianSettings`).
+The state is X (N, J, 3), joint positions in world, m. Each term is the mean of its squared whitened residuals
+(residuals divided by their standard deviations), so that the k do not depend on their number. E_L and E_P are added to
+the printed energy (see `CartesianSettings`).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import numpy as np
 from rtof_kin.body.kinematics import children_of
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.c_compiler import BUILDING
-from rtof_kin.solve import residuals as energies
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.point_terms import PointTerm
+from rtof_kin.solve import terms as energies
+from rtof_kin.solve.settings import CartesianSettings
+from rtof_kin.solve.terms import PointTerm
 
 Bones = tuple[tuple[int, int], ...]
 """(joint, child) of each bone."""
-Points = tuple[tuple[int, PointTerm], ...]
-"""Further residuals, each with its joint."""
+Points = tuple[tuple[tuple[int, ...], PointTerm], ...]
+"""Further residuals, each with its joints."""
 TERMS: Final = ("visual", "acceleration", "bone", "smooth", "length", "prior")
 """Built-in terms; further ones are behind them."""
 LINEAR: Final = ("acceleration", "bone", "smooth", "prior")
@@ -51,8 +51,8 @@ class _Term:
     group: int = 2
     """Residuals of a group."""
     exact: bool = False
-    """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to
-    the image plane, whose depth has no first-order effect."""
+    """Whether the Hessian is exact. Gauss-Newton oscillates on the stiff distances of bones parallel to the image
+    plane, whose depth has no first-order effect."""
 
 
 class FragmentProblem:
@@ -60,13 +60,13 @@ class FragmentProblem:
 
     Attributes:
         parameters: name -> shape of each parameter, in order.
-        solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted).
-        gradient: (x, p) -> dE/dx.
-        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms with linear residuals.
-        slope: p -> their gradient and value at the initial guess.
+        solver: (x0, p) -> x, with IPOPT. energy: (x, p) -> one value per term of `TERMS` (weighted). gradient: (x, p)
+        -> dE/dx.
+        curvature: values of `CURVED_BY` -> upper triangle of the Hessian of the terms with linear residuals. slope: p
+        -> their gradient and value at the initial guess.
         terms: name -> residuals.
-        landmark, rigid_distance, elements: one element of the other terms: (positions, its observation,
-            shared parameters) -> value, gradient, Hessian.
+        landmark, rigid_distance, elements: one element of the other terms: (positions, its observation, shared
+            parameters) -> value, gradient, Hessian.
         constraints: (x, p) -> squared distances minus squared lengths, m^2, where lengths are equalities.
         constraint_gradient: (x, p, lam_g) -> derivative of lam_g . constraints.
     """
@@ -111,7 +111,7 @@ class FragmentProblem:
         }
         self.parameters = {name: ca.SX.sym(name, *shape) for name, shape in shapes.items()}
         for _, term in points:
-            self.parameters |= term.symbols(N)
+            self.parameters |= {name: ca.SX.sym(name, rows, N) for name, (rows,) in term.symbols().items()}
         self.terms = self._terms()
         self._build()
 
@@ -152,13 +152,16 @@ class FragmentProblem:
             "smooth": _Term(ca.vec(smooth), ca.vec(ca.repmat(P["w_smooth"].T, 3 * J, 1))),
             "length": _Term(ca.vec(length), ca.vec(ca.repmat(P["w_length"].T, len(lengths), 1)), exact=True),
             "prior": _Term(ca.vec(self._prior()), ca.SX.ones(3 * J * N) / (3 * J * N)),
-            **{term.name: self._point_term(joint, term) for joint, term in self.points},
+            **{term.name: self._point_term(joints, term) for joints, term in self.points},
         }
 
-    def _point_term(self, joint: int, term: PointTerm) -> _Term:
+    def _point_term(self, joints: tuple[int, ...], term: PointTerm) -> _Term:
         """A further residual of all frames, weighted like the prior: 1 / sigma^2 is part of the residual."""
-        path, observed, weight = (self._joint(joint), self.parameters[term.observed], self.parameters[term.weight])
-        residuals = [ca.sqrt(weight[t]) * term.residual(path[:, t], observed[:, t]) for t in range(self.frames)]
+        observed, weight = self.parameters[term.observed], self.parameters[term.weight]
+        paths = [self._joint(joint) for joint in joints]
+        residuals = [
+            ca.sqrt(weight[t]) * term.at([path[:, t] for path in paths], observed[:, t]) for t in range(self.frames)
+        ]
         stacked, count = ca.vertcat(*residuals), 3 * len(self.parents) * self.frames
         return _Term(stacked, ca.SX.ones(stacked.numel()) / count, term.robust, residuals[0].numel())
 
@@ -251,18 +254,18 @@ class FragmentProblem:
         return ca.Function("rigid_distance", [ends, own, k], outputs)
 
     @cached_property
-    def elements(self) -> tuple[tuple[int, PointTerm, Any], ...]:
-        """Joint of each further residual, and one element of it: (p (3); observation, weight; unused)."""
-        p, unused, count = ca.SX.sym("p", 3), ca.SX.sym("unused"), 3 * len(self.parents) * self.frames
+    def elements(self) -> tuple[tuple[tuple[int, ...], PointTerm, Any], ...]:
+        """Joints of each further residual, and one element of it: (p (3 each); observation, weight; unused)."""
+        unused, count = ca.SX.sym("unused"), 3 * len(self.parents) * self.frames
         found = []
-        for joint, term in self.points:
-            own = ca.SX.sym("own", term.size + 1)
-            r = ca.sqrt(own[-1]) * term.residual(p, own[:-1])
+        for joints, term in self.points:
+            p, own = ca.SX.sym("p", 3 * len(joints)), ca.SX.sym("own", term.size + 1)
+            r = ca.sqrt(own[-1]) * term.at(ca.vertsplit(p, 3), own[:-1])
             value, curvature = _energy_and_curvature(_Term(r, ca.SX.ones(r.numel()) / count, term.robust, r.numel()))
             J = ca.jacobian(r, p)
             outputs = [value, ca.gradient(value, p), 2 * J.T @ ca.diag(curvature) @ J]
             function = ca.Function(term.observed, [p, own, unused], [ca.densify(v) for v in outputs])
-            found.append((joint, term, function))
+            found.append((joints, term, function))
         return tuple(found)
 
     def _constraints(self) -> Any:

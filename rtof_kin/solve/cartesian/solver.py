@@ -23,11 +23,10 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import Footholds
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
-from rtof_kin.solve.cartesian.settings import CartesianSettings
-from rtof_kin.solve.inertial_ik import InertialGuidedIK, InertialGuidedIKSettings
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
-from rtof_kin.solve.point_terms import PointData, PointTerm, point_rows
+from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings, InitialGuess
+from rtof_kin.solve.settings import CartesianSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+from rtof_kin.solve.terms import PointData, PointTerm, check_observed, observed_rows
 
 _DECREASE: Final = 1e-4
 """Tolerance of the real-time solver on the relative decrease, per tolerance of IPOPT on the gradient."""
@@ -55,7 +54,7 @@ class CartesianSolver:
             for child in kinematics.children_of(skeleton.parents, joint)
         ]  # a sensor on a leaf (head, foot) has no bone and is not used
         with BUILDING:
-            points = tuple((skeleton.names.index(term.joint), term) for term in terms)
+            points = tuple((tuple(skeleton.index(*term.joints)), term) for term in terms)
             self._problem = fragment_problem(skeleton.parents, frames, tuple(bones), self.settings, points)
             self._energy, self._gradient = Buffered(self._problem.energy), Buffered(self._problem.gradient)
             self._banded = BandedProblem(self._problem) if settings.backend == "realtime" else None
@@ -82,7 +81,9 @@ class CartesianSolver:
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         start = guess.poses
         data = self._observations(start, keypoints, bone_imus)
-        data |= point_rows([term for _, term in self._problem.points], observed or {}, len(start))
+        terms = [term for _, term in self._problem.points]
+        check_observed(terms, observed or {})
+        data |= observed_rows(terms, observed or {}, len(start))
         half, T = self.frames // 2, len(start)
         firsts = range(-half, T, half)
         taper = self._taper()

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array, Mask
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.settings import JointSpaceSettings
 
 _NORMAL_MEDIAN: Final = 1.177
 """Median norm of a normal error in two dimensions, in standard deviations of an axis."""
@@ -44,14 +44,14 @@ class Annealing:
         self._seen, self._others = observation["w_visual"] > 0, observation
         low, high = settings.sigma_reprojection_range
         self._bounds = max(low, least_px), max(high, least_px)
-        given, shape = settings.sigma_reprojection, problem.energy.shape
+        given, visual = settings.sigma_reprojection, problem.energy["visual"]
         largest = settings.sigma_reprojection_range[1] if given is None else given
-        self._camera = np.array(shape.cameras, dtype=int)
+        self._camera = np.array(visual.cameras, dtype=int)
         self._pictures = [
             Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
-            for own in (self._camera == c for c in range(1 + len(shape.further)))
+            for own in (self._camera == c for c in range(1 + len(visual.further)))
         ]
-        self._left = settings.annealing if given is None and shape.landmarks else 0
+        self._left = settings.annealing if given is None and visual.landmarks else 0
         self._weigh(False)
 
     def __call__(self, x: Array) -> bool:
@@ -102,7 +102,7 @@ class Annealing:
         largest = self._settings.largest_correlation_factor
         factor = float(np.mean([picture.factor for picture in self._observing]))
         share = factor / largest if estimated else 1.0
-        for name in ("w_sensor", "w_prior", "w_root"):
+        for name in self._problem.energy.constant_errors:
             self._problem.reweigh(name, share * self._others[name])
 
 
@@ -149,3 +149,48 @@ class Picture:
         square = float(np.vdot(clipped, clipped)) / self._count
         r = float(np.clip(product / max(square, _LEAST**2), 0.0, 0.99))
         return size, float(min(np.sqrt((1 + r) / (1 - r)), self._largest))
+
+
+_ROBUST: Final = 2.0
+"""[sigma] Residual where the loss turns from square to linear."""
+_LEAST_CORRELATION: Final = 0.05
+"""Autocorrelation at which its sum ends."""
+
+
+def estimated_places(residuals: Array, slopes: Array, weights: Array, covariance: Array) -> Array:
+    """Return offsets (L, 3) of the points from their usual places, m.
+
+    Args:
+        residuals: (T, L, 2) observed minus projected, px. slopes: (T, L, 2, 3) px/m.
+        weights: (T, L) of the observations, 0 where unseen. covariance: (L, 3, 3) of the places, m^2.
+    """
+    offsets = np.zeros((len(covariance), 3))
+    for i, own in enumerate(covariance):
+        seen = weights[:, i] > 0
+        if not seen.any() or not own.any():
+            continue
+        r, J = residuals[:, i], slopes[:, i]
+        size = max(float(np.median(np.linalg.norm(r[seen], axis=-1))) / _NORMAL_MEDIAN, 1e-6)
+        robust = 1 / np.sqrt(1 + np.sum(r**2, axis=-1) / (_ROBUST * size) ** 2)
+        w = np.where(seen, robust, 0.0) / (_frames_as_one(r, seen) * size**2)
+        information = np.einsum("t,tik,til->kl", w, J, J)
+        force = np.einsum("t,tik,ti->k", w, J, r)
+        offsets[i] = np.linalg.solve(information + np.linalg.inv(own), force)
+    return offsets
+
+
+def _frames_as_one(residuals: Array, seen: Mask) -> float:
+    """Number of frames in a row with the information of one: 1 + 2 sum of the autocorrelations.
+
+    Args:
+        residuals: (T, 2). seen: (T,).
+    """
+    x = np.where(seen[:, None], residuals - np.median(residuals[seen], axis=0), 0.0)
+    transform = np.fft.rfft(x, 2 * len(x), axis=0)
+    together = np.fft.rfft(seen.astype(float), 2 * len(x))
+    product = np.fft.irfft((np.abs(transform) ** 2).sum(axis=1))[: len(x)]
+    pairs = np.fft.irfft(np.abs(together) ** 2)[: len(x)]
+    correlation = product / np.maximum(pairs, 1.0) / max(product[0] / pairs[0], 1e-12)
+    low = np.flatnonzero(correlation < _LEAST_CORRELATION)
+    stop = low[0] if len(low) else len(x)
+    return float(1 + 2 * correlation[1:stop].sum())

@@ -1,9 +1,9 @@
 """Covariances of a fragment's states, and of the poses that follow from them.
 
-At the optimum the Gauss-Newton Hessian is the inverse covariance of all states of the fragment, as far as
-the weights are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of
-each frame (`banded.inverse_diagonal`). Robust losses count with their weight at the optimum, and an active
-limit holds its angle to a degree.
+At the optimum the Gauss-Newton Hessian is the inverse covariance of all states of the fragment, as far as the weights
+are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of each frame
+(`banded.inverse_diagonal`). Robust losses count with their weight at the optimum, and an active limit holds its angle
+to a degree.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solved
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.energy.jerk import LAGS
-from rtof_kin.solve.energy.state import StateSpace
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.joint_space.stencils import LAGS
 
 _DAMPING: Final = 1e-6
 """Added to the Hessian's diagonal: an unobserved root gets a sigma of 1 km."""
@@ -56,8 +57,8 @@ def blended(earlier: Array, later: Array, share: Array) -> Array:
 
 
 def segment_pairs(skeleton: SkeletonModel) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of segments of a `Confidence`: each with the world, with its parent, and with the
-    nearest ancestor that usually carries a sensor (upper arm with trunk, trunk with pelvis).
+    """Return the pairs of segments of a `Confidence`: each with the world, with its parent, and with the nearest
+    ancestor that usually carries a sensor (upper arm with trunk, trunk with pelvis).
     """
     names, parents = skeleton.names, skeleton.parents
     carriers = {joint for joint, _ in skeleton.sensors.values()}
@@ -101,3 +102,56 @@ def _covariance(J: Array, covariance: Array) -> Array:
     JC = (J.reshape(T, n * 3, D) @ covariance).reshape(J.shape)
     out = JC @ np.swapaxes(J, -1, -2)
     return np.asarray((out + np.swapaxes(out, -1, -2)) / 2)
+
+
+SPREAD: Final = 1.0
+"""[1] Factor on the standard deviations of the solver's prior."""
+TIME: Final = 0.5
+"""[s] In which the angles of an unseen joint forget the observed ones."""
+
+
+def unseen_times(data: Observations) -> Array:
+    """Return the time (T, A), s, to the nearest frame in which a landmark or a sensor is seen that the joint moves; inf
+    where there is none in the recording. The root counts as seen.
+    """
+    space, joints = data.space, data.skeleton.names
+    seen = np.concatenate([data.confidence > 0, data.rows["w_sensor"] > 0], axis=1)
+    on = [*data.points.on, *((joints.index(name), False) for name in data.sensors)]
+    out = np.zeros((len(seen), len(space.joints)))
+    frames = np.arange(len(seen))
+    for a, joint in enumerate(space.joints[1:], start=1):
+        moved = [_descends(space, j, joint) and not (at_joint and j == joint) for j, at_joint in on]
+        known = np.flatnonzero(seen[:, moved].any(axis=1))
+        before, after = np.searchsorted(known, frames, "right"), np.searchsorted(known, frames) + 1
+        ends = np.concatenate([[-np.inf], known, [np.inf]])
+        out[:, a] = np.minimum(frames - ends[before], ends[after] - frames)
+    return out / data.rate_hz
+
+
+def unseen_covariance(data: Observations, times: Array) -> Array:
+    """Return the covariances (T, D, D) of the states' tangents; zero where everything is seen.
+
+    Args:
+        times: (T, A) s, frames of `unseen_times`.
+    """
+    space = data.space
+    owner = np.repeat(np.arange(len(space.joints)), np.where(space.hinge_axis < 0, 3, 1))[3:]
+    precision = space.expand[3:, 3:].T @ data.constant["precision"] @ space.expand[3:, 3:]
+    share = np.sqrt(-np.expm1(-((times[:, owner] / TIME) ** 2)))
+    hidden = share > 0
+    out = np.zeros((len(times), space.size, space.size))
+    patterns, which = np.unique(hidden, axis=0, return_inverse=True)
+    for i, pattern in enumerate(patterns):
+        frames, columns = np.flatnonzero(which.ravel() == i), np.flatnonzero(pattern)
+        if len(columns):
+            own = SPREAD**2 * np.linalg.inv(precision[np.ix_(columns, columns)])
+            scale = share[np.ix_(frames, columns)]
+            at = 6 + columns
+            out[np.ix_(frames, at, at)] = scale[:, :, None] * own * scale[:, None, :]
+    return out
+
+
+def _descends(space: StateSpace, joint: int, ancestor: int) -> bool:
+    while joint > ancestor:
+        joint = space.skeleton.parents[joint]
+    return joint == ancestor

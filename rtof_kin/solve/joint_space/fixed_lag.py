@@ -10,26 +10,149 @@ the result is that of one fragment.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.linalg import lapack
 
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core import quaternions as quat
+from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
-from rtof_kin.core.numerics.banded import inverse_diagonal
-from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
-from rtof_kin.solve.energy.jerk import LAGS
-from rtof_kin.solve.energy.problem import FragmentData
+from rtof_kin.core.numerics.banded import Factor, inverse_diagonal
+from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
 from rtof_kin.solve.joint_space.annealing import Picture
-from rtof_kin.solve.joint_space.marginal_prior import MarginalPrior, WindowEnergy, marginalised
+from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Observations
+from rtof_kin.solve.joint_space.state import Limits, StateSpace
+from rtof_kin.solve.joint_space.stencils import LAGS
+
+MEMORY = LAGS - 1
+"""Frames that a marginalised frame leaves a prior on."""
+
+
+@dataclass(frozen=True)
+class MarginalPrior:
+    """Energy of the first three frames of a window."""
+
+    x: Array
+    """(3, 3 + 4A) linearisation points."""
+    precision: Array
+    """(3D, 3D) Lambda."""
+    slope: Array
+    """(3D,) eta."""
+
+    @classmethod
+    def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
+        """Return a prior without information.
+
+        Args:
+            x: (3, 3 + 4A) any states.
+        """
+        size = MEMORY * space.size
+        return cls(x, np.zeros((size, size)), np.zeros(size))
+
+    def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
+        """Return the energy and its gradient (3, D) by tangents at x.
+
+        Args:
+            x: (3, 3 + 4A).
+        """
+        d = space.difference(self.x, x).ravel()
+        pulled = self.precision @ d
+        force = (self.slope + pulled).reshape(MEMORY, -1)
+        turns = (d.reshape(MEMORY, -1)[:, 3:] @ space.expand.T).reshape(MEMORY, -1, 3)
+        torque = (force[:, 3:] @ space.expand.T).reshape(turns.shape)
+        torque = np.einsum("taij,tai->taj", quat.right_jacobian_inverse(turns), torque)
+        gradient = np.concatenate([force[:, :3], torque.reshape(MEMORY, -1) @ space.expand], axis=1)
+        return float(d @ (self.slope + pulled / 2)), gradient
+
+
+def marginalised(
+    prior: MarginalPrior, leaving: FragmentEnergy, limits: Limits | None, x: Array, multipliers: Array
+) -> MarginalPrior:
+    """Return the prior of frames 1 to 3 after frame 0 has left.
+
+    Args:
+        prior: of frames 0 to 2. leaving: energy of frames 0 to 3 with the terms that contain frame 0 bound.
+        x: (4, 3 + 4A) present states. multipliers: (4, M) of the limits.
+
+    Raises:
+        SolverError: the frame's Hessian is not positive definite.
+    """
+    space = leaving.space
+    D, kept = space.size, MEMORY * space.size
+    gradient = leaving.linearise(x)[1].ravel()
+    H = leaving.hessian()
+    H[:kept, :kept] += prior.precision
+    gradient[:kept] += prior.at(space, x[:MEMORY])[1].ravel()
+    if limits is not None:
+        excess = limits.excess(limits.values(x[:1]) + multipliers[:1] / STIFFNESS)
+        gradient[:D] += STIFFNESS * limits.force(x[:1], excess)[0]
+        _, rows, columns, values = limits.curvature(x[:1], excess != 0)
+        H[rows, columns] += STIFFNESS * values
+    H[:D, :D] += _DAMPING * np.eye(D)  # its root may be unobserved
+    factor, failed = lapack.dpotrf(H[:D, :D], lower=1)
+    if failed:
+        raise SolverError("the Hessian of the frame that leaves is not positive definite")
+    right = np.concatenate([H[D:, :D], gradient[None, :D]]).T
+    half, _ = lapack.dtrtrs(factor, right, lower=1)
+    precision = H[D:, D:] - half[:, :-1].T @ half[:, :-1]
+    slope = gradient[D:] - half[:, :-1].T @ half[:, -1]
+    return MarginalPrior(x[1:].copy(), precision, slope)
+
+
+class WindowEnergy:
+    """The energy of a window with the prior of its first frames; see `levenberg_marquardt.Problem`.
+
+    Attributes:
+        energy: of the window's own terms. prior: of its first three frames.
+    """
+
+    def __init__(self, energy: FragmentEnergy, prior: MarginalPrior) -> None:
+        self.energy, self.prior, self.space = energy, prior, energy.space
+        self._known: tuple[Array, float, Array] | None = None
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """Return the states after a step (N, D)."""
+        return self.energy.retract(x, step)
+
+    def total(self, x: Array) -> float:
+        """Return the energy."""
+        return self.energy.total(x) + self._at(x)[0]
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient (N, D)."""
+        gradient = self.energy.gradient(x)
+        gradient[:MEMORY] += self._at(x)[1]
+        return gradient
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Return energy and gradient (N, D); keep the Hessian."""
+        energy, gradient = self.energy.linearise(x)
+        own, slope = self._at(x)
+        self.energy.add_to_first(self.prior.precision)
+        gradient[:MEMORY] += slope
+        return energy + own, gradient
+
+    def _at(self, x: Array) -> tuple[float, Array]:
+        """The prior's energy and gradient, kept until another array is given."""
+        if self._known is None or self._known[0] is not x:
+            self._known = (x, *self.prior.at(self.space, x[:MEMORY]))
+        return self._known[1:]
+
+    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
+        """Add to entries of the diagonal blocks of the Hessian."""
+        self.energy.add_to_diagonal(frames, rows, columns, values)
+
+    def factorise(self, damping: float) -> Factor:
+        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal."""
+        return self.energy.factorise(damping)
+
 
 _DAMPING: Final = 1e-6
-"""Added to the Hessian's diagonal for covariances: an unobserved root gets a sigma of 1 km."""
-_WEIGHTS: Final = ("w_visual", "w_sensor", "w_torso", "w_bone", "w_root", "w_floor", "w_contact", "w_prior")
-_OF_CONSTANT_ERRORS: Final = ("w_sensor", "w_prior", "w_root")
-"""Weights of errors that are constant over a fragment; see `Annealing`."""
+"""Added to the Hessian's diagonal for covariances and where a frame is eliminated: an unobserved root gets a
+sigma of 1 km."""
 _EVERY: Final = 6
 """Frames between estimates of the landmarks' errors."""
 _MEMORY_S: Final = 1.0
@@ -66,7 +189,7 @@ class FixedLagSmoother:
         self.frames, self.rate_hz, self._settings = frames, data.rate_hz, data.settings
         self._window, self._leaving = data.energy(frames), data.energy(LAGS)
         self.rows = {name: np.repeat(values[:1], frames, axis=0) for name, values in data.rows.items()}
-        for name in self.rows.keys() & {*_WEIGHTS}:
+        for name in _weights(self.rows):
             self.rows[name][:] = 0.0
         S = len(data.sensors)
         self.a_world, self.w_acceleration = np.zeros((frames, S, 3)), np.zeros((frames, S))
@@ -103,7 +226,7 @@ class FixedLagSmoother:
         for name, values in self.rows.items():
             if name in rows:
                 values[-1] = rows[name]
-            elif name in _WEIGHTS:
+            elif name in _weights(self.rows):
                 values[-1] = 0.0
         self.a_world[-1], self.w_acceleration[-1], self.inside[-1] = a_world, w_acceleration, True
         self.x = np.concatenate([self.x[1:], x[None]])
@@ -114,7 +237,7 @@ class FixedLagSmoother:
         self.x = np.repeat(x[None], self.frames, axis=0)
         self.inside[:] = False
         self._multipliers = np.zeros_like(self._multipliers)
-        for name in self.rows.keys() & {*_WEIGHTS}:
+        for name in _weights(self.rows):
             self.rows[name][:] = 0.0
         self.w_acceleration[:] = 0.0
         self.prior = MarginalPrior.none(self.space, self.x[: LAGS - 1])
@@ -198,7 +321,7 @@ class FixedLagSmoother:
     def _first_terms(self) -> FragmentData:
         """Observations of the first four frames, with the weights of terms that contain the first one."""
         rows = self._errors.weighted({name: values[:LAGS].copy() for name, values in self.rows.items()})
-        for name in rows.keys() & {*_WEIGHTS}:
+        for name in _weights(rows):
             rows[name][1:] = 0.0
         w = self.w_acceleration[1:3].copy()
         w[1:] = 0.0
@@ -212,7 +335,7 @@ class _RunningErrors:
     """Size of the landmarks' errors and their autocorrelation, averaged over time; as in `Annealing`."""
 
     def __init__(self, data: Observations) -> None:
-        s = data.settings
+        s, self._constant_errors = data.settings, data.problem.energy.constant_errors
         self._given, self._bounds = s.sigma_reprojection, s.sigma_reprojection_range
         self._sizes, self._robust, self._largest = (
             data.points.sizes,
@@ -248,6 +371,10 @@ class _RunningErrors:
         out["w_visual"] = rows["w_visual"] / self.sigma**2
         out["knee_visual"] = np.full_like(rows["knee_visual"], self._robust / self._factor)
         share = self._factor / self._largest if self._estimated else 1.0
-        for name in _OF_CONSTANT_ERRORS:
+        for name in self._constant_errors:
             out[name] = share * rows[name]
         return out
+
+
+def _weights(rows: Mapping[str, Array]) -> list[str]:
+    return [name for name in rows if name.startswith("w_")]

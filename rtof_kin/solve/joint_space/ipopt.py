@@ -1,7 +1,7 @@
 """Reference solver: IPOPT on the same energy, with limits as inequalities.
 
-IPOPT's variables are the step d (N D) from the initial state, in millimetres and milliradians, so the
-energy at d is that of the state retracted by d. Derivatives at the state are multiplied by the Jacobian T
+IPOPT's variables are the step d (N D) from the initial state, in millimetres and milliradians, so the energy at d is
+that of the state retracted by d. Derivatives at the state are multiplied by the Jacobian T
 of the retraction: g = T^T g_local, H = T^T H_local T (Gauss-Newton).
 """
 
@@ -17,9 +17,9 @@ from rtof_kin.core import quaternions as quat
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.numerics.c_compiler import BUILDING
 from rtof_kin.core.numerics.levenberg_marquardt import Solved
-from rtof_kin.solve.compiled.fragment_energy import FragmentEnergy
-from rtof_kin.solve.energy.jerk import LAGS
-from rtof_kin.solve.joint_space.limits import Limits
+from rtof_kin.solve.joint_space.fragment import FragmentEnergy
+from rtof_kin.solve.joint_space.state import Limits
+from rtof_kin.solve.joint_space.stencils import LAGS
 
 _UNIT: Final = 1e-3
 """m and rad of IPOPT's variables."""

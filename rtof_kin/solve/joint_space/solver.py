@@ -19,15 +19,20 @@ from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import Footholds
+from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import Annealing
-from rtof_kin.solve.joint_space.covariance import blended, confidence_of, state_covariances
-from rtof_kin.solve.joint_space.initial_guess import InitialGuess
+from rtof_kin.solve.joint_space.covariance import (
+    blended,
+    confidence_of,
+    state_covariances,
+    unseen_covariance,
+    unseen_times,
+)
 from rtof_kin.solve.joint_space.ipopt import Ipopt
 from rtof_kin.solve.joint_space.observations import Observations
-from rtof_kin.solve.joint_space.settings import JointSpaceSettings
-from rtof_kin.solve.joint_space.unseen import unseen_covariance, unseen_times
-from rtof_kin.solve.point_terms import PointData, PointTerm
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.solution import Block, FragmentReport, SolverStatus
+from rtof_kin.solve.terms import PointData, Term
 from rtof_kin.vision.image_points import measurements
 
 _LOCAL_MINIMUM: Final = 1.8
@@ -46,7 +51,7 @@ class JointSpaceSolver:
         frames: int,
         settings: JointSpaceSettings,
         places: tuple[str, ...] = (),
-        terms: tuple[PointTerm, ...] = (),
+        terms: tuple[Term, ...] = (),
     ) -> None:
         """Keep the arguments of `Observations`."""
         self.skeleton, self.frames, self.settings = skeleton, frames, settings

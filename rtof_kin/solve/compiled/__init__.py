@@ -1,1 +1,0 @@
-"""The joint-space problem as compiled SIMD code."""

@@ -1,0 +1,352 @@
+"""Energy of a fragment of N frames in joint space, with its Gauss-Newton Hessian as a band.
+
+::
+
+    E = sum over frames of E_frame + 1/2 sum rho(|a - a_imu|^2 / sigma_A^2) + 1/2 sum |jerk|^2 / sigma_J^2
+
+The functions of a frame and its neighbours (`stencils`) write energies, gradient and the Hessian where it is
+factorised. They are evaluated in two ways with the same numbers up to rounding: by compiled code that takes several
+frames at once, or interpreted by CasADi. The acceleration of a sensor couples neighbouring frames, so its blocks of the
+Hessian lie up to two frames off the diagonal; the jerk couples frames up to three apart, each joint with itself only.
+
+What is built and compiled once for all solvers of a process never changes. Each solver's energy has arrays of its own,
+so that solvers may run in several threads. Expressions are kept for good: CasADi frees them as if there were one
+thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.array_types import Array, Index
+from rtof_kin.core.choices import Compile
+from rtof_kin.core.numerics.banded import Factor, Store
+from rtof_kin.core.numerics.c_compiler import BUILDING
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
+from rtof_kin.core.numerics.simd_codegen import FrameFunction
+from rtof_kin.solve.joint_space import stencils
+from rtof_kin.solve.joint_space.energy import FrameEnergy
+from rtof_kin.solve.joint_space.state import StateSpace
+from rtof_kin.solve.joint_space.stencils import LAGS, HessianColumns
+from rtof_kin.solve.terms import Term
+
+BEYOND: Final = 2
+"""Rows below the third block's diagonal that the axes of a joint reach."""
+
+
+@dataclass(frozen=True)
+class FragmentData:
+    """Observations of a fragment of N frames; weights are 0 where there are none."""
+
+    observation: dict[str, Array]
+    """Name -> (N, ...), with the names of `FrameEnergy.observation`."""
+    constant: dict[str, Array]
+    """Name -> value, with the names of `FrameEnergy.constant`."""
+    a_world: Array
+    """(N - 2, P, 3) measured derivatives of the paths' points: accelerations of the sensors, m/s^2, first."""
+    w_acceleration: Array
+    """(N - 2, P) 1 / sigma^2 of each; of accelerations s^4/m^2."""
+    w_jerk: Array
+    """(N - 3,) weight of the jerk of four frames in a row."""
+    rate_hz: float
+    length_scale: float = 1.0
+    """[1] Factor on the body's size: the jerk of the root is measured in body lengths."""
+
+
+@dataclass(frozen=True)
+class FragmentFunctions:
+    """Functions of a frame that a `FragmentEnergy` calls, and their compiled code."""
+
+    frames: Mapping[str, FrameFunction]
+    linear: HessianColumns
+    coupled: HessianColumns
+    code: Mapping[str, Any]
+    """Name of the function -> code; empty where they are interpreted."""
+
+    @classmethod
+    def of(cls, energy: FrameEnergy, compile: Compile = "auto") -> FragmentFunctions:
+        """Return the functions of an energy, compiled where possible."""
+        space = energy.space
+        simple = [
+            stencils.retract(space),
+            FrameFunction(energy.value, (2,)),
+            stencils.step(space),
+            stencils.inverse(space),
+            stencils.motion(energy),
+            stencils.pulled(energy),
+        ]
+        linear, coupled = stencils.linear(energy), stencils.coupled(energy)
+        code = compile_simd([*simple, linear.frame, coupled.frame]) if compile == "auto" else {}
+        return cls({given.function.name(): given for given in simple}, linear, coupled, code)
+
+
+class FragmentEnergy:
+    """Energy of N frames by their states x (N, 3 + 4A), with a banded Gauss-Newton Hessian.
+
+    Values are kept for the array `x` itself: pass a new array for a new state.
+
+    Attributes:
+        space: of D tangent coordinates. energy: of a single frame. frames: N.
+        names: of the terms, those of a frame first. sigma_jerk: (D,) of the jerk, m/s^3 and rad/s^3.
+    """
+
+    def __init__(self, functions: FragmentFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
+        """Bind the functions to arrays.
+
+        Args:
+            functions: those of `energy`. sigma_jerk: equal for the axes of a joint.
+        """
+        self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
+        self.names = (*energy.names, *dict.fromkeys(path.term for path in energy.paths), "smooth")
+        self._functions, self._columns = functions, Columns(frames)
+        size, P = energy.space.size, len(energy.paths)
+        self._matrix = Store(frames * size, (LAGS - 1) * size + BEYOND, bool(functions.code))
+        zeros, shape = self._columns.zeros, energy.value.nnz_out
+        self._x, self._observed = zeros(energy.value.nnz_in(0)), zeros(energy.value.nnz_in(1))
+        self._constant, self._rate = np.zeros(energy.value.nnz_in(2)), np.zeros(1)
+        self._sigma = np.array(sigma_jerk, dtype=float)
+        self._terms, self._points, self._residuals = (zeros(shape(i)) for i in range(3))
+        self._step, self._tension, self._gradient_now = zeros(size), zeros(size), zeros(size)
+        self._motion_energy = zeros(len(self.names) - len(energy.names))
+        self._slope, self._force = zeros(P), zeros(3 * P)
+        self._a, self._w, self._w_jerk = zeros(3 * P), zeros(P), zeros(1)
+        self._inverse = zeros(functions.frames["inverse"].function.nnz_out(0))
+        self._changing = zeros(functions.linear.frame.function.nnz_out(1))
+        self._coefficients = zeros(3 * LAGS)
+        self._retract = Mapped(functions.code.get("retract"), functions.frames["retract"], frames)
+        self._bind_functions()
+        self._jerk_of: tuple[Array, float] | None = None
+        self._known: tuple[Array, list[float]] | None = None
+        self._inverse_known = False
+        self._filled = 0
+        """Columns to which `add_to_first` has added."""
+
+    def _bind_functions(self) -> None:
+        """Bind arrays to functions; frames are numbered as in `stencils`."""
+        N, at = self.frames, self._columns.at
+        frame, shared = [at(self._x), at(self._observed), self._constant], [self._sigma, self._rate]
+        around = [
+            *(at(self._force, k) for k in (-2, -1, 0)),
+            *(at(self._tension, k) for k in (-3, -2, -1, 0)),
+            *(at(self._inverse, k) for k in (-1, 0)),
+        ]
+        moving = [
+            *(at(self._step, k) for k in range(3)),
+            at(self._w_jerk),
+            *(at(self._points, k) for k in range(3)),
+            at(self._a),
+            at(self._w),
+            *shared,
+        ]
+        slopes = [self._motion_energy, self._slope, self._tension, self._force]
+        self._run = {
+            "value": self._over("value", N, frame, [self._terms, self._points, self._residuals]),
+            "step": self._over("step", N - 1, [at(self._x), at(self._x, 1)], [self._step]),
+            "inverse": self._over("inverse", N - 1, [at(self._step)], [self._inverse]),
+            "pulled": self._over("pulled", N, [*frame, *around], [self._gradient_now]),
+            "motion": self._over("motion", N - 2, moving, slopes),
+        }
+        coefficients = at(self._coefficients)
+        linear = [*frame, *around, *(at(self._slope, k) for k in (-2, -1, 0)), coefficients, *shared]
+        coupled = [
+            *(at(self._changing, k) for k in range(3)),
+            *(at(self._slope, k) for k in (-1, 0)),
+            *(at(self._inverse, k) for k in (-1, 0, 1, 2)),
+            coefficients,
+            *shared,
+        ]
+        self._run["linear"] = self._placed(self._functions.linear, linear, [at(self._gradient_now), at(self._changing)])
+        self._run["coupled"] = self._placed(self._functions.coupled, coupled, [])
+
+    def _over(self, name: str, frames: int, inputs: list[Array], outputs: list[Array]) -> Over:
+        functions = self._functions
+        to = [self._columns.at(array) for array in outputs]
+        return Over(functions.code.get(name), functions.frames[name], frames, inputs, to)
+
+    def _placed(self, given: HessianColumns, inputs: list[Array], outputs: list[Array]) -> Over:
+        name, step = given.frame.function.name(), self._matrix.step
+        band = self._matrix.entries.reshape(self.frames, -1)
+        places = (given.groups[:, 0] + step * given.groups[:, 1]).astype(np.int64)
+        code = self._functions.code.get(name)
+        return Over(code, given.frame, self.frames, inputs, [*outputs, band], places)
+
+    def bind(self, data: FragmentData) -> None:
+        """Set the data of the fragment to be evaluated."""
+        self._known, inside, N = None, self._columns.inside, self.frames
+        rows = [data.observation[n].reshape(N, -1) for n in self.energy.observation]
+        self._observed[:, inside] = np.concatenate(rows, axis=1).T
+        constant = [np.ravel(data.constant[n], order="F") for n in self.energy.constant]
+        self._constant[:] = np.concatenate(constant)
+        self._rate[:] = data.rate_hz
+        first = inside.start
+        self._a[:, first : first + N - 2] = data.a_world.reshape(N - 2, -1).T
+        self._w[:, first : first + N - 2] = data.w_acceleration.T
+        self._w_jerk[0, first : first + N - 3] = data.w_jerk
+        self._sigma[:] = self.sigma_jerk * np.where(np.arange(self.space.size) < 3, data.length_scale, 1.0)
+        before = self._jerk_of
+        if before is None or before[1] != data.rate_hz or (before[0] != data.w_jerk).any():
+            self._jerk_of = data.w_jerk.copy(), data.rate_hz
+            self._coefficients[:, inside] = jerk_coefficients(N, data.w_jerk, data.rate_hz).T
+
+    def reweigh(self, name: str, weight: Array) -> None:
+        """Replace the weights (N, ...), 1 / sigma^2, of one kind of observation, of `FrameEnergy.observation`."""
+        self._known = None
+        columns = weight.reshape(self.frames, -1).T
+        self._observed[self.energy.rows[name], self._columns.inside] = columns
+
+    def retract(self, x: Array, step: Array) -> Array:
+        """Return the state after a step (N, D), m and rad."""
+        return self._retract(x, step)[0]
+
+    def value(self, x: Array) -> tuple[dict[str, float], Array]:
+        """Return the energy per term and the reprojection residuals (N, L, 2), px."""
+        terms = self._evaluated(x)
+        residuals = self._columns.rows(self._residuals)
+        return dict(zip(self.names, terms, strict=True)), residuals.reshape(self.frames, -1, 2)
+
+    def total(self, x: Array) -> float:
+        """Return the energy."""
+        return sum(self._evaluated(x))
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient (N, D) in tangent coordinates, 1/m and 1/rad."""
+        self._turned(x)
+        self._run["pulled"]()
+        return self._columns.rows(self._gradient_now)
+
+    def linearise(self, x: Array) -> tuple[float, Array]:
+        """Return energy and gradient (N, D); keep the Hessian for the methods below."""
+        terms = self._turned(x)
+        self._matrix.entries[: self._filled] = 0.0  # entries that no term has are not written below
+        self._filled = 0
+        self._run["linear"]()
+        self._run["coupled"]()
+        return sum(terms), self._columns.rows(self._gradient_now)
+
+    def _evaluated(self, x: Array) -> list[float]:
+        """Energies at x as in `value`, kept until another state or other data are given."""
+        if self._known is None or self._known[0] is not x:
+            self._x[:, self._columns.inside] = x.T
+            for name in ("value", "step", "motion"):
+                self._run[name]()
+            parts = self._terms.sum(axis=1).tolist() + self._motion_energy.sum(axis=1).tolist()
+            self._known, self._inverse_known = (x, parts), False
+        return self._known[1]
+
+    def _turned(self, x: Array) -> list[float]:
+        """Energies at x, with the inverse right Jacobians of the steps."""
+        terms = self._evaluated(x)
+        if not self._inverse_known:
+            self._run["inverse"]()
+            self._inverse_known = True
+        return terms
+
+    def add_to_diagonal(self, frames: Index, rows: Index, columns: Index, values: Array) -> None:
+        """Add to entries of the diagonal blocks of the Hessian; the arguments broadcast."""
+        band = self._matrix.entries.reshape(-1)
+        size, step = self.space.size, self._matrix.step
+        places, lower = frames * size * (step + 1) + columns * step + rows, rows >= columns
+        shape = np.broadcast_shapes(places.shape, values.shape)
+        chosen = np.broadcast_to(lower, shape)
+        places, values = np.broadcast_to(places, shape), np.broadcast_to(values, shape)
+        np.add.at(band, places[chosen], values[chosen])
+
+    def add_to_first(self, matrix: Array) -> None:
+        """Add a symmetric matrix (k D, k D), k <= 3, to the blocks of the Hessian of the first k frames."""
+        self._filled = len(matrix)
+        first = self._as_square(len(matrix))
+        first += np.tril(matrix)  # above the diagonal the view shows other columns: nothing is added there
+
+    def lower_block(self, k: int) -> Array:
+        """Return the Hessian's blocks (N - k, D, D) k frames below the diagonal: [t, r, c]."""
+        D, band, step = self.space.size, self._matrix.entries, self._matrix.step
+        r, c = np.indices((D, D))
+        place = k * D + r - c  # below the diagonal of the whole matrix
+        rows = band.reshape(self.frames, D, -1)[: self.frames - k, c, np.clip(place, 0, step)]
+        block = np.where((place >= 0) & (place <= self._matrix.band), rows, 0.0)
+        return np.asarray(block + np.swapaxes(np.tril(block, -1), 1, 2) if k == 0 else block)
+
+    def hessian(self) -> Array:
+        """Return the whole Hessian (N D, N D), for a few frames."""
+        out = self._as_square(self._matrix.size) * _band_mask(self._matrix.size, self._matrix.band)
+        diagonal = out.diagonal().copy()
+        out += out.T
+        np.fill_diagonal(out, diagonal)
+        return np.asarray(out)
+
+    def _as_square(self, size: int) -> Array:
+        """Writable view of the first columns in which only entries of the band are those of the matrix."""
+        flat = self._matrix.entries.reshape(-1)
+        steps = (flat.itemsize, self._matrix.step * flat.itemsize)
+        return np.lib.stride_tricks.as_strided(flat, (size, size), steps)
+
+    def factorise(self, damping: float) -> Factor:
+        """Return the Cholesky factor of the Hessian plus `damping` on its diagonal.
+
+        Raises:
+            SolverError: it is not positive definite.
+        """
+        return self._matrix.factorise(damping)
+
+
+def jerk_coefficients(frames: int, w_jerk: Array, rate_hz: float) -> Array:
+    """Return (N, 12) coefficients of the jerk's Hessian in the blocks 0 to 3 frames later: of a frame's derivative of
+    the step before it, of the step after it, and of both for steps about one axis; 0 beyond the end.
+
+    Args:
+        w_jerk: (N - 3,) weights. rate_hz: frames per second.
+    """
+    N, t = frames, np.arange(frames)
+    second, third = (np.sqrt(w_jerk)[:, None] * np.diff(np.eye(N - 3 + n), n=n, axis=0) * rate_hz**3 for n in (2, 3))
+    S = np.zeros((N + 4, N + 4))  # of the steps, padded with rows and columns of zeros
+    S[1:N, 1:N] = second.T @ second
+    square = third.T @ third
+    out = np.zeros((N, 3 * LAGS))
+    for k in range(LAGS):
+        out[:, k], out[:, LAGS + k] = S[t + k, t], S[t + k, t + 1]
+        out[: N - k, 2 * LAGS + k] = np.diag(square, -k)
+    return out
+
+
+def built_energy(
+    name: str,
+    terms: tuple[Term, ...],
+    moving: tuple[str, ...],
+    frames: int,
+    hinges: bool,
+    compile: Compile,
+    sigma: Array,
+) -> FragmentEnergy:
+    """Return an energy of N frames, compiled where possible.
+
+    Args:
+        name: of the skeleton. sigma: (D,) of the jerk (`terms.Smooth`).
+    """
+    with BUILDING:
+        energy = _frame_energy(name, terms, moving, hinges)
+        return FragmentEnergy(_functions(name, terms, moving, hinges, compile), energy, frames, sigma)
+
+
+@cache
+def _frame_energy(name: str, terms: tuple[Term, ...], moving: tuple[str, ...], hinges: bool) -> FrameEnergy:
+    return FrameEnergy(StateSpace(SkeletonModel.named(name), moving, hinges), terms)
+
+
+@cache
+def _functions(
+    name: str, terms: tuple[Term, ...], moving: tuple[str, ...], hinges: bool, compile: Compile
+) -> FragmentFunctions:
+    return FragmentFunctions.of(_frame_energy(name, terms, moving, hinges), compile)
+
+
+@cache
+def _band_mask(size: int, band: int) -> Array:
+    """1 for entries of a band on and below the diagonal, else 0."""
+    below = np.subtract.outer(np.arange(size), np.arange(size))
+    return np.asarray(((below >= 0) & (below <= band)).astype(float))

@@ -1,0 +1,481 @@
+"""`CovarianceInflation`: covariances inflated for autocorrelated errors.
+
+A Hessian assumes independent residuals. A detector's bias, a misaligned sensor, a landmark beside the
+joint centre, a neutral posture or a camera that is not where it is said to be are constant for seconds or
+for the whole recording: they do not average out. So every covariance C becomes
+
+::
+
+    K C K + B^2 + a^2 D + (m f)^2 r r^T      K = k0 + m (k - k0)      B = m d b
+
+with diagonal matrices of a factor k and a floor b for every joint and every pair of segments, equal for right and
+left. D are mean squares of the difference between solution and initial guess (`disagreement`), with one factor a for
+all joints of a kind. r is the vector from the camera to a joint, of positions in world only: how far a person is away
+follows from the apparent size, and is known to a share f of it. `ResidualStatistics` of the recording give the rest:
+
+- m: autocorrelation of the keypoints' residuals, 0 (white) to 1 (a detector's). k0 stands for the errors
+  of the sensors alone.
+- d: the lifter's sigma of the trunk over the usual one; only without sensors there.
+- the class of the observation:
+
+=======  ==========================================================================================
+camera   no sensors; for positions in world, no limb has sensors on both of its bones
+fused    with sensors, but not as in the next row
+sensed   both segments of a pair (the one of a pair with the world) have a sensor; for positions
+         relative to the root, the root's segment has one
+=======  ==========================================================================================
+
+The numbers were fitted on recordings of other people (``python -m benchmarks confidence --fit``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
+
+from rtof_kin.body.limbs import both_bones_sensed
+from rtof_kin.body.skeleton import Motion
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import checked_names, readonly
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.text import load_toml
+from rtof_kin.core.resources import model_path
+from rtof_kin.data.confidence import WORLD, Confidence
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.poses import PoseSequence
+from rtof_kin.solve.joint_space.terms import TORSO
+from rtof_kin.vision.image_points import image_points, measurements
+
+WINDOW: Final = 0.15
+"""[s] averaged before and after a frame."""
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Mean squares of differences between two estimates of a motion; zero where one is missing."""
+
+    position: Array
+    """(T, J, 3, 3) m^2, of joints' positions in world."""
+    relative: Array
+    """(T, J, 3, 3) m^2, of positions less the root's, in world's axes."""
+    turn: Array
+    """(T, P, 3, 3) rad^2, of pairs' orientations, in the child's axes."""
+
+    def __post_init__(self) -> None:
+        for name in ("position", "relative", "turn"):
+            value = readonly(f"disagreement {name}", getattr(self, name), ("T", "n", 3, 3))
+            object.__setattr__(self, name, value)
+
+    def __getitem__(self, frames: slice) -> Self:
+        return type(self)(self.position[frames], self.relative[frames], self.turn[frames])
+
+
+def disagreement(
+    solved: PoseSequence, start: PoseSequence, pairs: Sequence[tuple[str, str]], window: float = WINDOW
+) -> Disagreement:
+    """Return the difference of two estimates.
+
+    Args:
+        pairs: of segments, as `Confidence.pairs`. window: averaged before and after a frame, s.
+    """
+    off = solved.p_world_joint - start.p_world_joint
+    names = (*solved.names, WORLD)
+    R = [_with_world(poses.R_world_bone) for poses in (solved, start)]
+    parents, children = np.array([[names.index(name) for name in pair] for pair in pairs]).T
+    seen = [np.swapaxes(r[:, parents], -1, -2) @ r[:, children] for r in R]
+    between = np.swapaxes(seen[1], -1, -2) @ seen[0]
+    known = np.isfinite(between).all(axis=(2, 3))
+    turn = np.full(between.shape[:3], np.nan)
+    turn[known] = so3.log(between[known])
+    reach = round(window * solved.rate_hz)
+    return Disagreement(*(_mean_square(d, reach) for d in (off, off - off[:, :1], turn)))
+
+
+def _with_world(R: Array) -> Array:
+    """Orientations (T, J + 1, 3, 3), the world's last."""
+    world = np.broadcast_to(np.eye(3), (len(R), 1, 3, 3))
+    return np.concatenate([R, world], axis=1)
+
+
+def _mean_square(d: Array, reach: int) -> Array:
+    """(T, n, 3, 3) mean of the outer products of vectors (T, n, 3) over frames up to `reach` away."""
+    d = np.where(np.isfinite(d).all(axis=-1, keepdims=True), d, 0.0)
+    square = d[..., :, None] * d[..., None, :]
+    total = np.concatenate([np.zeros((1, *square.shape[1:])), np.cumsum(square, axis=0)])
+    i = np.arange(len(d))
+    first, stop = np.maximum(i - reach, 0), np.minimum(i + reach + 1, len(d))
+    mean = (total[stop] - total[first]) / (stop - first)[:, None, None, None]
+    return np.asarray((mean + np.swapaxes(mean, -1, -2)) / 2)
+
+
+UNITS: Final = {"position": "m", "relative": "m", "turn": "rad"}
+"""Kinds of covariances of a `Confidence`, and the unit of their floors."""
+SEEN: Final = {"camera": tuple(UNITS), "fused": tuple(UNITS), "sensed": ("relative", "turn")}
+"""Classes of observations, and the kinds of covariances that have them."""
+OTHER: Final = "other"
+"""Name of the default widening."""
+USUAL_TORSO_SIGMA: Final = 0.09
+"""[rad] Usual sigma of pelvis and upper trunk by the lifter."""
+_SHARES: Final = "apart"
+"""Table of the factors a in a file."""
+_DEPTHS: Final = "depth"
+"""Table of the shares f in a file."""
+WHITE_FACTOR: Final = 1.2
+"""k0, fitted with white 2D errors and eight real sensors."""
+
+
+@dataclass(frozen=True)
+class ResidualStatistics:
+    """Statistics of a recording's errors; the defaults are those of a usual one without sensors."""
+
+    sensors: tuple[str, ...] = ()
+    """Joints whose segments carry one."""
+    autocorrelation: float = 1.0
+    """m, 0 to 1: autocorrelation of the keypoints' residuals, from white to a detector's."""
+    torso_sigma: float = USUAL_TORSO_SIGMA
+    """[rad] The lifter's standard deviation of pelvis and upper trunk."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensors", checked_names("residual statistics sensors", self.sensors))
+        if not 0 <= self.autocorrelation <= 1:
+            raise InvalidInputError(f"autocorrelation: {self.autocorrelation} is not in [0, 1]")
+        if not 0 < self.torso_sigma < np.inf:
+            raise InvalidInputError(f"torso_sigma: {self.torso_sigma} must be positive and finite")
+
+    def torso_factor(self, kind: str, seen: str) -> float:
+        """Return d.
+
+        Args:
+            kind: of `UNITS`. seen: of `SEEN`.
+        """
+        return 1.0 if kind == "position" or seen == "sensed" else self.torso_sigma / USUAL_TORSO_SIGMA
+
+
+@dataclass(frozen=True)
+class Widening:
+    """Factor and floor of one covariance."""
+
+    factor: Array
+    """k (3,) by axis: world's for positions, the child segment's for turns. At least 1."""
+    floor: Array
+    """b (3,) standard deviation, m or rad."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("factor", 1.0), ("floor", 0.0)):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape not in ((), (3,)) or not np.all(np.isfinite(value) & (value >= least)):
+                raise InvalidInputError(f"widening {name}: {value} must be one or three numbers, none below {least:g}")
+            object.__setattr__(self, name, np.broadcast_to(value, 3))
+
+
+@dataclass(frozen=True)
+class CovarianceInflation:
+    """Widenings of all covariances of a skeleton."""
+
+    widenings: Mapping[str, Mapping[str, Mapping[str, Widening]]]
+    """By class (`SEEN`), kind (`UNITS`) and `unsided` name of the joint, or of parent and child."""
+    shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """a, by class and kind; 0 where not given."""
+    depths: Mapping[str, float] = field(default_factory=dict)
+    """f, by class; 0 where not given."""
+
+    def __post_init__(self) -> None:
+        for seen, share in self.depths.items():
+            if "position" not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
+                raise InvalidInputError(f"inflation: the share {share} of {seen}.depth cannot be")
+        for seen, shares in self.shares.items():
+            for kind, share in shares.items():
+                if kind not in SEEN.get(seen, ()) or not 0 <= share < np.inf:
+                    raise InvalidInputError(f"inflation: the share {share} of {seen}.{kind} cannot be")
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                if OTHER not in self.widenings.get(seen, {}).get(kind, {}):
+                    raise InvalidInputError(f"inflation: no widening {OTHER!r} of {seen}.{kind}")
+
+    @classmethod
+    @cache
+    def shipped(cls) -> CovarianceInflation:
+        """Return that of ``models/confidence.toml``, read once."""
+        return cls.read(model_path("confidence.toml"))
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a file that `text` wrote.
+
+        Raises:
+            FileFormatError: it is not one.
+        """
+        data = load_toml(Path(path))
+        try:
+            widenings = {
+                seen: {kind: {name: Widening(**entry) for name, entry in data[seen][kind].items()} for kind in kinds}
+                for seen, kinds in SEEN.items()
+            }
+            return cls(widenings, data.get(_SHARES, {}), data.get(_DEPTHS, {}))
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            raise FileFormatError(path, f"no table of widenings: {error}") from error
+
+    def text(self) -> str:
+        """Return it as TOML."""
+        lines = [f"[{_SHARES}]  # of the distance between solution and start"]
+        for seen, shares in self.shares.items():
+            entries = ", ".join(f"{kind} = {share:.3g}" for kind, share in shares.items())
+            lines.append(f"{seen} = {{ {entries} }}")
+        lines += ["", f"[{_DEPTHS}]  # of the distance from the camera"]
+        lines += [f"{seen} = {share:.3g}" for seen, share in self.depths.items()]
+        lines.append("")
+        for seen, kinds in SEEN.items():
+            for kind in kinds:
+                lines.append(f"[{seen}.{kind}]  # floor in {UNITS[kind]}")
+                for name, w in self.widenings[seen][kind].items():
+                    lines.append(f'"{name}" = {{ factor = {_text(w.factor)}, floor = {_text(w.floor)} }}')
+                lines.append("")
+        return "\n".join(lines)
+
+    def apply(
+        self,
+        confidence: Confidence,
+        statistics: ResidualStatistics,
+        apart: Disagreement | None = None,
+        p_camera_joint: Array | None = None,
+    ) -> Confidence:
+        """Return inflated covariances.
+
+        Args:
+            apart: of solution and initial guess, at the same times; None: D = 0.
+            p_camera_joint: (T, J, 3) m, joints as seen from the camera, world axes; None: f = 0.
+        """
+        names, root = confidence.names, confidence.names[0]
+        pairs = [" ".join(pair) for pair in confidence.pairs]
+
+        def widened(kind: str, entries: Sequence[str], covariance: Array) -> Array:
+            seen = [seen_by(kind, name, root, statistics.sensors) for name in entries]
+            factor, floor = self._scales(kind, entries, seen, statistics)
+            scale = factor[:, :, None] * factor[:, None, :]
+            wide = covariance * scale + np.eye(3) * floor[:, :, None] ** 2
+            if apart is not None:
+                shares = np.array([self.shares.get(who, {}).get(kind, 0.0) for who in seen])
+                wide += shares[:, None, None] ** 2 * getattr(apart, kind)
+            return np.asarray(wide)
+
+        relative = widened("relative", names, confidence.relative_covariance)
+        relative[:, 0] = 0.0  # the root relative to itself
+        position = widened("position", names, confidence.position_covariance)
+        if p_camera_joint is not None:
+            depth = self.depths.get(seen_by("position", root, root, statistics.sensors), 0.0)
+            position += (statistics.autocorrelation * depth) ** 2 * outer_squares(p_camera_joint)
+        return replace(
+            confidence,
+            position_covariance=position,
+            relative_covariance=relative,
+            turn_covariance=widened("turn", pairs, confidence.turn_covariance),
+        )
+
+    def _scales(
+        self, kind: str, names: Sequence[str], seen: Sequence[str], statistics: ResidualStatistics
+    ) -> tuple[Array, Array]:
+        """K and B (n, 3)."""
+        factors, floors, m = [], [], statistics.autocorrelation
+        for name, who in zip(names, seen, strict=True):
+            known = self.widenings[who][kind]
+            widening = known.get(unsided(name), known[OTHER])
+            factors.append(correlated_factor(widening.factor, m))
+            floors.append(widening.floor * m * statistics.torso_factor(kind, who))
+        return np.array(factors), np.array(floors)
+
+
+def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
+    """Return K.
+
+    Args:
+        autocorrelation: m, 0 to 1.
+    """
+    k = np.asarray(factor, dtype=float)
+    white = np.minimum(k, WHITE_FACTOR)
+    return np.asarray(white + (k - white) * autocorrelation)
+
+
+def seen_by(kind: str, name: str, root: str, sensors: Collection[str]) -> str:
+    """Return the class of the observation of a covariance, a key of `SEEN`.
+
+    Args:
+        kind: of `UNITS`. root: the root joint's name.
+    """
+    if not sensors:
+        return "camera"
+    if kind == "position":
+        return "fused" if both_bones_sensed(sensors) else "camera"
+    needs = {root} if kind == "relative" else {*name.split()} - {WORLD}
+    return "sensed" if needs <= {*sensors} else "fused"
+
+
+def outer_squares(vectors: Array) -> Array:
+    """Return the matrices ``v v^T`` (..., 3, 3) of vectors (..., 3)."""
+    return np.asarray(vectors[..., :, None] * vectors[..., None, :])
+
+
+def unsided(name: str) -> str:
+    """Return a joint's name, or those of a pair, without their side.
+
+    Args:
+        name: of a joint, or of two joints separated by a space.
+    """
+    return " ".join(word.removeprefix("Right").removeprefix("Left") for word in name.split())
+
+
+def _text(value: Array) -> str:
+    rounded = [f"{max(float(f'{v:.3g}'), 0.0):g}" for v in value]
+    return rounded[0] if len(set(rounded)) == 1 else f"[{', '.join(rounded)}]"
+
+
+_LAG: Final = 1 / 15
+"""[s] Lag of the autocorrelation."""
+_DETECTORS_CORRELATION: Final = 0.8
+"""Autocorrelation with a detector: the median of the fitted recordings."""
+_NORMAL_MEDIAN: Final = 0.6745
+"""Median of the absolute values of a standard normal distribution."""
+_OUTLIER: Final = 3.0
+"""[sigma] at which residuals are clipped."""
+_FEWEST: Final = 100
+"""Residuals that an estimate needs."""
+_MEAN_S, _NEAR_S, _KNOWN = 2.0, 4.0, 0.2
+"""[s] over which residuals of the legs are averaged, [s] before and after for which the largest average
+counts, and the share of frames that an average needs."""
+_USUAL_M, _USUAL_ALONE_M = 0.045, 0.1
+"""[m] Misfit of the legs that right recordings of people whom nothing was fitted on hardly exceed, with
+sensors on the thighs and without."""
+_LEGS, _SENSED_LEGS, _REST, _TURNS = 2.5, 0.7, 0.3, 0.5
+"""Errors relative to the misfit beyond the usual: of knees and feet without and with a sensor on the thigh,
+of all other joints; and of turns relative to the knee's. Of six of those recordings with displaced legs."""
+
+
+def residual_statistics(
+    keypoints: KeypointSequence, motion: Motion, lifted: PoseSequence, sensors: Sequence[str] = ()
+) -> ResidualStatistics:
+    """Return the statistics of a reconstructed recording.
+
+    Args:
+        keypoints: as used, evenly spaced, at the motion's times.
+        lifted: the lifter's poses with their standard deviations (`PoseSequence.sigma_rad`).
+    """
+    keypoints = measurements(keypoints, motion.skeleton)
+    points, poses = image_points(motion.skeleton, keypoints.names), motion.poses
+    at = points.positions(poses.p_world_joint, poses.R_world_bone)
+    r = autocorrelation(keypoints.uv_px - keypoints.camera.project(at), keypoints.times)
+    torso = lifted.sigma_rad[:, motion.skeleton.index(*TORSO)]
+    sigmas = torso[np.isfinite(torso)]
+    return ResidualStatistics(
+        tuple(sensors),
+        1.0 if r is None else float(np.clip(r / _DETECTORS_CORRELATION, 0.0, 1.0)),
+        float(np.median(sigmas)) if len(sigmas) else USUAL_TORSO_SIGMA,
+    )
+
+
+def autocorrelation(residuals_px: Array, times: Array) -> float | None:
+    """Return the autocorrelation of residuals about zero, at a fifteenth of a second; None for too few.
+
+    Args:
+        residuals_px: (T, L, 2) px, NaN where unobserved. times: (T,) s, evenly spaced.
+    """
+    step = max(1, round(_LAG * (len(times) - 1) / (times[-1] - times[0]))) if len(times) > 1 else 1
+    size = np.nanmedian(np.abs(residuals_px)) if np.isfinite(residuals_px).any() else 0.0
+    most = _OUTLIER * size / _NORMAL_MEDIAN
+    cut = np.clip(residuals_px, -most, most)
+    earlier, later = cut[:-step], cut[step:]
+    both = np.isfinite(earlier + later)
+    if both.sum() < _FEWEST or size == 0.0:
+        return None
+    return float(np.sum(earlier[both] * later[both]) / np.sum(later[both] ** 2))
+
+
+@dataclass(frozen=True)
+class LegMisfit:
+    """Mean residuals of the legs' points in the image, as far as both sides agree; 0 where unseen.
+
+    A detector that is wrong about the legs as a whole, with confidence, leaves little residual at knees and
+    feet, which the motion follows; bones cannot follow everywhere, and hips are pulled off their own points.
+    """
+
+    thighs: Array
+    """(T,) m, of the knees less those of the hips."""
+    shanks: Array
+    """(T,) m, of the ankles less those of the knees."""
+    px_per_m: float
+    """Size of the person in the image."""
+
+    def excess(self, rate_hz: float, sensed: bool = True) -> Array:
+        """Return by how much the thighs' misfit exceeds the usual (T,), m, at its largest near a frame."""
+        usual = _USUAL_M if sensed else _USUAL_ALONE_M
+        near = maximum_filter1d(self.thighs, 2 * round(_NEAR_S * rate_hz) + 1)
+        return np.asarray(np.sqrt(np.maximum(near**2 - usual**2, 0.0)))
+
+
+def leg_misfit(keypoints: KeypointSequence, motion: Motion) -> LegMisfit:
+    """Return the misfit of the legs; arguments as for `residual_statistics`."""
+    keypoints, poses = measurements(keypoints, motion.skeleton), motion.poses
+    points, camera = image_points(motion.skeleton, keypoints.names), keypoints.camera
+    at = points.positions(poses.p_world_joint, poses.R_world_bone)
+    off = points.displaced(camera, poses.p_world_joint, poses.R_world_bone)
+    scale = camera.to_camera(at)[..., 2:] / camera.K[0, 0]
+    residuals = (keypoints.uv_px - camera.project(at) - off) * scale
+    anchors, width = [motion.skeleton.names[j] for j in points.anchors], round(_MEAN_S * poses.rate_hz) | 1
+
+    def of(joint: str) -> Array:
+        """Return the mean residual (T, 2) of a joint's points, m; NaN where too few are seen."""
+        at = [i for i, name in enumerate(anchors) if name == joint]
+        own = residuals[:, at]
+        known = np.isfinite(own) * keypoints.confidence[:, at, None]
+        total, share = (
+            uniform_filter1d(values, width, axis=0, mode="nearest").sum(axis=1)
+            for values in (known * np.nan_to_num(own), known)
+        )
+        return np.where(share > _KNOWN, total / np.maximum(share, _KNOWN), np.nan)
+
+    def shared(upper: str, lower: str) -> Array:
+        left, right = (of(f"{side}{lower}") - of(f"{side}{upper}") for side in ("Left", "Right"))
+        return np.asarray(np.sqrt(np.maximum(np.nan_to_num(np.sum(left * right, axis=-1)), 0.0)))
+
+    seen = np.isfinite(scale)
+    px_per_m = 1 / float(np.median(scale[seen])) if seen.any() else np.nan
+    return LegMisfit(shared("UpLeg", "Leg"), shared("Leg", "Foot"), px_per_m)
+
+
+def leg_spread(
+    confidence: Confidence, misfit: LegMisfit, motion: Motion, sensors: Collection[str] = ()
+) -> Confidence | None:
+    """Return the covariances that a misfit of the legs adds, isotropic; None where it is usual."""
+    excess = misfit.excess(motion.poses.rate_hz, bool({"LeftUpLeg", "RightUpLeg"} & {*sensors}))
+    if not excess.any():
+        return None
+    skeleton = motion.skeleton
+
+    def factor(name: str) -> float:
+        if unsided(name) not in ("UpLeg", "Leg", "Foot"):
+            return _REST
+        return _SENSED_LEGS if name.replace(unsided(name), "UpLeg") in sensors else _LEGS
+
+    joints = [_REST if name.endswith("UpLeg") else factor(name) for name in confidence.names]
+    length = skeleton.bone_lengths
+    turns = [
+        max(
+            (
+                _TURNS * factor(name) / length[name.replace("UpLeg", "Leg")]
+                for name in pair
+                if name.endswith("Leg") and name not in sensors
+            ),
+            default=0.0,
+        )
+        for pair in confidence.pairs
+    ]
+    position, turn = ((excess[:, None] * factors)[..., None, None] ** 2 * np.eye(3) for factors in (joints, turns))
+    relative = position.copy()
+    relative[:, 0] = 0.0
+    return replace(confidence, position_covariance=position, relative_covariance=relative, turn_covariance=turn)

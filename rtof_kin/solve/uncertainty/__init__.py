@@ -1,1 +1,0 @@
-"""CovarianceInflation of pose covariances for correlated errors."""
