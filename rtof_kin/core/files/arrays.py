@@ -33,6 +33,7 @@ from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, rea
 LARGEST_BYTES = 4 * 2**30
 """Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30
+_MOST_AXES = 32
 _CSV = "a CSV file; its first line names the columns"
 
 
@@ -189,7 +190,7 @@ def _checked_header(
             f"{name}: has type {dtype}, not numbers; pickled objects are never read, so save a plain array of numbers",
         )
     claimed = math.prod(shape) * dtype.itemsize
-    if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0:
+    if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0 or len(shape) > _MOST_AXES:
         raise FileFormatError(path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there")
     return shape, fortran, dtype
 
