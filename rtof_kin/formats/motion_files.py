@@ -10,6 +10,7 @@ format      files                                        in a gap
 ==========  ===========================================  =============================================
 csv         joint_trajectory.csv and .json, motion.csv   numbers with validity; empty where unknown
 parquet     motion.parquet                               the same; null where unknown
+npz         motion.npz                                   as in motion.h5
 ros         ros_joint_..., ros_base_trajectory.json      bridged; a file each side of unknown frames
 osim        skeleton.osim                                (a body has none)
 mot, sto    motion.mot, motion.sto                       a file each side: motion_1.mot, motion_2.mot
@@ -34,11 +35,13 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_file import MOTION, MotionReader, MotionWriter
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import (
     ObservationMasks,
@@ -49,7 +52,9 @@ from rtof_kin.body.observability import (
 )
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_file
+from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
@@ -298,6 +303,17 @@ def _ros(folder: Path, motion: MotionSource) -> Files:
     return {path.name: dict(facts) for path in paths}
 
 
+def _npz(folder: Path, motion: MotionSource) -> Files:
+    mode, first_frame = (motion.mode, motion.first_frame) if isinstance(motion, MotionReader) else ("", 0)
+    with TemporaryDirectory() as beside:
+        path = Path(beside) / MOTION
+        with MotionWriter(path, motion.skeleton, mode=mode, first_frame=first_frame) as writer:
+            for block in motion.blocks(confidence=True):
+                writer.append(block.motion)
+        write_npz(folder / "motion.npz", read_arrays(path), overwrite=True)
+    return {"motion.npz": {"frames": [0, len(motion)], "time_zero_s": 0.0}}
+
+
 def _osim(folder: Path, motion: MotionSource) -> Files:
     write_osim(folder / "skeleton.osim", motion.skeleton)
     return {"skeleton.osim": {}}
@@ -339,6 +355,7 @@ FORMATS: Final[dict[str, Format]] = {
         f"{CONVENTION}; units and other names in the metadata of columns",
         _whole({"motion.parquet": write_motion_parquet}),
     ),
+    "npz": Format("arrays of motion.h5, and its attributes, for numpy.load; see body.motion_file", _npz),
     "ros": Format(
         "trajectory_msgs/JointTrajectory of the URDF's revolutes by name, rad and rad/s, and "
         "MultiDOFJointTrajectory of the root link in world, z up, m, quaternion x y z w",

@@ -152,7 +152,10 @@ def _is_live(word: str) -> bool:
 def _camera(word: str, opening: _Opening) -> Source:
     setup = opening.setup
     if setup.keypoints is None:
-        raise SourceError(f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin init VIDEO")
+        raise SourceError(
+            f"camera {word}: the setup {setup.name} has no camera; make one with it: rtof-kin run "
+            "VIDEO --only recording"
+        )
     word = word.strip()
     camera = setup.keypoints.camera
     if _is_lsl(word):

@@ -151,6 +151,6 @@ def _scale(image_px: tuple[int, int], camera_px: tuple[int, int] | None) -> floa
         raise SourceError(
             f"the images have {image_px[0]} x {image_px[1]} px, those of the calibrated camera "
             f"{camera_px[0]} x {camera_px[1]} px, which is another form: give the camera that was "
-            "calibrated, held the same way, or make a setup with this one (rtof-kin init)"
+            "calibrated, held the same way, or make a setup with this one (rtof-kin run --only recording)"
         )
     return wide

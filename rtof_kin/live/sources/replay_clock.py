@@ -75,7 +75,7 @@ class ReplayClock:
                 raise SourceError(
                     f"{name}: its times run from {first:.3f} to {last:.3f} s, those of {other} from "
                     f"{start:.3f} to {stop:.3f} s, so their clocks differ; make a recording of them first "
-                    "(rtof-kin init) and replay that"
+                    "(rtof-kin run --only recording) and replay that"
                 )
         self._spans[name] = first, last
 

@@ -88,7 +88,9 @@ class LiveClient:
                 self.skeleton, self.floor = _described(first)
                 failed.pop_all()
         except (OSError, self._errors) as error:
-            raise SourceError(f"{url}: no answer ({error or 'timeout'}); start rtof-kin live --out ws first") from error
+            raise SourceError(
+                f"{url}: no answer ({error or 'timeout'}); start rtof-kin live --send ws first"
+            ) from error
         self._thread = threading.Thread(target=self._run, name=url, daemon=True)
         self._thread.start()
 

@@ -1,18 +1,20 @@
-"""Options of the solver: settings that they choose and how these are written."""
+"""Options: from the fields of settings, and what those of the solver choose."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import pytest
+from cyclopts import App
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.cli.solver_options import add_solver_options, settings_of
+from rtof_kin.cli import COMMANDS, OLD_COMMANDS, OLD_OPTIONS, app, command_names, main
+from rtof_kin.cli.options import Fields, command, descriptions
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.choices import GUARDS
 from rtof_kin.core.environment import limit_threads, threads
@@ -61,7 +63,7 @@ def test_terminal_summary_and_page_agree_and_state_each_thing_once(
 
 
 def test_paper_is_solved_in_cartesian_space(stuck: Path, tmp_path: Path, cli: Any) -> None:
-    options = "--paper --no-guards --no-lift-with-sensors --lifter perfect"
+    options = "--paper --guards none --no-lift-with-sensors --model perfect"
     summary, _ = summary_after(cli, stuck, tmp_path / "out", *options.split())
     found = summary["settings"]
     assert (found["space"], found["backend"], found["energy"]) == ("cartesian", "ipopt", "as printed")
@@ -89,10 +91,12 @@ def test_calibrated_recording_keeps_its_energy_with_another_backend(stuck: Path,
         ("--paper --backend realtime", CartesianSettings.paper("realtime")),
     ],
 )
-def test_options_choose_space_and_backend(options: str, expected: object) -> None:
-    parser = argparse.ArgumentParser()
-    add_solver_options(parser)
-    assert settings_of(parser.parse_args(options.split())).solver(SkeletonModel.default()) == expected
+def test_options_choose_space_and_backend(options: str, expected: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[Any] = []
+    monkeypatch.setattr("rtof_kin.cli.reconstruction.reconstruct_and_print", lambda *given: found.append(given) or Any)
+    monkeypatch.setattr(Any, "stage_metrics", {}, raising=False)
+    assert main(["reconstruct", "a", "-o", "b", *options.split()]) == 0
+    assert found[0][3].solver(SkeletonModel.default()) == expected
 
 
 @pytest.mark.parametrize(
@@ -121,3 +125,75 @@ def test_threads_of_loaded_libraries_cannot_be_changed() -> None:
     limit_threads(threads())
     with pytest.raises(ValueError, match="OMP_NUM_THREADS=77"):
         limit_threads(77)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Of a test."""
+
+    length_m: float = 1.5
+    """Length of the way, m."""
+    names: tuple[str, ...] = ("a", "b")
+    """Names that are used."""
+    kind: Literal["sit_to_stand", "squat"] | None = None
+    """Movement."""
+    fast: bool = True
+    """Whether it is fast."""
+    inner: int = 3
+
+
+def test_fields_are_described_once() -> None:
+    assert descriptions(Settings) == {
+        "length_m": "length of the way, m",
+        "names": "names that are used",
+        "kind": "movement",
+        "fast": "whether it is fast",
+    }
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        ([], Settings()),
+        (["--length", "1,25", "--names", "c, d,c"], Settings(1.25, ("c", "d"))),
+        (["--kind", "sit-to-stand", "--no-fast", "--names", "none"], Settings(1.5, (), "sit_to_stand", False)),
+    ],
+)
+def test_fields_become_options_with_their_types_and_defaults(words: list[str], expected: Settings) -> None:
+    @command
+    def walk(*, how: Annotated[Settings, Fields("names", "kind", "fast", length_m="length")]) -> Settings:
+        """Walk."""
+        return how
+
+    whole = App(name="test", result_action="return_value")
+    whole.command(walk)
+    assert whole(["walk", *words]) == expected
+
+
+def test_names_of_an_earlier_version_are_told_in_one_sentence(cli: Any) -> None:
+    assert not {*OLD_COMMANDS} & command_names()
+    assert len(command_names()) <= 18
+    for name, now in OLD_COMMANDS.items():
+        done = cli(name, "a")
+        assert (done.code, done.err) == (2, f"error: {name}: is now rtof-kin {now}")
+        assert now.split()[0].removesuffix(",") in command_names()
+    for name, renamed in OLD_OPTIONS.items():
+        whole = app([name])[name]
+        known = {n for one in whole.assemble_argument_collection() for n in one.names}
+        known |= {
+            n for sub in whole if sub[0] != "-" for o in whole[sub].assemble_argument_collection() for n in o.names
+        }
+        for option, now in renamed.items():
+            assert option not in known
+            assert now.split()[0] in known or not now.startswith("-")
+            assert cli(name, "x", f"{option}=1").err == f"error: {name}: {option} is now {now}"
+
+
+def test_help_is_that_of_the_docstring(cli: Any) -> None:
+    for purpose, commands in COMMANDS.items():
+        assert purpose in cli("--help").out
+        for name in commands:
+            done = cli(name, "--help")
+            assert done.code == 0
+            assert f"Usage: rtof-kin {name}" in done.out
+            assert len(done.out) > 300, name

@@ -1,4 +1,4 @@
-"""The commands init and run."""
+"""The command run: recording, motion, angles and report, and the recording alone."""
 
 from __future__ import annotations
 
@@ -114,8 +114,8 @@ def test_a_folder_of_other_files_or_of_the_user_is_refused(cli: Any, walk: Path,
     assert [path.name for path in (tmp_path / "mine").rglob("*.*")] == ["notes.txt"]
 
 
-def test_init_writes_the_recording_alone_and_says_what_comes_next(cli: Any, walk: Path, tmp_path: Path) -> None:
-    found = cli("init", walk, "--size", SIZE, "-o", tmp_path / "rec")
+def test_the_recording_alone_is_written_and_says_what_comes_next(cli: Any, walk: Path, tmp_path: Path) -> None:
+    found = cli("run", walk, "--only", "recording", "--size", SIZE, "-o", tmp_path / "rec")
     assert found.code == 0
     assert f"rtof-kin reconstruct {tmp_path}/rec -o OUT" in found.out
     assert "doubtful the take lasts 1.6 s" in found.out
@@ -134,12 +134,12 @@ def test_two_people_are_chosen_without_detecting_again(
     cli: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = write_keypoints(tmp_path / "two.npz", *pair())
-    command = ["init", given, "--size", SIZE, "--height", 1.7, "-o", tmp_path / "rec"]
+    command = ["run", given, "--only", "recording", "--size", SIZE, "--height", 1.7, "-o", tmp_path / "rec"]
     ask = cli(*command)
     assert ask.code == 2
     assert f"look at {tmp_path}/rec/frames.png and choose one with --person 1 or --person 2" in ask.err
     before = written(tmp_path / "rec")["keypoints.npz"]
-    assert cli("init", given, "--size", SIZE, "--height", 1.7, "--person", 2, "-o", tmp_path / "rec").code == 0
+    assert cli(*command, "--person", 2).code == 0
     assert written(tmp_path / "rec")["keypoints.npz"] >= before
     assert tomllib.loads((tmp_path / "rec" / "recording.toml").read_text())["keypoints"]["person_number"] == 2
 
@@ -150,10 +150,10 @@ def test_two_people_are_chosen_without_detecting_again(
         (("run", "WALK", "--size", SIZE), "the person's height is not given, and every length follows it: add"),
         (("run", "WALK", "--size", SIZE, "--height", "1.7m"), "'1.7m' is not a number, such as 1.72"),
         (("run", "none.mp4", "--height", 1.7), "none.mp4: there is no such file or folder"),
-        (("init", "WALK"), "give the video beside them, its calibration by --camera, or --size 1920x1080"),
-        (("init", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),
-        (("init", "WALK", "--size", SIZE, "--height", 172), "is no human height in metres; give"),
-        (("init", "WALK", "--size", "100x100", "--height", 1.7), "give the camera that belongs to this video"),
+        (("run", "WALK", "--only", "recording"), "give the video beside them, its calibration, or --size 1920x1080"),
+        (("run", "WALK", "--size", "1920"), "'1920' is not width x height, such as 1920x1080"),
+        (("run", "WALK", "--size", SIZE, "--height", 172), "is no human height in metres; give"),
+        (("run", "WALK", "--size", "100x100", "--height", 1.7), "give the camera that belongs to this video"),
     ],
 )
 def test_bad_input_is_one_sentence_that_says_what_to_do(
