@@ -2,13 +2,13 @@
 
 They are of this user alone (0600, 0700), as they are data of patients; a file that is replaced keeps its permissions.
 
-They are written in temporary folders beside them; those of a killed process are removed by the next one. The owner locks
-its folder until its process ends. So on the system that made it, which its name tells (not the host: a container has a
-new one each time), an unlocked folder is a leftover at once. Locks may not work across machines, and not at all on some
-disks: there it is one when nothing in it was written for a day.
+They are written in temporary folders beside them; those of a killed process are removed by the next one. The owner
+locks its folder until its process ends. So on the system that made it, which its name tells (not the host: a
+container has a new one each time), an unlocked folder is a leftover at once. Locks may not work across machines, and
+not at all on some disks: there it is one when nothing in it was written for a day.
 
-The lock of an output folder is of one process at a time, and a second one learns who has it; the system releases it when
-its process ends. A file system without locks gets a lock file with the process and machine in it (see `filelock`).
+The lock of an output folder is of one process at a time, and a second one learns who has it; the system releases it
+when its process ends. A file system without locks gets a lock file with the process and machine in it (see `filelock`).
 """
 
 from __future__ import annotations
