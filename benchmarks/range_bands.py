@@ -26,7 +26,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reporting.clinical_findings import SECOND_PELVIS
-from rtof_kin.reporting.summary_findings import LEAST_DIFFERENCE, is_comparable
+from rtof_kin.reporting.summary_lines import LEAST_DIFFERENCE, is_comparable
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 

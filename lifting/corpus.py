@@ -22,7 +22,7 @@ from rtof_kin.core import signals
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.simulation import mocap
+from rtof_kin.simulation import mocap, mocap_families
 
 Array = NDArray[np.float32]
 RATE_HZ: Final = 60.0
@@ -195,7 +195,7 @@ class Corpus:
 
 def join_clips(
     clips: Iterable[tuple[mocap.MocapClip, str]],
-    parents: tuple[int, ...] = mocap.PARENTS,
+    parents: tuple[int, ...] = mocap_families.PARENTS,
     rate_hz: float = RATE_HZ,
     acknowledgement: str = "",
 ) -> Corpus:

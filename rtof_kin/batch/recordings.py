@@ -164,11 +164,9 @@ RECORDING, OUT = "{recording}", "{out}"
 MOTION, PAGE = "motion", "report.html"
 _FILES: Final = {
     "inspect": (RECORDING,),
-    "calibrate": (RECORDING, "-o", f"{OUT}/calibration.toml"),
     "reconstruct": (RECORDING, "-o", f"{OUT}/{MOTION}"),
     "evaluate": (f"{OUT}/{MOTION}", "--truth", RECORDING),
-    "analyse": (f"{OUT}/{MOTION}", "-o", f"{OUT}/angles"),
-    "report": (f"{OUT}/{MOTION}", "-o", f"{OUT}/{PAGE}"),
+    "report": (f"{OUT}/{MOTION}", "-o", f"{OUT}/{PAGE}", "--analysis", f"{OUT}/angles"),
     "export": (f"{OUT}/{MOTION}", "-o", f"{OUT}/export"),
     "study": (RECORDING, "-o", f"{OUT}/study"),
 }

@@ -30,7 +30,7 @@ from rtof_kin.batch.recordings import Entry, Shard, Step, files_in, steps_of, wi
 from rtof_kin.batch.rows import ERROR, Numbered, Row, RowFile, read_rows, write_index
 from rtof_kin.batch.work import DISK_FULL, Command, Task, mark_of, process
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, WritingError
-from rtof_kin.core.files.lock import is_held, only_one
+from rtof_kin.core.files.folder import is_held, only_one
 from rtof_kin.core.files.manifest import fingerprint, make_folders
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs.engine import Engine

@@ -19,7 +19,7 @@ import yaml
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import read_text
 from rtof_kin.datasets.public_sets import Movement, PublicSet, Take, TakeInputs, Truth, existing, kind_of, natural
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 
 CAMERAS: Final = ("Cam0", "Cam1", "Cam2", "Cam3", "Cam4")
 """At -70, -45, 0, 45 and 70 degrees, 0 in front of the person."""
@@ -72,7 +72,7 @@ class OpenCapValidation(PublicSet):
         calibration = existing(
             take.folder.parent / "cameraIntrinsicsExtrinsics.pickle",
             "the calibration of the camera",
-            "unpack it from LabValidation_withVideos, or measure without one: --camera unknown",
+            "unpack it from LabValidation_withVideos, or measure without one: --uncalibrated",
         )
         return TakeInputs(video=_video(take), rate_hz=60.0, camera=calibration, height=_height(take))
 

@@ -21,7 +21,7 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import Declaration, SensorLog
-from rtof_kin.formats.opensim_table import OpenSimTable
+from rtof_kin.formats.opensim import OpenSimTable
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]

@@ -52,7 +52,7 @@ from rtof_kin.datasets.public_sets import (
     hip_centres,
     orientation_log,
 )
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 
 EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}
 SEGMENTS: Final = {

@@ -24,9 +24,9 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.audit_results import AuditResult
-from rtof_kin.reporting.isb import isb_items
 from rtof_kin.reporting.page import report
 from rtof_kin.reporting.plot_data import packed, player_data
+from rtof_kin.reporting.provenance import isb_items
 
 TODAY = date(2026, 2, 3)
 INPUTS = {

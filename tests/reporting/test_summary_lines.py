@@ -21,11 +21,17 @@ from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.angle_names import plain_words
-from rtof_kin.reporting.audit_results import AuditResult, Grade
-from rtof_kin.reporting.headline import Headline
+from rtof_kin.reporting.audit_results import AuditResult, Grade, Headline
 from rtof_kin.reporting.summary_file import Summary
-from rtof_kin.reporting.summary_findings import EVENT_SIGMA, Finding, anatomical_limits, compared_sides, findings
-from rtof_kin.reporting.summary_lines import SummaryLine, summary_lines
+from rtof_kin.reporting.summary_lines import (
+    EVENT_SIGMA,
+    Finding,
+    SummaryLine,
+    anatomical_limits,
+    compared_sides,
+    findings,
+    summary_lines,
+)
 
 BODY = SkeletonModel.default()
 LABELS = ("Who", "What", "How good", "Careful", "Findings")
