@@ -233,11 +233,7 @@ def keypoint_file_arrays(keypoints: KeypointSequence) -> dict[str, Any]:
 
 
 def keypoint_file(which: int) -> str:
-    """Return the name of the file with a camera's keypoints.
-
-    Args:
-        which: camera, 0 for the first.
-    """
+    """Return the name of the file with a camera's keypoints; which: camera, 0 for the first."""
     return f"keypoints_{which + 1}.npz" if which else "keypoints.npz"
 
 

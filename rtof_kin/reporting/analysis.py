@@ -25,28 +25,32 @@ An empty cell is an unobserved value.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.clinical.analysis import MotionAnalysis
+from rtof_kin.body.motion_file import motion_path
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
 from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
-from rtof_kin.clinical.repetitions import RepetitionAnalysis
+from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis
 from rtof_kin.clinical.torques import JointTorques
 from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.files.folder import check_replaceable, new_folder
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
-from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number
+from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, write_files
 from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
+from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -87,6 +91,53 @@ class _Series:
             values = np.asarray(self.values(frames), dtype=float).tolist()
             for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), start):
                 yield [time, *([] if self.words is None else [self.words(t)]), *_rounded(row)]
+
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """What is analysed."""
+
+    weight_kg: float | None = None
+    """Body mass, kg, for joint torques; default: that of the recording."""
+    sex: Literal["male", "female"] | None = None
+    """Sex of the subject, of the tables of body mass."""
+    height: float | None = None
+    """Standing height, m, that the size of the skeleton is checked with."""
+    repetitions: Kind | None = None
+    """Movement that is counted."""
+    from_standing: bool = False
+    """Angles of trunk and legs relative to half a second or more of the person's quiet standing."""
+
+
+def write_analysis(
+    motion: str | Path,
+    folder: str | Path,
+    settings: AnalysisSettings,
+    figures: bool = True,
+    overwrite: bool = False,
+    inputs: Mapping[str, str] | None = None,
+    documents: Sequence[Document] = (),
+) -> Document:
+    """Analyse the motion of an output folder, and write the analysis into a folder.
+
+    Args:
+        overwrite: replace an earlier analysis there. inputs: fingerprints for the folder's manifest.
+        documents: of the same motion, such as its gait scores, which get folders of their own in it.
+
+    Raises:
+        OutputExistsError: the folder may not be replaced. Errors of `analyse`.
+    """
+    check_replaceable(folder, MARKER, overwrite)
+    summary = motion_path(motion).parent / SUMMARY
+    subject = read_summary(summary).subject if summary.exists() else {}
+    weight_kg = settings.weight_kg if settings.weight_kg is not None else subject.get("mass_kg")
+    sex = settings.sex or (subject.get("sex") if weight_kg is not None else None)
+    made = document(analyse(motion, **asdict(replace(settings, weight_kg=weight_kg, sex=sex))))
+    with new_folder(folder, MARKER, overwrite, inputs) as new:
+        for one, inner in ((made, new), *((other, new / other.name) for other in documents)):
+            inner.mkdir(exist_ok=True)
+            write_files(one if figures else replace(one, figures=()), inner)
+    return made
 
 
 def document(analysis: MotionAnalysis) -> Document:

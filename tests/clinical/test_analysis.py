@@ -1,4 +1,4 @@
-"""The complete analysis: files, figures and the command `rtof-kin analyse`."""
+"""The complete analysis: files, figures and the command `rtof-kin report --analysis`."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_command_writes_the_folder_and_prints_tables(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "analysis"
-    assert main(["analyse", str(motion_file), "-o", str(out), "--weight", "70"]) == 0
+    assert main(["report", str(motion_file), "--analysis", str(out), "--weight", "70"]) == 0
     text = capsys.readouterr().out
     for part in ("right_knee_flexion", "cadence steps/min", "torques of the legs in", "m forward, without"):
         assert part in text
@@ -257,7 +257,7 @@ def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest
     """Two strides on a treadmill are too few; their numbers are in the files all the same."""
     path = tmp_path / "motion.h5"
     write_motion(path, walking(2.4, treadmill=True), mode="rtof")
-    assert main(["analyse", str(path), "-o", str(tmp_path / "out")]) == 0
+    assert main(["report", str(path), "--analysis", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "gait: Only 2 complete strides of walking" in text
     assert "cadence steps/min" not in text
@@ -270,7 +270,7 @@ def test_command_replaces_a_folder_only_with_overwrite(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "analysis"
-    command = ["analyse", str(motion_file.parent), "-o", str(out), "--no-figures"]
+    command = ["report", str(motion_file.parent), "--analysis", str(out), "--no-figures"]
     assert main(command) == 0
     assert main([*command, "--weight", "70"]) == 2
     assert "--overwrite" in capsys.readouterr().err
@@ -287,7 +287,7 @@ def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_fil
     (folder / "summary.json").write_text(json.dumps({"inputs": {"subject": subject}}))
     for given, more, weight in ((folder, [], 62.0), (motion, ["--weight", "70"], 70.0)):
         out = tmp_path / str(weight)
-        assert main(["analyse", str(given), "-o", str(out), "--no-figures", *more]) == 0
+        assert main(["report", str(given), "--analysis", str(out), "--no-figures", *more]) == 0
         assert read(out / "torques.json")["weight_kg"] == weight
 
 
@@ -302,7 +302,7 @@ def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_fil
 def test_implausible_subjects_exit_with_one_line(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
 ) -> None:
-    assert main(["analyse", str(motion_file), "-o", str(tmp_path / "out"), *more]) == 2
+    assert main(["report", str(motion_file), "--analysis", str(tmp_path / "out"), *more]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert message in error

@@ -437,7 +437,7 @@ def test_a_wrong_line_raises_with_file_field_and_remedy(tmp_path: Path, old: str
 
 
 def test_a_folder_without_an_index_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file; rtof-kin init"):
+    with pytest.raises(FileFormatError, match=r"recording\.toml: there is no such file; rtof-kin run --only recording"):
         Recording.load(tmp_path)
     with pytest.raises(FileFormatError, match=r"nowhere.*there is no such file"):
         Recording.load(tmp_path / "nowhere")

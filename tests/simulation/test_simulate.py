@@ -499,6 +499,6 @@ def test_nothing_is_replaced_and_sensors_need_places(tmp_path: Path, demo: Recor
 
 
 def test_the_demo_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--files", str(tmp_path / "take"), "--seconds", "1"]) == 0
+    assert main(["run", "--demo", "--only", "files", "-o", str(tmp_path / "take"), "--seconds", "1"]) == 0
     assert "rtof-kin run" in capsys.readouterr().out
     assert len(list((tmp_path / "take" / "dots").iterdir())) == 8
