@@ -26,6 +26,7 @@ trial. Visits are ordered by their day: that of ``follow.toml``, else the one in
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -206,7 +207,9 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     camera: dict[str, Any] = inputs.get("camera") or {}
     segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
     overall = None if summary.results is None else headline(summary.results)
-    height, distance = (float(camera.get(name) or "nan") for name in ("height_m", "distance_m"))
+    height, distance = (
+        math.nan if (x := camera.get(name)) is None else float(x) for name in ("height_m", "distance_m")
+    )
     return Setup(
         subject=session.subject,
         date=session.date,
