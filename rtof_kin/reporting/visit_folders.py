@@ -207,7 +207,8 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     camera: dict[str, Any] = inputs.get("camera") or {}
     segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
     overall = None if summary.results is None else headline(summary.results)
-    height, distance = (
+    sizes = [camera.get(name) for name in ("height_m", "distance_m")]
+    height, distance = (math.nan if size is None else float(size) for size in sizes)
         math.nan if (x := camera.get(name)) is None else float(x) for name in ("height_m", "distance_m")
     )
     return Setup(
