@@ -70,7 +70,9 @@ INTERPRETED = ("bare/rtof", "bare/rto", "bare/paper")
 """Steps that run a second time without compilation."""
 KINDS = {".npz", ".h5", ".json", ".csv", ".mot", ".sto", ".trc", ".bvh", ".urdf", ".osim", ".c3d", ".parquet"}
 """Files that are compared."""
-IGNORED = re.compile(r"(^|/)(elapsed|duration|seconds$|frames_per_second|solve_s|wall|cpu|version|created|date|sha256|digest|rtof_kin|threads)")
+IGNORED = re.compile(
+    r"(^|/)(elapsed|duration|seconds$|frames_per_second|solve_s|wall|cpu|version|created|date|sha256|digest|rtof_kin|threads)"
+)
 """Keys of JSON that are not results."""
 
 

@@ -209,8 +209,6 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     overall = None if summary.results is None else headline(summary.results)
     sizes = [camera.get(name) for name in ("height_m", "distance_m")]
     height, distance = (math.nan if size is None else float(size) for size in sizes)
-        math.nan if (x := camera.get(name)) is None else float(x) for name in ("height_m", "distance_m")
-    )
     return Setup(
         subject=session.subject,
         date=session.date,
