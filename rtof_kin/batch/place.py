@@ -16,7 +16,7 @@ from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Numbered, read_rows
 from rtof_kin.batch.work import mark_of
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, WritingError
-from rtof_kin.core.files.lock import is_held, only_one
+from rtof_kin.core.files.folder import is_held, only_one
 from rtof_kin.core.files.manifest import make_folders
 from rtof_kin.core.files.text import write_text
 

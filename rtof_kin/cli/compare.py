@@ -245,8 +245,7 @@ def gait_reference(
         walking_speed: slowest and fastest walking speed, m/s
         negate: variables with the opposite sign, separated by commas
     """
-    from rtof_kin.formats.gait_reference_json import write_gait_reference
-    from rtof_kin.formats.gait_reference_table import read_gait_reference_table
+    from rtof_kin.formats.gait_reference import read_gait_reference_table, write_gait_reference
 
     check_new_file(output, overwrite)
     table: dict[str, Any] = {"--people": people, "--system": system, "--zero": zero}

@@ -28,7 +28,7 @@ from rtof_kin.core.files.text import load_json, measurable, read_text
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.datasets.joint_centres import hinge_table, hip_centres
 from rtof_kin.datasets.public_sets import Movement, Take, TakeInputs, Truth, checked_root, existing, some
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}

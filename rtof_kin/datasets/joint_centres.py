@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.formats.opensim_table import OpenSimTable
+from rtof_kin.formats.opensim import OpenSimTable
 
 HINGES: Final = {
     "knee_angle_r": ("right_hip", "right_knee", "right_ankle"),

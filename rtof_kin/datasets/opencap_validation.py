@@ -30,7 +30,7 @@ from rtof_kin.datasets.public_sets import (
     natural,
     some,
 )
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 
 CAMERAS: Final = ("Cam0", "Cam1", "Cam2", "Cam3", "Cam4")
 """At -70, -45, 0, 45 and 70 degrees, 0 in front of the person."""

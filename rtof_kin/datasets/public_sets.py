@@ -17,7 +17,7 @@ from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import SensorLog
-from rtof_kin.formats.opensim_table import OpenSimTable
+from rtof_kin.formats.opensim import OpenSimTable
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
 MOVEMENTS: Final[tuple[Movement, ...]] = get_args(Movement)

@@ -27,7 +27,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import measurable, read_text
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.datasets.public_sets import Movement, Take, TakeInputs, Truth, checked_root, existing, some
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 LOWER: Final = {

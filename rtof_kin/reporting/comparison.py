@@ -36,7 +36,7 @@ from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
+from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
 from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames

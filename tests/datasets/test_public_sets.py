@@ -19,7 +19,7 @@ from rtof_kin.datasets.movi import CENTRES, SIZE_PX, Movi
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
 from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth
 from rtof_kin.datasets.vidimu import Vidimu
-from rtof_kin.formats.opencap import read_opencap
+from rtof_kin.formats.cameras import read_opencap
 
 
 def only(adapter: PublicSet, key: str) -> Take:

@@ -17,7 +17,7 @@ from report_support import BROWSER, Page, certain_to, folder_of, plotted_data, u
 
 from rtof_kin.clinical.comparison import Compared, Comparison, agreement, compare
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.opensim_mot import write_mot
+from rtof_kin.formats.opensim import write_mot
 from rtof_kin.reporting.comparison import COLUMNS, distinct, document, read_compared
 from rtof_kin.reporting.document import page, write_files
 
