@@ -19,11 +19,10 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.camera_motion import CameraMotion, still_camera_of, turned
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.formats.camera_motion_npz import read_camera_motion
+from rtof_kin.formats.camera_motion import VIDEO_AXES, VIDEO_CONSTANTS, read_camera_motion, video_arrays, with_video
 from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.formats.sensors.phone import phone_files, read_phone
-from rtof_kin.formats.video_arrays import VIDEO_AXES, VIDEO_CONSTANTS, video_arrays, with_video
+from rtof_kin.formats.sensors.tables import phone_files, read_phone
 from rtof_kin.inertial.orientation import HELD, held_of_gravity, motion_of_gyroscope
 from rtof_kin.recording.streams import Source, Stream, Table, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import (
