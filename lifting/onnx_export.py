@@ -16,9 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from lifting.body import Body, bone_groups
-from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork
-from lifting.models import RAYS
+from lifting.models import RAYS, FoldedNetwork
 from lifting.predict import MIN_JOINTS, Lifter
 from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
 from rtof_kin.core.errors import InvalidInputError

@@ -11,9 +11,8 @@ import torch
 from numpy.typing import ArrayLike
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
-from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork, torch_threads
-from lifting.models import RAYS, model_of
+from lifting.models import RAYS, FoldedNetwork, model_of
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
 from rtof_kin.body.pose_prior import PosePrior

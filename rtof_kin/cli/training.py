@@ -14,8 +14,8 @@ from rtof_kin.cli.terminal import command, err, out
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from lifting.corpus import Corpus
-    from lifting.settings import TrainConfig
+    from lifting.training.corpus import Corpus
+    from lifting.training.settings import TrainConfig
 
 DEFAULT_MINUTES = 45.0
 """How long a lifter is trained where neither minutes nor windows are given."""
@@ -111,8 +111,7 @@ def _add_how(group: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> None:
-    from lifting.curves import figure_file
-    from lifting.train import train
+    from lifting.training.train import figure_file, train
 
     config, corpus = _config(options), _corpus(options)
     text = "{task.fields[note]}"
@@ -147,8 +146,8 @@ def _first() -> bool:
 
 def _config(options: argparse.Namespace) -> TrainConfig:
     """The settings asked for."""
-    from lifting.data import augmentation
-    from lifting.settings import TrainConfig
+    from lifting.training.data import augmentation
+    from lifting.training.settings import TrainConfig
 
     minutes = options.minutes
     if minutes is None and options.windows is None:
@@ -179,7 +178,7 @@ def _config(options: argparse.Namespace) -> TrainConfig:
 
 def _corpus(options: argparse.Namespace) -> Corpus | str:
     """What to train on: a dataset's training takes, or the path of a corpus."""
-    from lifting.datasets import human36m_corpus, total_capture_corpus
+    from lifting.training.corpus import human36m_corpus, total_capture_corpus
 
     given = [x for x in (options.corpus, options.total_capture, options.human36m) if x is not None]
     if len(given) != 1:

@@ -7,7 +7,7 @@ import lifting_support as support
 import numpy as np
 import pytest
 
-from lifting.corpus import Corpus, join_clips, read_corpus
+from lifting.training.corpus import Corpus, join_clips, read_corpus
 from rtof_kin.body import kinematics
 from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.core import rotations as so3

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import total_capture_support as tc
 
-from lifting.corpus import Corpus
-from lifting.datasets import HUMAN36M_VALIDATION, human36m_corpus, total_capture_corpus
+from lifting.training.corpus import HUMAN36M_VALIDATION, Corpus, human36m_corpus, total_capture_corpus
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.datasets.human36m import SUBJECTS_TRAIN
 from rtof_kin.datasets.total_capture import TEST

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from lifting import windows
-from lifting.few_windows import FewWindows
-from lifting.folded import FoldedNetwork
+from lifting.models import FoldedNetwork
 from lifting.predict import Lifter
+from lifting.streaming import FewWindows
 from rtof_kin.core import rotations as so3
 
 SIZE = 27

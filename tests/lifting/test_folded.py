@@ -6,8 +6,7 @@ import lifting_support as support
 import pytest
 import torch
 
-from lifting.folded import FoldedNetwork
-from lifting.models import model_of
+from lifting.models import FoldedNetwork, model_of
 from lifting.predict import Lifter
 from lifting.windows import EncodedWindows
 

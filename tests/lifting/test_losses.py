@@ -11,8 +11,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from lifting import losses
-from lifting.data import Batch
+from lifting.training import losses
+from lifting.training.data import Batch
 from lifting.windows import Estimate
 from rtof_kin.core import rotations as so3
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.data import augmentation
-from lifting.draws import Draw
-from lifting.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, add_noise
+from lifting.training.data import augmentation
+from lifting.training.joint_errors import Draw
+from lifting.training.noise import FOCAL_PX, TRAINING_NOISE, NoiseConfig, add_noise
 from rtof_kin.core.errors import UnknownNameError
 
 B, W = 600, 27

@@ -6,8 +6,8 @@ import lifting_support as support
 import pytest
 import torch
 
-from lifting.data import MotionBank, plain
-from lifting.prefetch import Prefetch, rows, step_seed
+from lifting.training.data import MotionBank, plain
+from lifting.training.run import Prefetch, rows, step_seed
 
 
 @pytest.mark.parametrize("ahead", [True, False])

@@ -9,11 +9,10 @@ import lifting_support as support
 import numpy as np
 import pytest
 
-from lifting.data import plain
 from lifting.predict import Lifter
-from lifting.prior import motions_of, postures_of, prior_of_corpus
-from lifting.settings import TrainConfig
-from lifting.train import train
+from lifting.training.data import plain
+from lifting.training.settings import TrainConfig, motions_of, postures_of, prior_of_corpus
+from lifting.training.train import train
 from rtof_kin.body import kinematics
 from rtof_kin.body.pose_prior import shipped_prior
 from rtof_kin.body.pose_prior_fit import fit_pose_prior

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from lifting.data import MotionBank
-from lifting.draws import Draw
-from lifting.moving import Moving
-from lifting.rigs import RigConfig, exp, log, turns
+from lifting.training.data import MotionBank, Moving
+from lifting.training.joint_errors import Draw
+from lifting.training.noise import RigConfig, exp, log, turns
 from lifting.windows import rotations
 from rtof_kin.core import rotations as so3
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 
-from lifting import curves
 from lifting.checkpoint import load_checkpoint
-from lifting.corpus import Corpus
-from lifting.data import plain
 from lifting.predict import Lifter
-from lifting.settings import TrainConfig
-from lifting.train import train
+from lifting.training import train as curves
+from lifting.training.corpus import Corpus
+from lifting.training.data import plain
+from lifting.training.settings import TrainConfig
+from lifting.training.train import train
 from rtof_kin import cli
 from rtof_kin.cli import training
 from rtof_kin.core.errors import FileFormatError
@@ -199,7 +199,7 @@ def test_the_command_trains_for_45_minutes_by_default(monkeypatch: pytest.Monkey
         asked.append(config)
         return Path(out)
 
-    monkeypatch.setattr("lifting.train.train", pretend)
+    monkeypatch.setattr("lifting.training.train.train", pretend)
     for options in ([], ["--minutes", "3"], ["--windows", "8"], ["--windows", "8", "--minutes", "3"]):
         assert cli.main(["train", "corpus.npz", *options]) == 0
     budgets = [(config.windows, config.minutes) for config in asked]
@@ -213,7 +213,7 @@ def test_an_interrupted_command_names_the_state_file(
     def interrupted(*arguments: object) -> Path:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lifting.train.train", interrupted)
+    monkeypatch.setattr("lifting.training.train.train", interrupted)
     assert cli.main(["train", "corpus.npz", "-o", "x.pt"]) == 130
     message = capsys.readouterr().err
     assert "--resume" in message

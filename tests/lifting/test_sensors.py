@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.draws import Draw, cross, rotation
-from lifting.sensors import SensorConfig, with_errors, worn
+from lifting.training.joint_errors import Draw, cross, rotation
+from lifting.training.noise import SensorConfig, with_errors, worn
 from rtof_kin.core import rotations as so3
 
 B, W = 2000, 4

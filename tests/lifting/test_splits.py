@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from lifting import splits
-from lifting.splits import find_split, read_split
+from lifting.training import corpus as splits
+from lifting.training.corpus import find_split, read_split
 from rtof_kin.core.errors import FileFormatError
 
 

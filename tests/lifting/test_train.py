@@ -12,14 +12,13 @@ import pytest
 import torch
 
 from lifting.checkpoint import load_checkpoint
-from lifting.corpus import Corpus
-from lifting.data import plain
 from lifting.predict import Lifter
-from lifting.recipes import first_answer
-from lifting.run import shipped_skeleton
-from lifting.sensors import SensorConfig
-from lifting.settings import TrainConfig
-from lifting.train import train
+from lifting.training.corpus import Corpus
+from lifting.training.data import plain
+from lifting.training.noise import SensorConfig
+from lifting.training.run import first_answer, shipped_skeleton
+from lifting.training.settings import TrainConfig
+from lifting.training.train import train
 from lifting.windows import decode, encode, rotations
 from rtof_kin.body.shared_frames import shared_frames
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError

@@ -8,9 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from lifting import validation as module
-from lifting.data import Batch
-from lifting.validation import Validation
+from lifting.training import losses as module
+from lifting.training.data import Batch
+from lifting.training.losses import Validation
 from lifting.windows import Estimate, rotations
 from rtof_kin.core import rotations as so3
 

@@ -1,8 +1,8 @@
 """Training of one lifter by several processes that ``torchrun`` started, on one machine or many.
 
-Every process learns from its share of each batch. Gradients are averaged (DistributedDataParallel), and
-so are the statistics of batch normalisation, so that a batch has the same effect in one process and in
-several. The first process measures, reports and writes.
+Every process learns from its share of each batch. Gradients are averaged (DistributedDataParallel), and so are the
+statistics of batch normalisation, so that a batch has the same effect in one process and in several. The first process
+measures, reports and writes.
 """
 
 from __future__ import annotations
