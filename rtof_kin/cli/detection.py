@@ -89,7 +89,7 @@ def detector_of(options: argparse.Namespace) -> PersonDetector:
 def _detect(options: argparse.Namespace) -> None:
     from rtof_kin.core.errors import FileFormatError, InvalidInputError
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.vision.recognise import recognise
+    from rtof_kin.vision.landmark_regression import recognise
     from rtof_kin.vision.video import detect_video, write_detections
 
     target = Path(options.out)
@@ -126,8 +126,7 @@ def _write_camera_motion(options: argparse.Namespace, found: Detections) -> None
     from rtof_kin.formats.camera_motion_npz import write_camera_motion
     from rtof_kin.setup.camera import assumed_camera, turning_of_video
     from rtof_kin.setup.recording_text import Field
-    from rtof_kin.vision.lens_prior import lens_prior
-    from rtof_kin.vision.video_metadata import read_video_metadata
+    from rtof_kin.vision.video_metadata import lens_prior, read_video_metadata
 
     target = Path(options.camera_motion)
     metadata = read_video_metadata(options.video)

@@ -41,7 +41,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.landmark_regression import recognise
 
 Bones = Mapping[str, tuple[int, int]]
 _NO_POSE: Final = "There is no pose: the camera is assumed to be level, at the origin"

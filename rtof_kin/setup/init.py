@@ -39,9 +39,8 @@ from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
-from rtof_kin.vision.lens_prior import lens_prior
-from rtof_kin.vision.recognise import recognise
-from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
+from rtof_kin.vision.landmark_regression import recognise
+from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
 
 if TYPE_CHECKING:
     from rtof_kin.setup.sensors import SetupSensors

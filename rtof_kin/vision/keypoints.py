@@ -20,9 +20,14 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.landmark_regression import (
+    LEAST_CONFIDENCE,
+    LandmarkRegression,
+    Recognition,
+    RegressedLandmarks,
+    recognise,
+)
 from rtof_kin.vision.layouts import OWN_LAYOUTS, Layout
-from rtof_kin.vision.recognise import Recognition, recognise
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
 MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image

@@ -24,7 +24,7 @@ from rtof_kin.setup.camera import (
     calibrated_camera,
 )
 from rtof_kin.setup.recording_text import Field, Origin, recording_text, summaries
-from rtof_kin.vision.lens_prior import LensPrior
+from rtof_kin.vision.video_metadata import LensPrior
 
 LENS = LensPrior(1480.123, 0.1, -0.0123, 0.05, "a phone's lens")
 

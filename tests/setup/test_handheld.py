@@ -22,9 +22,9 @@ from rtof_kin.setup.camera import assumed_camera, filming_camera, turning_of_vid
 from rtof_kin.setup.init import SetupSettings, find_people, make_recording
 from rtof_kin.setup.recording_text import Field
 from rtof_kin.setup.sources import Sources
-from rtof_kin.vision.bearing_rotation import bearings, turn_between
+from rtof_kin.vision.background_motion import bearings, turn_between
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.lens_prior import lens_prior
+from rtof_kin.vision.video_metadata import lens_prior
 
 # OpenCV's wheel needs a system library that machines without a screen may lack.
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)

@@ -15,8 +15,7 @@ from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.joint_space.annealing import estimated_places
 from rtof_kin.solve.settings import JointSpaceSettings
-from rtof_kin.vision.detector_errors import detector_points
-from rtof_kin.vision.image_points import image_points
+from rtof_kin.vision.image_points import detector_points, image_points
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()

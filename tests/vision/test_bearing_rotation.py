@@ -7,7 +7,7 @@ import pytest
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
-from rtof_kin.vision.bearing_rotation import Pair, bearings, focal_factor, turn_between, with_focal
+from rtof_kin.vision.background_motion import Pair, bearings, focal_factor, turn_between, with_focal
 
 CAMERA = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 500.0, 640, 360)
 

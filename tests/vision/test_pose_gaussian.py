@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.vision.pose_gaussian import ANYWHERE, PoseGaussian
+from rtof_kin.vision.landmark_regression import ANYWHERE, PoseGaussian
 
 Array = NDArray[np.float64]
 NAMES = tuple("abcdefgh")

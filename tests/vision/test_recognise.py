@@ -8,8 +8,8 @@ from detector_support import LAYOUTS, points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.vision.landmark_regression import recognise
 from rtof_kin.vision.layouts import detector_table
-from rtof_kin.vision.recognise import recognise
 
 Array = NDArray[np.float64]
 EVERY = (*LAYOUTS, "joints", "landmarks")

@@ -23,8 +23,7 @@ from rtof_kin.live.sources.video_threads import Examination, Image, Images
 from rtof_kin.live.sources.webcam import CaptureTimes, images_of, open_webcam
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
-from rtof_kin.vision.video_file import upright_image
-from rtof_kin.vision.video_metadata import read_video_metadata
+from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
 _SLOW: Final = 0.5
 """[s] Latency of a video from which on it is told of; then twice as much, and so on."""

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.packages import optional
-from rtof_kin.vision.video_file import open_video, upright_image
-from rtof_kin.vision.video_metadata import slow_motion
+from rtof_kin.vision.video_metadata import open_video, slow_motion, upright_image
 
 HEIGHT: Final = 360
 """[px] Largest height of the images."""
