@@ -28,7 +28,7 @@ from lifting.training.joint_errors import (
     mean_error,
     rig_places,
 )
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera

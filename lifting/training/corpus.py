@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lifting.body import Body
 from rtof_kin.body import kinematics
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core import rotations as so3

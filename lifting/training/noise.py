@@ -29,8 +29,8 @@ from lifting.training.joint_errors import (
     rotation,
     smooth_errors,
 )
-from rtof_kin.body.neutral_posture import CLAVICLES, SPINE
-from rtof_kin.body.shared_frames import LUMBAR_PITCH
+from rtof_kin.body.kinematics import LUMBAR_PITCH
+from rtof_kin.body.pose_prior import CLAVICLES, SPINE
 
 FOCAL_PX: Final = 1250.0
 HALF_WIDTH, HALF_HEIGHT = 960 / FOCAL_PX, 540 / FOCAL_PX

@@ -31,7 +31,7 @@ from lifting.training.losses import Validation
 from lifting.training.noise import SensorConfig
 from lifting.training.settings import TrainConfig, prior_of_corpus
 from lifting.windows import Encoded, Estimate
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, SolverError
 from rtof_kin.core.resources import lifter_path, model_path

@@ -12,8 +12,7 @@ import numpy as np
 from lifting.models import RAYS, VIDEOPOSE3D, model_of
 from lifting.training.corpus import Corpus
 from lifting.training.data import AugmentConfig
-from rtof_kin.body.neutral_posture import NeutralPosture, posture_from_t_pose
-from rtof_kin.body.pose_prior import PosePrior, shipped_prior
+from rtof_kin.body.pose_prior import NeutralPosture, PosePrior, posture_from_t_pose, shipped_prior
 from rtof_kin.body.pose_prior_fit import PersonMotion, fit_pose_prior, of_one_rig
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.errors import InvalidInputError

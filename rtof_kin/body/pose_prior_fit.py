@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import CLAVICLES, JOINTS, SPINE, NeutralPosture
-from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.body.pose_prior import CLAVICLES, JOINTS, SPINE, NeutralPosture, PosePrior
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array

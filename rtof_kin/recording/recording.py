@@ -18,8 +18,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
-from rtof_kin.body.neutral_posture import NeutralPosture
-from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly

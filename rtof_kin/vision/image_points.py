@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import Landmark
 from rtof_kin.core import rotations as so3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.body_mass import SEGMENTS, SEXES, inertia, mass_fraction
+from rtof_kin.body.skeleton_table import SEGMENTS, SEXES, inertia, mass_fraction
 
 Array = NDArray[np.float64]
 TRUNK_AND_HEAD = ("head", "upper trunk", "middle trunk", "lower trunk")

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.kinematics import LIMBS, bare, both_bones_sensed
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 
@@ -152,3 +153,32 @@ def test_rotating_parent_carries_the_twist() -> None:
     R = kinematics.swing(R_parent, DOWN, observed)
     relative = np.swapaxes(R_parent, -1, -2) @ R
     assert_close(relative, np.repeat(relative[:1], 60, axis=0), 1e-9)
+
+
+ARM = {"LeftArm", "LeftForeArm", "LeftHand"}
+
+
+def test_limbs_are_chains_of_the_skeleton() -> None:
+    skeleton = SkeletonModel.default()
+    for limb in LIMBS:
+        joints = [skeleton.names.index(name) for name in limb]
+        assert [skeleton.parents[j] for j in joints[1:]] == joints[:-1]
+
+
+def test_limb_with_any_sensor_is_not_bare() -> None:
+    everything = {name for limb in LIMBS for name in limb}
+    assert bare(()) == bare(("Hips", "Head")) == everything
+    assert all(bare((name,)) == everything - ARM for name in ARM)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "both"),
+    [
+        ((), False),
+        (("LeftArm", "RightForeArm"), False),
+        (("LeftForeArm", "LeftHand"), False),
+        (("RightUpLeg", "Hips", "RightLeg"), True),
+    ],
+)
+def test_both_bones_must_be_of_one_limb(sensors: tuple[str, ...], both: bool) -> None:
+    assert both_bones_sensed(sensors) is both

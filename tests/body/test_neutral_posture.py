@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture, posture_from_t_pose
-from rtof_kin.body.pose_prior import shipped_prior
+from rtof_kin.body.pose_prior import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture, posture_from_t_pose, shipped_prior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angles import all_observed, clinical_angles, relative_to_standing
 from rtof_kin.clinical.paths import body_paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtof_kin.body.shared_frames import LUMBAR_PITCH, shared_frames, to_shared
+from rtof_kin.body.kinematics import LUMBAR_PITCH, shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.body_mass import SEGMENTS
-from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
+from rtof_kin.body.skeleton_table import SEGMENTS, Joint, SkeletonTable, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path

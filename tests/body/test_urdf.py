@@ -19,9 +19,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.body.body_mass import inertia
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
+from rtof_kin.body.skeleton_table import SkeletonTable, inertia, read_skeleton_table
 from rtof_kin.body.urdf import LIGHT_MASS_KG, to_urdf
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path

@@ -9,7 +9,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture
+from rtof_kin.body.pose_prior import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.core import rotations as so3
 

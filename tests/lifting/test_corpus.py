@@ -21,7 +21,7 @@ from lifting.training.corpus import (
     total_capture_corpus,
 )
 from rtof_kin.body import kinematics
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import PoseSequence

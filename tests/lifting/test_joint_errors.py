@@ -28,7 +28,7 @@ from lifting.training.joint_errors import (
     smooth_errors,
 )
 from lifting.training.noise import TRAINING_NOISE
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections

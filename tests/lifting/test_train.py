@@ -20,7 +20,7 @@ from lifting.training.run import first_answer, shipped_skeleton
 from lifting.training.settings import TrainConfig
 from lifting.training.train import train
 from lifting.windows import decode, encode, rotations
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 
 QUICK = TrainConfig(

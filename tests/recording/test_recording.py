@@ -15,7 +15,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import (
