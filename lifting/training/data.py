@@ -217,11 +217,7 @@ class MotionBank:
     """A corpus as tensors on one device, to draw windows from."""
 
     def __init__(self, corpus: Corpus, clips: list[int], device: torch.device, skeletons: Sequence[Offsets] = ()):
-        """Prepare motion.
-
-        Args:
-            skeletons: joint offsets (J, 3) of further bodies for every clip, m, scaled to its size.
-        """
+        """Prepare motion. skeletons: joint offsets (J, 3) of further bodies for every clip, m, scaled to its size."""
         self.body, self.rate_hz = corpus.body(), corpus.rate_hz
         self.device = device
         bodies: list[Offsets | None] = [None, *skeletons]

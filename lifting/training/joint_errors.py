@@ -51,11 +51,7 @@ class Draw:
 
 
 def about_axis(axis: int, angle: Tensor) -> Tensor:
-    """Return rotations (B, 3, 3) about a coordinate axis.
-
-    Args:
-        axis: 0, 1 or 2 for x, y or z. angle: (B,) rad.
-    """
+    """Return rotations (B, 3, 3) about a coordinate axis. axis: 0, 1 or 2 for x, y or z. angle: (B,) rad."""
     c, s, o, i = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
     rows = ([[i, o, o], [o, c, -s], [o, s, c]], [[c, o, s], [o, i, o], [-s, o, c]], [[c, -s, o], [s, c, o], [o, o, i]])[
         axis

@@ -108,11 +108,7 @@ class Validation:
         causal: bool = False,
         model: str = RAYS,
     ):
-        """Draw the windows.
-
-        Args:
-            window: frames per window. count: windows of each kind, evenly over the motion.
-        """
+        """Draw the windows. window: frames per window. count: windows of each kind, evenly over the motion."""
         self.model, self.body = model_of(model), corpus.body()
         if not self.model.senses:
             self.body = replace(self.body, sensors=())

@@ -192,11 +192,7 @@ def _joint_factors(body: Body) -> Tensor:
 
 
 def runs(share: float, W: int, n: int, draw: Draw, rate_hz: float, seconds: tuple[float, float] = (0.2, 1.0)) -> Tensor:
-    """Draw a mask (B, W, n) of runs.
-
-    Args:
-        rate_hz: of the frames, Hz. seconds: range of the length of a run, s.
-    """
+    """Draw a mask (B, W, n) of runs. rate_hz: of the frames, Hz. seconds: range of the length of a run, s."""
     low, high = (s * rate_hz for s in seconds)
     length = draw.between((low, high), draw.batch, 1, n)
     start = -length + (W + length) * draw.uniform(draw.batch, 1, n)

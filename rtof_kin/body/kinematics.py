@@ -53,11 +53,7 @@ def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bone: Array) -> Array:
-    """Return joint positions (..., J, 3) in world, m.
-
-    Args:
-        p_root: (..., 3) m. R_world_bone: (..., J, 3, 3).
-    """
+    """Return joint positions (..., J, 3) in world, m. p_root: (..., 3) m. R_world_bone: (..., J, 3, 3)."""
     p = np.empty((*R_world_bone.shape[:-2], 3))
     for j, parent in enumerate(parents):
         p[..., j, :] = p_root if parent < 0 else p[..., parent, :] + R_world_bone[..., parent, :, :] @ offsets[j]
@@ -65,11 +61,7 @@ def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bon
 
 
 def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
-    """Return R_world_bone (..., J, 3, 3).
-
-    Args:
-        R_parent_bone: (..., J, 3, 3), the root's relative to world.
-    """
+    """Return R_world_bone (..., J, 3, 3). R_parent_bone: (..., J, 3, 3), the root's relative to world."""
     R = np.empty_like(R_parent_bone)
     for j, parent in enumerate(parents):
         local = R_parent_bone[..., j, :, :]
@@ -78,11 +70,7 @@ def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
 
 
 def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
-    """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`.
-
-    Args:
-        R_world_bone: (..., J, 3, 3).
-    """
+    """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`. R_world_bone: (..., J, 3, 3)."""
     R = R_world_bone.copy()
     for j, parent in enumerate(parents):
         if parent >= 0:

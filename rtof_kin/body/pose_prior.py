@@ -58,11 +58,7 @@ class NeutralPosture:
 
     @classmethod
     def of(cls, poses: PoseSequence, parents: Sequence[int], joints: Sequence[str] = JOINTS) -> Self:
-        """Return the mean posture of poses.
-
-        Args:
-            poses: (T) in the T-pose. parents: (J,) of their joints.
-        """
+        """Return the mean posture of poses. poses: (T) in the T-pose. parents: (J,) of their joints."""
         known = poses.R_world_bone[np.isfinite(poses.R_world_bone).all(axis=(1, 2, 3))]
         if len(known) == 0:
             raise InvalidInputError("posture: no frame of the T-pose is complete")

@@ -158,11 +158,7 @@ def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Arr
 
 
 def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
-    """Return the prior with the moments of a mixture of two.
-
-    Args:
-        share: of the known one, 0 to 1.
-    """
+    """Return the prior with the moments of a mixture of two. share: of the known one, 0 to 1."""
     mean, other = (so3.from_quat_wxyz(p.mean_quat_wxyz) for p in (prior, known))
     apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
 

@@ -286,11 +286,7 @@ class SkeletonModel:
         return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
 
     def with_posture(self, posture: NeutralPosture | None) -> SkeletonModel:
-        """Return the skeleton with a neutral posture.
-
-        Args:
-            posture: of joints of this skeleton; None where it is unknown.
-        """
+        """Return the skeleton with a neutral posture. posture: of joints of this skeleton; None where it is unknown."""
         self.index(*(posture.joints if posture else ()))
         return SkeletonModel(replace(self.table, posture=posture))
 
@@ -378,11 +374,7 @@ class SkeletonModel:
         return angles
 
     def check(self, q: ArrayLike) -> ConfigurationReport:
-        """Check configurations for singular postures and limit violations of `angles`.
-
-        Args:
-            q: (T, nq).
-        """
+        """Check configurations for singular postures and limit violations of `angles`. q: (T, nq)."""
         rows: Array = readonly("q", q, ("T", self.nq))
         singular: Mask = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]

@@ -60,11 +60,7 @@ class Pair(NamedTuple):
 
 
 def bearings(camera: Camera, uv_px: Array) -> Array:
-    """Return unit vectors (..., 3) in camera axes.
-
-    Args:
-        uv_px: (..., 2).
-    """
+    """Return unit vectors (..., 3) in camera axes. uv_px: (..., 2)."""
     xy = camera.normalise(uv_px)
     return so3.unit(np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1))
 
@@ -318,11 +314,7 @@ class _Follower:
         self._rng = np.random.default_rng(0)
 
     def follow(self, image: NDArray[np.uint8], boxes: Array) -> None:
-        """Add a frame.
-
-        Args:
-            image: (height, width, 3), BGR, whole. boxes: (P, 4) around people, px of the whole image.
-        """
+        """Add a frame. image: (height, width, 3), BGR, whole. boxes: (P, 4) around people, px of the whole image."""
         cv2 = self._cv2
         boxes = boxes * np.tile(np.array(self._size) / image.shape[1::-1], 2)
         gray = cv2.cvtColor(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)

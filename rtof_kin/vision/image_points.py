@@ -192,11 +192,7 @@ class ImagePoints:
     """(3, 3) frame of the views in the root's link frame."""
 
     def positions(self, p_world_joint: Array, R_world_bone: Array) -> Array:
-        """Return the points (T, L, 3) in world, m.
-
-        Args:
-            p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3).
-        """
+        """Return the points (T, L, 3) in world, m. p_world_joint: (T, J, 3) m. R_world_bone: (T, J, 3, 3)."""
         own = [j for j, _ in self.on]
         return np.asarray(p_world_joint[:, own] + np.einsum("tlij,lj->tli", R_world_bone[:, own], self.places))
 

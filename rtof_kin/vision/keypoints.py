@@ -132,11 +132,7 @@ def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, .
 
 
 def with_own_points(form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array) -> tuple[Array, Array]:
-    """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`.
-
-    Args:
-        uv: (T, K, 2) px. confidence: (T, K).
-    """
+    """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`. uv: (T, K, 2) px. confidence: (T, K)."""
     K = 0 if form.name in OWN_LAYOUTS else len(form)
     sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, :K]
     return (np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1), np.concatenate([landmarks.confidence, sure], axis=1))

@@ -105,11 +105,7 @@ class OnnxDetector:
         self.name = " and ".join(names)
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:  # noqa: ARG002
-        """Return the people in an image.
-
-        Args:
-            image: (height, width, 3), BGR. time: of the image, s; not used.
-        """
+        """Return the people in an image. image: (height, width, 3), BGR. time: of the image, s; not used."""
         if self._one_stage:
             points, scores = self._pose(image)
         else:
@@ -267,11 +263,7 @@ class PersonDetector(Protocol):
     """Number of points of a person."""
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
-        """Return the people in the next image.
-
-        Args:
-            image: (height, width, 3), BGR, upright. time: of the image, s.
-        """
+        """Return the people in the next image. image: (height, width, 3), BGR, upright. time: of the image, s."""
 
     def close(self) -> None:
         """Release what it holds."""

@@ -44,20 +44,12 @@ class MarginalPrior:
 
     @classmethod
     def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
-        """Return a prior without information.
-
-        Args:
-            x: (3, 3 + 4A) any states.
-        """
+        """Return a prior without information. x: (3, 3 + 4A) any states."""
         size = MEMORY * space.size
         return cls(x, np.zeros((size, size)), np.zeros(size))
 
     def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
-        """Return the energy and its gradient (3, D) by tangents at x.
-
-        Args:
-            x: (3, 3 + 4A).
-        """
+        """Return the energy and its gradient (3, D) by tangents at x. x: (3, 3 + 4A)."""
         d = space.difference(self.x, x).ravel()
         pulled = self.precision @ d
         force = (self.slope + pulled).reshape(MEMORY, -1)
