@@ -13,7 +13,7 @@ $(STAMP): pyproject.toml constraints.txt
 	touch $(STAMP)
 
 demo: $(STAMP)
-	$(BIN)/rtof-kin demo -o out/demo --overwrite
+	$(BIN)/rtof-kin run --demo -o out/demo --overwrite
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

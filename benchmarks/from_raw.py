@@ -35,7 +35,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording, read_findings
+from rtof_kin.setup.init import SetupSettings, find_people, read_findings, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.simulation.detector_errors import simulate_detections
 from rtof_kin.simulation.mocap import MocapClip
@@ -126,7 +126,7 @@ def rows_of(name: str, clip: MocapClip, camera: int, sensors: str) -> Iterator[R
             sources = Sources.of(files if case == "raw, map" else files[:2])
             folder = Path(place) / case
             find_people(sources, settings, folder, lambda path: found)
-            make_recording(sources, settings, folder)
+            write_recording(sources, settings, folder)
             own = replace(Recording.load(folder), truth=moved(truth, true))
             about["doubts"] = list(read_findings(folder).doubtful)
             result = reconstruct(own, mode=mode, calibrate=own.imus is not None)

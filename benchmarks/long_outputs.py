@@ -34,7 +34,7 @@ POSES: Final = (
     "sigma_rad",
 )
 COMMANDS: Final = {
-    "analyse": ("analyse", "--weight", "70"),
+    "analyse": ("report", "--weight", "70", "--analysis"),
     "report": ("report", "--weight", "70"),
     "export": ("export",),
     "export, all formats but c3d": ("export", "--to", "csv,parquet,ros,osim,mot,sto,trc,bvh"),

@@ -20,13 +20,13 @@ from rich.progress import track
 
 from benchmarks import harness
 from rtof_kin.body.metrics import at_times
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reporting.clinical_findings import SECOND_PELVIS
-from rtof_kin.reporting.summary_findings import LEAST_DIFFERENCE, is_comparable
+from rtof_kin.reporting.summary_lines import LEAST_DIFFERENCE, is_comparable
 from rtof_kin.simulation.mocap import MocapClip, read_corpus, resample_clip
 from rtof_kin.simulation.simulate import low_passed
 
@@ -53,9 +53,9 @@ def rows_of(clip: MocapClip, camera: int, sensors: str, seed: int) -> tuple[list
     result = reconstruct(recording, mode="rtof" if own else "rto")
     assert recording.truth is not None
     truth = all_observed(at_times(recording.truth, result.motion.times))
-    found = analyse_motion(result.motion)
+    found = analyse(result.motion)
     skeleton = result.motion.skeleton
-    true = analyse_motion(skeleton.motion(truth)) if np.isfinite(truth.p_world_joint).all() else None
+    true = analyse(skeleton.motion(truth)) if np.isfinite(truth.p_world_joint).all() else None
     about = {"motion": clip.name, "rig": clip.rig, "sensors": sensors}
     ranges = [about | row for row in compared(found, clinical_angles(truth, skeleton))]
     return ranges, about | {

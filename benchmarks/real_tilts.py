@@ -1,4 +1,4 @@
-"""Tilt of real cameras, found from the person before them as `rtof-kin init` assumes a camera.
+"""Tilt of real cameras, found from the person before them as `rtof-kin run --only recording` assumes a camera.
 
 ``python -m benchmarks real_tilts --data DIR``: the clips of two people that `real_clips` has, of four
 calibrated cameras each, one camera at a time without sensors. The camera is assumed level, 1.2 m over the

@@ -24,7 +24,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.mocap import NAMES, PARENTS
+from rtof_kin.simulation.mocap_families import NAMES, PARENTS
 
 C_WORLD_TC = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """World axes of the package from those of the files: (x, y, z) becomes (x, -z, y)."""

@@ -19,7 +19,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.mocap import ANKLE_HEIGHT, NAMES, PARENTS, MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip, read_corpus, resample_clip
+from rtof_kin.simulation.mocap_families import NAMES, PARENTS
 from rtof_kin.simulation.simulate import low_passed
 
 RATE_HZ = 60.0

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rtof_kin import Recording, export, reconstruct
 from rtof_kin.reporting.page import report
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.video import detect_video
 
@@ -17,7 +17,7 @@ sources, settings = Sources.of(files), SetupSettings(height=height)
 
 people = find_people(sources, settings, out / "recording", detect_video)
 print(f"{len(people)} people: {out}/recording/frames.png")
-found = make_recording(sources, settings, out / "recording")
+found = write_recording(sources, settings, out / "recording")
 print("assumed:", *found.assumed, sep="\n  ")
 print("doubtful:", *found.doubtful, sep="\n  ")
 

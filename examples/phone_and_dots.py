@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rtof_kin import Recording, export, reconstruct
 from rtof_kin.reporting.page import report
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.video import detect_video
 
@@ -17,7 +17,7 @@ height, out, files = float(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:]
 sources, settings = Sources.of(files), SetupSettings(height=height)
 
 find_people(sources, settings, out / "recording", detect_video)
-found = make_recording(sources, settings, out / "recording")
+found = write_recording(sources, settings, out / "recording")
 print("found:", *found.found, sep="\n  ")
 print("doubtful:", *found.doubtful, sep="\n  ")
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence, Provenance
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
-    from rtof_kin.live.estimation.online_settings import OnlineSettings
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.online_settings import OnlineSettings
     from rtof_kin.live.samples import FrameSample, ImuSample
     from rtof_kin.reconstruction.parts import reconstruct_in_parts
     from rtof_kin.reconstruction.pipeline import reconstruct
@@ -44,8 +44,8 @@ _MODULES = {
     "data.imu": ("BoneImuSequence", "ImuCalibration", "ImuSequence"),
     "data.keypoints": ("KeypointSequence",),
     "data.poses": ("PoseSequence", "Provenance"),
-    "live.estimation.estimator": ("OnlineEstimator",),
-    "live.estimation.online_settings": ("OnlineSettings",),
+    "live.estimator": ("OnlineEstimator",),
+    "live.online_settings": ("OnlineSettings",),
     "live.samples": ("FrameSample", "ImuSample"),
     "reconstruction.parts": ("reconstruct_in_parts",),
     "reconstruction.pipeline": ("reconstruct",),

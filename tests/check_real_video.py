@@ -96,8 +96,8 @@ def main() -> None:
             subprocess.run(order, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
 
         turned_copy(video, folder / "turned.mp4", 40)
-        run("detect", video, "--out", "keypoints.npz")
-        run("detect", "turned.mp4", "--out", "turned.npz")
+        run("detect", video, "-o", "keypoints.npz")
+        run("detect", "turned.mp4", "-o", "turned.npz")
         sys.path.insert(0, str(ROOT))
         check_detections(folder / "keypoints.npz", folder / "turned.npz")
         given = (video, "keypoints.npz", video.with_name("Calib_demo.toml"))

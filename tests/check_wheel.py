@@ -82,7 +82,7 @@ def check_plain(environment: Path, folder: Path) -> None:
     demo = Path(file).parent / "models" / "demo"
     run(script, "inspect", demo, cwd=folder)
     run(script, "reconstruct", demo, "--mode", "imu", "-o", "motion", cwd=folder)
-    run(script, "analyse", "motion", "-o", "angles", cwd=folder)
+    run(script, "report", "motion", "--analysis", "angles", cwd=folder)
     run(script, "export", "motion", "-o", "files", cwd=folder)
     run(script, "report", "motion", "-o", "report.html", cwd=folder)
     assert (folder / "angles" / "angles.csv").is_file()
@@ -110,7 +110,7 @@ def main() -> None:
         check_plain(folder / "env", folder)
         print(f"without extras: {time.monotonic() - began:.0f} s", flush=True)
         run(*install, f"{wheel}[lift]", cwd=folder)
-        run(folder / "env" / "bin" / "rtof-kin", "demo", "-o", folder / "out", "--no-figures", cwd=folder)
+        run(folder / "env" / "bin" / "rtof-kin", "run", "--demo", "-o", folder / "out", "--no-figures", cwd=folder)
         assert (folder / "out" / "motion.h5").is_file()
     print(f"1 passed, 0 failed in {time.monotonic() - began:.0f} s")
 

@@ -49,7 +49,8 @@ def camera() -> Camera:
 
 @pytest.fixture
 def compile_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty cache of compiled functions, not created yet."""
+    """An empty cache of compiled functions, not created yet; compilation is turned on."""
     folder = tmp_path / "cache"
     monkeypatch.setenv(CACHE, str(folder))
+    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
     return folder

@@ -12,7 +12,8 @@ from rtof_kin.body import kinematics
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation.mocap import PARENTS, MocapClip
+from rtof_kin.simulation.mocap import MocapClip
+from rtof_kin.simulation.mocap_families import PARENTS
 
 BETWEEN = 1.5
 """[s] from the end of a motion to the beginning of the next; its path is a cubic."""

@@ -38,7 +38,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct, without_warnings
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import headline
 from rtof_kin.reporting.residuals import reprojection_errors
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 

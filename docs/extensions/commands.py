@@ -1,4 +1,4 @@
-"""A page for each command, made from its parser; command lines in all pages lead to them.
+"""A page for each command, made from its function; command lines in all pages lead to them.
 
 The pages are `docs/commands/NAME.md`, written before sources are looked for and ignored by git. Their first
 sentence is the command's row in docs/command_line.md.
@@ -6,22 +6,20 @@ sentence is the command's row in docs/command_line.md.
 
 from __future__ import annotations
 
-import argparse
-import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 from docutils import nodes
 from sphinx.application import Sphinx
 
-from rtof_kin.cli import _parser
+from rtof_kin.cli import app, command_names
 
 DOCS = Path(__file__).parents[1]
 ROW = re.compile(r"^\| `rtof-kin ([a-z0-9-]+)[^`]*` \| (.*) \|$", re.MULTILINE)
 LINE = re.compile(r"rtof-kin ([a-z0-9-]+)")
 FILE = r"[\w./*]+\.(?:toml|npz|csv|json|html|md|png|mp4|onnx|pt)"
 CODE = re.compile(rf"(?<![\w-])(rtof-kin [a-z][a-z0-9-]+|--?[a-z][\w-]*|{FILE})(?![\w*])")
+ENTRY = re.compile(r"(\* (?:`[^`]*`|\[`[^`]*`\]\([^)]*\)): )(.*?)((?: \*\*?\[.*)?)$")
 MARKS = re.compile(r"([\\`*_{}\[\]<>|$#~^])")
 
 
@@ -36,50 +34,32 @@ def escaped(text: str) -> str:
     return "".join(out)
 
 
-def page(name: str, parser: argparse.ArgumentParser, summary: str) -> str:
-    """Return the page of one command."""
-    formatter = argparse.HelpFormatter(parser.prog, width=88)
-    formatter.add_usage(parser.usage, parser._actions, parser._mutually_exclusive_groups)
-    usage = formatter.format_help().removeprefix("usage: ").strip()
-    lines = [f"# rtof-kin {name}", "", summary, "", "```text", usage, "```", ""]
-    if parser.description:
-        lines += [escaped(parser.description.replace("%(prog)s", parser.prog)), ""]
-    for group in parser._action_groups:
-        actions = [a for a in group._group_actions if a.help != argparse.SUPPRESS and a.dest != "help"]
-        if actions:
-            title = (group.title or "options").replace("positional arguments", "arguments")
-            lines += [f"## {title[0].upper()}{title[1:]}", ""]
-            lines += [escaped(group.description), ""] if group.description else []
-            for action in actions:
-                lines += [*_entry(action, formatter), ""]
-    if parser.epilog:
-        lines += [escaped(parser.epilog), ""]
-    return "\n".join(lines)
-
-
-def _entry(action: argparse.Action, formatter: argparse.HelpFormatter) -> Iterator[str]:
-    """Yield one argument or option as an entry of a definition list."""
-    heading = formatter._format_action_invocation(action)
-    yield f"`` {heading} ``"
-    text = formatter._expand_help(action) if action.help else ""
-    if action.option_strings and action.required:
-        text += " (required)"
-    yield f": {escaped(text) or '-'}"
+def page(name: str, summary: str) -> str:
+    """Return the page of one command, with those below it."""
+    text = re.sub(r"## Table of Contents\n.*?(?=\n\*\*)", "", app([name])[name].generate_docs(), flags=re.DOTALL)
+    _, usage, rest = re.split(r"```console\n|```\n", text, maxsplit=2)
+    lines = [f"# rtof-kin {name}", "", summary, "", f"```text\nrtof-kin {usage}```"]
+    for line in rest.partition("\n\n")[2].splitlines():  # without the first sentence
+        entry = ENTRY.match(line)
+        if entry:
+            lines.append(f"{entry[1]}{escaped(entry[2])}{entry[3]}")
+        else:
+            lines.append(line if line.startswith(("**", "#", "`", "rtof-kin", "evaluate ")) else escaped(line))
+    whole = "\n".join(lines) + "\n"
+    return whole.replace("](#evaluate", "](#rtof-kin-evaluate").replace("## evaluate", "## rtof-kin evaluate")
 
 
 def write_pages(folder: Path = DOCS / "commands") -> None:
     """Write the page of every command, and remove those of commands that are no more."""
-    os.environ["COLUMNS"] = "88"
     rows = dict(ROW.findall((DOCS / "command_line.md").read_text(encoding="utf-8")))
     folder.mkdir(exist_ok=True)
-    commands = _parser()[1].choices
     for old in folder.glob("*.md"):
-        if old.stem not in commands:
+        if old.stem not in command_names():
             old.unlink()
-    for name, parser in commands.items():
+    for name in command_names():
         summary = re.sub(r"\]\((?=[\w]+\.md)", "](../", rows[name]).replace(r"\|", "|")
         summary = re.sub(r"[a-z]", lambda first: first[0].upper(), summary, count=1)
-        text = page(name, parser, summary.removesuffix(".") + ".")
+        text = page(name, summary.removesuffix(".") + ".")
         path = folder / f"{name}.md"
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")

@@ -38,7 +38,7 @@ def make(studio: Studio) -> list[Path]:
             _recorded(rate_hz + 0.2 * number, factor, 10 * number + place + 4, day).save(folder)
             studio.rtof_kin("reconstruct", folder, "-o", visits / day / name, "--no-figures")
     (visits / "follow.toml").write_text(PLAN, encoding="utf-8")
-    print(studio.printed("follow", visits, "--measures", MEASURES, "-o", page))
+    print(studio.printed("compare", visits, "--measures", MEASURES, "-o", page))
     picture = studio.folder / "follow.png"
     studio.photograph(page / "follow.html", picture, WIDTH, HEIGHT)
     with Image.open(picture) as whole:

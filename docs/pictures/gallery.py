@@ -44,7 +44,7 @@ ENTRIES = (
         "rtof-kin run walk.mp4 dots/ --height 1.72 -o out/walk",
         "From a video and sensor files to a report in one command ([how](phone.md)); `demo` does the last "
         "steps on the recording of the package. The first lines say how good it is, and cautions:",
-        printed=lambda studio: text_of(studio, "demo", "-o", studio.folder / "printed", "--no-figures"),
+        printed=lambda studio: text_of(studio, "run", "--demo", "-o", studio.folder / "printed", "--no-figures"),
     ),
     Entry(
         "rtof-kin report out/demo",
@@ -73,13 +73,13 @@ ENTRIES = (
         "The page of a comparison",
     ),
     Entry(
-        "rtof-kin follow visits -o out/follow",
+        "rtof-kin compare visits -o out/follow",
         "[Visits of one person](follow.md): improved, worse or not shown, and the smallest change that could be.",
         "follow.png",
         "The page of three visits",
     ),
     Entry(
-        "rtof-kin live SETUP --camera 0 --imus lsl:DOTs --view",
+        "rtof-kin live SETUP --camera 0 --imus lsl:DOTs --browser",
         "[Poses while a person moves](live.md), from a webcam, LSL, or recordings replayed as here.",
         "live.png",
         "The live page: skeleton, angles and streams",
@@ -103,10 +103,10 @@ ENTRIES = (
         "Skeletons of the demo over the truth",
     ),
     Entry(
-        "rtof-kin calibrate models/demo",
+        "rtof-kin reconstruct models/demo --calibrate-only",
         "[What a recording tells about its own setup](calibration.md), with standard deviations:",
         printed=lambda studio: text_of(
-            studio, "calibrate", model_path("demo"), "-o", studio.folder / "calibration.toml"
+            studio, "reconstruct", model_path("demo"), "--calibrate-only", "-o", studio.folder / "calibration.toml"
         ),
     ),
     Entry(
@@ -115,10 +115,10 @@ ENTRIES = (
         printed=lambda studio: text_of(studio, "evaluate", studio.demo, "--truth", model_path("demo")),
     ),
     Entry(
-        "rtof-kin analyse out/demo -o out/angles --weight 70",
+        "rtof-kin report out/demo --analysis out/angles --weight 70",
         "[Clinical angles](clinical.md) as tables and figures:",
         printed=lambda studio: text_of(
-            studio, "analyse", studio.demo, "-o", studio.folder / "angles", "--weight", "70"
+            studio, "report", studio.demo, "--analysis", studio.folder / "angles", "--weight", "70"
         ),
     ),
     Entry(

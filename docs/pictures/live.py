@@ -37,7 +37,7 @@ def make(studio: Studio) -> list[Path]:
             str(demo),
             "--imus",
             str(demo),
-            "--out",
+            "--send",
             f"ws:{port}",
             "--seconds",
             "60",

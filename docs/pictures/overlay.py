@@ -6,7 +6,7 @@ import av
 
 from docs.pictures.studio import Studio, save
 
-OPTIONS = ("--no-video", "--bands", "--width", "1200", "--from", "13.5", "--to", "14")
+OPTIONS = ("--no-video", "--bands", "--width", "1200", "--start", "13.5", "--stop", "14")
 
 
 def make(studio: Studio) -> list[Path]:

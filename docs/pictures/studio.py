@@ -45,7 +45,7 @@ class Studio:
     @cached_property
     def demo(self) -> Path:
         """Output of the demo: camera and eight sensors, with figures."""
-        self.rtof_kin("demo", "-o", self.folder / "demo")
+        self.rtof_kin("run", "--demo", "-o", self.folder / "demo")
         return self.folder / "demo"
 
     def photograph(

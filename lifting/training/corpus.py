@@ -25,11 +25,11 @@ from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.datasets import human36m, total_capture
-from rtof_kin.simulation import mocap
+from rtof_kin.simulation import mocap, mocap_families
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip
 
 SPLITS: Final = ("train", "validation", "test", "excluded")
-BENCHMARK_SPLIT: Final = Path(__file__).parent.parent / "benchmarks" / "split.toml"
+BENCHMARK_SPLIT: Final = Path(__file__).parents[2] / "benchmarks" / "split.toml"
 """Split of the benchmarks, in a checkout of the source."""
 
 
@@ -241,7 +241,7 @@ class Corpus:
 
 def join_clips(
     clips: Iterable[tuple[mocap.MocapClip, str]],
-    parents: tuple[int, ...] = mocap.PARENTS,
+    parents: tuple[int, ...] = mocap_families.PARENTS,
     rate_hz: float = RATE_HZ,
     acknowledgement: str = "",
 ) -> Corpus:

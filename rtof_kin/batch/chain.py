@@ -1,6 +1,6 @@
 """Chain of commands that a batch runs on every recording, written as the commands are typed.
 
-``reconstruct --calibrate, analyse --weight 70, report``: a comma before the name of a command begins the
+``reconstruct --calibrate, report --weight 70``: a comma before the name of a command begins the
 next one. What a command reads and writes is added to its options. A command that names ``{recording}`` or
 ``{out}`` itself is taken as it is written.
 """
@@ -22,11 +22,9 @@ RECORDING, OUT = "{recording}", "{out}"
 MOTION, PAGE = "motion", "report.html"
 _FILES: Final = {
     "inspect": (RECORDING,),
-    "calibrate": (RECORDING, "-o", f"{OUT}/calibration.toml"),
     "reconstruct": (RECORDING, "-o", f"{OUT}/{MOTION}"),
     "evaluate": (f"{OUT}/{MOTION}", "--truth", RECORDING),
-    "analyse": (f"{OUT}/{MOTION}", "-o", f"{OUT}/angles"),
-    "report": (f"{OUT}/{MOTION}", "-o", f"{OUT}/{PAGE}"),
+    "report": (f"{OUT}/{MOTION}", "-o", f"{OUT}/{PAGE}", "--analysis", f"{OUT}/angles"),
     "export": (f"{OUT}/{MOTION}", "-o", f"{OUT}/export"),
     "study": (RECORDING, "-o", f"{OUT}/study"),
 }

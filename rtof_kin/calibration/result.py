@@ -428,7 +428,7 @@ def read_self_calibration_toml(path: str | Path) -> SelfCalibration:
     if "quantities" not in data:
         raise FileFormatError(
             path,
-            "no calibration that `rtof-kin calibrate` wrote, as it has no table [quantities]; give "
+            "no calibration that `rtof-kin reconstruct --calibrate-only` wrote, as it has no table [quantities]; give "
             "the file named by its -o",
         )
     if (version := data.get("schema_version", SCHEMA_VERSION)) != SCHEMA_VERSION:

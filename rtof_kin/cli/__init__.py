@@ -1,18 +1,65 @@
 """The command line ``rtof-kin``: the only place that prints.
 
-Exit codes: 0 done, 1 a check does not hold (inspect) or a recording failed (batch), 2 wrong input
-(one line says what, where and what to do), 130 interrupted.
+Exit codes: 0 done, 1 a check does not hold (inspect), or a recording or take failed (batch, evaluate), 2 wrong
+input (one line says what, where and what to do), 130 interrupted.
 """
 
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    import argparse
+    from collections.abc import Sequence
 
-    from rtof_kin.cli.terminal import Parser
+    from cyclopts import App, CycloptsError
+
+COMMANDS: Final = {
+    "record": {"run": "record", "detect": "record", "simulate": "record"},
+    "reconstruct": {"reconstruct": "reconstruction", "batch": "batch"},
+    "look": {"inspect": "files", "report": "reporting", "view": "view", "overlay": "view"},
+    "compare": {"compare": "compare", "study": "compare", "gait-reference": "compare"},
+    "plan": {"plan": "compare"},
+    "connect": {"export": "files", "live": "live"},
+    "develop": {"train": "training", "evaluate": "evaluation"},
+}
+"""What a person wants -> command -> module that has it."""
+LIMITED: Final = ("run", "reconstruct", "study", "plan", "live")
+"""Commands that limit the threads of the numerical libraries, as --threads says, before these are loaded."""
+OLD_COMMANDS: Final = {
+    "init": "run FILE... --only recording -o FOLDER",
+    "join": "run FILE... --second FILE... -o OUT",
+    "demo": "run --demo",
+    "calibrate": "reconstruct RECORDING --calibrate-only -o FILE",
+    "analyse": "report OUT --analysis FOLDER",
+    "gait-scores": "report OUT --gait-reference FILE",
+    "follow": "compare VISITS",
+    "export-lifter": "export MODEL FILE.onnx --to onnx",
+    "total-capture": "evaluate total-capture",
+    "human36m": "evaluate human36m",
+    "validate": "evaluate SET, such as evaluate opencap",
+    "bundle": "export OUT FILE --to archive",
+    "reproduce": "reconstruct, on the recording that export --to archive has put into the file",
+}
+"""Command of an earlier version -> what does it now."""
+OLD_OPTIONS: Final = {
+    "run": {
+        "--camera": "the calibration among the FILEs, where it is recognised",
+        "--map": "the map of sensors among the FILEs, where it is recognised",
+        "--discard-video": "--no-keep-video",
+    },
+    "detect": {"--out": "-o"},
+    "simulate": {"--keypoints": "--noise", "--camera": "--viewpoint"},
+    "reconstruct": {"--lifter": "--model", "--recording-output": "--calibrated"},
+    "inspect": {"--out": "-o"},
+    "overlay": {"--from": "--start", "--to": "--stop", "--shift": "--video-shift"},
+    "view": {"--from": "--start", "--to": "--stop", "--second": "--beside", "--rate": "--fps"},
+    "live": {"--out": "--send", "--view": "--browser", "--calibrate": "--refine", "--rate": "--fps"},
+    "gait-reference": {"--speed": "--walking-speed"},
+    "train": {"--camera": "--camera-at", "--start": "--initial"},
+    "evaluate": {"--angles": "--clinical", "--camera": "--uncalibrated"},
+}
+"""Command -> option of an earlier version -> what does it now."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -22,14 +69,14 @@ def main(arguments: list[str] | None = None) -> int:
         arguments: of the command line; default: sys.argv.
     """
     try:
-        return _run(arguments)
+        return _run(sys.argv[1:] if arguments is None else arguments)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         exec("")  # else Python ends by the signal where it interrupted an exec, as imports have them
         return 130
 
 
-def _run(arguments: list[str] | None) -> int:
+def _run(arguments: list[str]) -> int:
     from rtof_kin.cli.terminal import err
     from rtof_kin.core.errors import RtofError
 
@@ -40,25 +87,29 @@ def _run(arguments: list[str] | None) -> int:
         return 2
 
 
-def dispatch(arguments: list[str] | None) -> int:
+def dispatch(arguments: list[str]) -> int:
     """Run one command and return its exit code; errors are raised.
 
-    Args:
-        arguments: of the command line; None: sys.argv.
-
     Raises:
-        RtofError: of the command. SystemExit: the arguments are wrong, or ask for help.
+        RtofError: the arguments are wrong, or an error of the command.
     """
     import errno
     import logging
 
-    from rtof_kin.cli.terminal import log_handler
-    from rtof_kin.core.errors import RtofError, too_long
+    from cyclopts import CycloptsError
 
-    options = parse(arguments)
+    from rtof_kin.cli.terminal import log_handler
+    from rtof_kin.core.environment import limit_threads
+    from rtof_kin.core.errors import InvalidInputError, RtofError, too_long
+
+    _check_names(arguments)
+    if arguments and arguments[0] in LIMITED:
+        limit_threads(_threads(arguments))
     logging.basicConfig(level=logging.WARNING, handlers=[log_handler()])
     try:
-        return int(options.run(options) or 0)
+        return int(app(arguments)(arguments) or 0)
+    except CycloptsError as error:
+        raise InvalidInputError(_sentence(error, arguments)) from error
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise
@@ -68,90 +119,112 @@ def dispatch(arguments: list[str] | None) -> int:
         raise RtofError(f"{problem}; end other programs, or take a shorter recording") from error
 
 
-def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Return the options of a command line.
-
-    Args:
-        arguments: see `dispatch`.
+def check(arguments: list[str]) -> None:
+    """Check the arguments of a command without running it.
 
     Raises:
-        SystemExit: they are wrong, or ask for help.
+        InvalidInputError: they are wrong, or ask for help.
     """
-    return _parser()[0].parse_args(arguments)
+    from cyclopts import CycloptsError
+
+    from rtof_kin.core.errors import InvalidInputError
+
+    _check_names(arguments)
+    if {"--help", "-h", "--version"} & {*arguments}:
+        raise InvalidInputError("asks for help only")
+    try:
+        app(arguments).parse_args(arguments)
+    except CycloptsError as error:
+        raise InvalidInputError(_sentence(error, arguments)) from error
 
 
 def command_names() -> set[str]:
     """Return the names of all commands."""
-    return set(_parser()[1].choices)
+    return {name for commands in COMMANDS.values() for name in commands}
 
 
-def _parser() -> tuple[Parser, argparse._SubParsersAction[Parser]]:
-    """Return the parser and its commands."""
-    from rtof_kin.cli import (
-        batch,
-        clinical,
-        compare,
-        conversion,
-        detection,
-        follow,
-        gait,
-        inspection,
-        lifters,
-        live,
-        overlay,
-        plan,
-        protocols,
-        recordings,
-        reporting,
-        start,
-        training,
-        validation,
-        view,
+def app(arguments: Sequence[str] = ()) -> App:
+    """Return the application; a command's module is imported when the command is used.
+
+    Args:
+        arguments: that it is for; without the name of a command the summary of each is at hand.
+    """
+    from cyclopts import App, Group
+
+    import rtof_kin
+    from rtof_kin.cli.terminal import err, out
+
+    whole = App(
+        name="rtof-kin",
+        help="Human motion from one camera and a handful of IMUs. Everything stays on this machine. Start with: "
+        "rtof-kin run --demo. Each command explains itself: rtof-kin reconstruct --help",
+        help_format="plaintext",
+        version=lambda: f"rtof-kin {rtof_kin.__version__}",
+        version_flags="--version",
+        group_commands=Group("options", sort_key=len(COMMANDS)),
+        console=out,
+        error_console=err,
+        result_action="return_value",
+        exit_on_error=False,
+        print_error=False,
+        suppress_keyboard_interrupt=False,
     )
-    from rtof_kin.cli.terminal import Parser
-
-    parser = Parser(
-        prog="rtof-kin",
-        description="Human motion from one camera and a handful of IMUs. Everything stays on this "
-        "machine. Start with: rtof-kin demo",
-        epilog="Each command explains itself: rtof-kin reconstruct --help",
-    )
-    parser.add_argument("--version", action=_version_action(), help="show the version and exit")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (
-        start,
-        plan,
-        recordings,
-        conversion,
-        inspection,
-        clinical,
-        compare,
-        follow,
-        gait,
-        reporting,
-        overlay,
-        detection,
-        live,
-        training,
-        lifters,
-        batch,
-        protocols,
-        validation,
-        view,
-    ):
-        module.add_commands(commands)
-    return parser, commands
+    named = bool(arguments) and arguments[0] in command_names()
+    for number, (purpose, commands) in enumerate(COMMANDS.items()):
+        group = Group(purpose, sort_key=number)
+        for order, (name, module) in enumerate(commands.items()):
+            function = name.replace("-", "_")
+            summary = None if named else _summary(module, function)
+            path = f"rtof_kin.cli.{module}:{function}"
+            whole.command(path, name=name, group=group, help=summary, sort_key=order)
+    return whole
 
 
-def _version_action() -> type[argparse.Action]:
-    """Return an action that finds the version only where it is asked for."""
-    import argparse
+def _summary(module: str, function: str) -> str:
+    """Return the first line of a command's docstring without importing its module."""
+    import re
+    from pathlib import Path
 
-    class Version(argparse._VersionAction):
-        def __call__(self, parser: argparse.ArgumentParser, *rest: Any) -> None:
-            import rtof_kin
+    text = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+    found = re.search(rf'^def {function}(?:_motion)?\(.*?"""(.+?)\.?["\n]', text, re.M | re.S)
+    assert found, f"{module}: no command {function}"
+    return found[1]
 
-            self.version = f"rtof-kin {rtof_kin.__version__}"
-            super().__call__(parser, *rest)
 
-    return Version
+def _check_names(arguments: list[str]) -> None:
+    """Raise an error with the present name of what an earlier version called otherwise."""
+    from rtof_kin.core.errors import InvalidInputError
+
+    name = arguments[0] if arguments else ""
+    if name in OLD_COMMANDS:
+        raise InvalidInputError(f"{name}: is now rtof-kin {OLD_COMMANDS[name]}")
+    for word in arguments[1:]:
+        option = word.partition("=")[0]
+        if option in OLD_OPTIONS.get(name, {}):
+            raise InvalidInputError(f"{name}: {option} is now {OLD_OPTIONS[name][option]}")
+
+
+def _threads(arguments: list[str]) -> int | None:
+    """Return the number after --threads, as far as it is one."""
+    from itertools import pairwise
+
+    words = [part for word in arguments for part in word.split("=", 1)]
+    texts = [value for name, value in pairwise(words) if name == "--threads"]
+    return int(texts[-1]) if texts and texts[-1].lstrip("-").isdigit() else None
+
+
+def _sentence(error: CycloptsError, arguments: list[str]) -> str:
+    """Return what is wrong with the arguments in one sentence."""
+    from cyclopts import MissingArgumentError, UnknownCommandError, UnusedCliTokensError
+
+    text = " ".join(str(error).split())
+    name = f"rtof-kin {arguments[0]}" if arguments and arguments[0] in command_names() else "rtof-kin"
+    if isinstance(error, UnknownCommandError):
+        text = text.partition(" Available commands")[0]
+    elif isinstance(error, UnusedCliTokensError):
+        text = f"unknown arguments: {' '.join(error.unused_tokens or ())}"
+    elif isinstance(error, MissingArgumentError) and error.argument is not None:
+        option = error.argument.name if error.argument.name.startswith("-") else error.argument.name.upper()
+        given = any(word.partition("=")[0] in error.argument.names for word in arguments)
+        text = f"{option} needs a value" if given else f"required: {option}"
+    return f"{text} ({name} --help has all options)"

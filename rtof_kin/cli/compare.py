@@ -1,71 +1,393 @@
-"""The command compare: two motions, or both sides of one, angle by angle."""
+"""Commands that compare and plan: compare, study, gait-reference, plan."""
 
 from __future__ import annotations
 
-import argparse
-from typing import Any
+import logging
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from rtof_kin.cli.terminal import command, out, print_files
+from cyclopts import Parameter
+from rich.table import Table
 
+from rtof_kin.cli.options import SOLVER, Figures, File, Model, Overwrite, Paper, Seed, Threads, Workers, command
+from rtof_kin.cli.reconstruction import solver_settings
+from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
+from rtof_kin.clinical.repetitions import Kind
+from rtof_kin.core.environment import limit_threads
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 
-def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
-    parser = command(
-        commands,
-        "compare",
-        _compare,
-        "two motions, or the left and right side of one, angle by angle",
-        "A and B are outputs of reconstruct or run, a motion.h5, or a .mot or .sto of another system. "
-        "Prints what is compared and how, which angles have changed, and differences B - A with 95 % "
-        "intervals and errors; -o writes a page with the curves, a table and JSON.",
-    )
-    parser.add_argument("a", metavar="OUT_A", help="the first motion; its clock is used")
-    parser.add_argument("b", metavar="OUT_B", nargs="?", help="the second motion")
-    parser.add_argument("--sides", action="store_true", help="compare left (A) and right (B) of OUT_A")
-    parser.add_argument(
-        "--by",
-        choices=["time", "cycle", "repetition", "range"],
-        help="the same instants, phases of the gait cycle, phases of repetitions, or ranges of motion alone; "
-        "default: chosen from the data, and said",
-    )
-    clocks = parser.add_mutually_exclusive_group()
-    clocks.add_argument("--shift", type=float, metavar="S", help="seconds to add to the times of B")
-    clocks.add_argument("--align", action="store_true", help="estimate that shift from the angular velocities of both")
-    parser.add_argument("--repetitions", choices=["squat", "sit_to_stand"], help="what is repeated")
-    parser.add_argument(
-        "--angles", metavar="NAMES", help="angles to compare, separated by commas; fewer are tested more sharply"
-    )
-    parser.add_argument(
-        "--spm",
-        action="store_true",
-        help="by cycle or repetition: Student's t along the cycle with clusters, by spm1d (extra clinical)",
-    )
-    parser.add_argument("-o", "--output", metavar="DIR", help="folder to write")
-    parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
+if TYPE_CHECKING:
+    from rtof_kin.data.gait_reference import GaitReference
+
+Folder = Annotated[
+    Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; nothing is written without")
+]
 
 
-def _compare(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.reporting.comparison import compare
+@command
+def compare(
+    motions: list[Path],
+    /,
+    *,
+    output: Folder = None,
+    by: Literal["time", "cycle", "repetition", "range"] | None = None,
+    repetitions: Kind | None = None,
+    sides: bool = False,
+    shift: Annotated[float | None, Parameter(metavar="S", group="Two motions")] = None,
+    align: Annotated[bool, Parameter(group="Two motions")] = False,
+    angles: Annotated[tuple[str, ...], Parameter(group="Two motions")] = (),
+    spm: Annotated[bool, Parameter(group="Two motions")] = False,
+    baseline: Annotated[str, Parameter(metavar="VISIT", group="Visits")] = "",
+    measures: Annotated[tuple[str, ...], Parameter(group="Visits")] = (),
+    overwrite: Overwrite = False,
+) -> None:
+    """Two motions, both sides of one, or the visits of a person.
+
+    Two MOTIONS are outputs of reconstruct or run, a motion.h5, or a .mot or .sto of another system: printed are what
+    is compared and how, which angles have changed, and differences B - A with 95 % intervals and errors; OUT gets a
+    page with the curves, a table and JSON.
+
+    One folder has a folder for each visit, with the outputs of reconstruct of its trials: repeated recordings of the
+    same movement. Printed are the measures that improved, got worse or changed since the first visit, with standard
+    errors of measurement and the smallest change that could be shown; OUT gets a page with trajectories, figures, a
+    table and JSON. follow.toml in the folder may name visits, baseline, measures and which direction is better.
+
+    Args:
+        motions: two motions, the first one's clock is used; or the folder of the visits; or with --sides one motion
+        by: the same instants, phases of the gait cycle, phases of repetitions, or ranges of motion alone; default:
+            chosen from the data, and said
+        repetitions: what is repeated
+        sides: compare left (A) and right (B) of one motion
+        shift: seconds to add to the times of the second motion
+        align: estimate that shift from the angular velocities of both
+        angles: to compare, separated by commas; fewer are tested more sharply
+        spm: by cycle or repetition: Student's t along the cycle with clusters, by spm1d (extra clinical)
+        baseline: visit to compare with; default: the first
+        measures: to follow over visits, or angles with all of theirs, separated by commas; fewer are tested more
+            sharply
+    """
+    from rtof_kin.reporting.comparison import compare as compare_motions
     from rtof_kin.reporting.document import show, write
+    from rtof_kin.reporting.visits import follow
 
-    if options.sides == (options.b is not None):
-        raise InvalidInputError("compare: give two motions, or one with --sides")
-    if options.output:
-        check_replaceable(options.output, "comparison.json", options.overwrite)
-    given = (name.strip() for name in (options.angles or "").split(","))
-    document = compare(
-        options.a,
-        options.b,
-        by=options.by,
-        shift=options.shift,
-        align=options.align,
-        repetitions=options.repetitions or "",
-        angles=list(dict.fromkeys(filter(None, given))),
-        spm=options.spm,
-    )
+    if len(motions) > 2 or (sides and len(motions) > 1):
+        raise InvalidInputError("compare: give two motions, one with --sides, or the folder of the visits")
+    if shift is not None and align:
+        raise InvalidInputError("--shift, --align: give one of them")
+    visits = len(motions) == 1 and not sides
+    if visits and by == "time":
+        raise InvalidInputError("compare: visits have no common instants; leave out --by time")
+    if output is not None:
+        check_replaceable(output, "follow.json" if visits else "comparison.json", overwrite)
+    if visits:
+        with job_progress("reading") as update:
+            document = follow(
+                motions[0],
+                baseline=baseline,
+                by=None if by == "time" else by,
+                kind=repetitions or "",
+                measures=measures,
+                progress=lambda done, total: update(done, total, ""),
+            )
+    else:
+        document = compare_motions(
+            motions[0],
+            None if sides else motions[1],
+            by=by,
+            shift=shift,
+            align=align,
+            repetitions=repetitions or "",
+            angles=angles,
+            spm=spm,
+        )
     show(document, out)
-    if options.output:
-        write(document, options.output, options.overwrite)
-        print_files(options.output)
+    if output is not None:
+        write(document, output, overwrite)
+        print_files(output)
+
+
+@command
+def study(
+    recording: Path,
+    /,
+    *,
+    output: Annotated[
+        Path,
+        Parameter(
+            name=("--output", "-o"),
+            metavar="OUT",
+            help="folder for results and every run: the same command resumes there after an interruption",
+        ),
+    ],
+    path: Literal["greedy", "ranked"] | None = None,
+    seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,
+    model: Model = None,
+    workers: Workers = None,
+    figures: Figures = True,
+    settings: Annotated[ReconstructionSettings, SOLVER],
+    paper: Paper = False,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Contribution of each sensor of a recording, angle by angle.
+
+    Reconstructs RECORDING with all its sensors, without each of them, and with fewer and fewer, the one with the
+    smallest effect removed first. OUT gets a table, figures, and sentences on what the sensors contribute to each
+    angle. Without a truth in the recording, the table has the difference from the full set, which is no error. Of a
+    longer recording the seconds with the most movement are used.
+
+    Args:
+        recording: folder of the recording
+        path: greedy: each step tries every remaining sensor; ranked: in the order of their effect alone, with fewer
+            runs; default: greedy up to eight sensors
+    """
+    from lifting.predict import Lifter
+    from rtof_kin.core.jobs import open_runs
+    from rtof_kin.core.packages import can_draw
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.reporting.sensor_study.files import remove_results, unused_removed, write_study
+    from rtof_kin.reporting.sensor_study.sentences import sentences
+    from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
+
+    limit_threads(threads)
+    source = Recording.load(recording)
+    camera = source.keypoints is not None
+    settings = solver_settings(settings, paper, "rtof" if camera else "imu")
+    greedy = {"greedy": True, "ranked": False}.get(path or "")
+    lifter = Lifter.load(model) if camera else None
+    runs = open_runs(output, identity_of(source, lifter, settings, seconds), overwrite, None, {})
+    remove_results(output)
+    sensors = len(source.imus.names) if source.imus is not None else 0
+    out.print(f"{sensors} sensors: at most {number_of_runs(sensors, camera, greedy)} reconstructions")
+    with job_progress("study") as update, _quiet(), unused_removed(output):
+        found = study_sensors(
+            source,
+            greedy=greedy,
+            lifter=lifter,
+            settings=settings,
+            longest=seconds,
+            folder=runs,
+            workers=workers,
+            progress=update,
+        )
+    print_headline(found.verdict, "all sensors: ")
+    written = []
+    if figures and can_draw():
+        from rtof_kin.reporting.sensor_study.figures import write_study_figures
+
+        written += write_study_figures(found, output / "figures")
+    written += write_study(found, output)
+    _print_way_down(found)
+    for sentence in sentences(found):
+        out.print(sentence, soft_wrap=True)
+    out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence warnings, which are the same at every run."""
+    logger = logging.getLogger("rtof_kin")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+
+
+def _print_way_down(study: Any) -> None:
+    what = "error" if study.has_truth else "difference"
+    table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
+    for before, found in zip((study.path[0], *study.path), study.path, strict=False):
+        gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
+        kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
+        table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
+    out.print(table)
+
+
+@command
+def gait_reference(
+    source: Path,
+    /,
+    *,
+    output: File,
+    licence: Annotated[str, Parameter(metavar="TEXT")],
+    origin: Annotated[str, Parameter(metavar="TEXT")],
+    strides: Annotated[int, Parameter(metavar="N", group="Of recordings")] = 3,
+    from_standing: Annotated[bool, Parameter(group="Of recordings")] = False,
+    people: Annotated[int | None, Parameter(metavar="N", group="Of a table")] = None,
+    system: Annotated[str, Parameter(metavar="TEXT", group="Of a table")] = "",
+    zero: Annotated[str, Parameter(metavar="TEXT", group="Of a table")] = "",
+    walking_speed: Annotated[tuple[float, float] | None, Parameter(metavar="M/S", group="Of a table")] = None,
+    negate: Annotated[tuple[str, ...], Parameter(group="Of a table")] = (),
+    overwrite: Overwrite = False,
+) -> None:
+    """A reference of healthy gait, for report --gait-reference.
+
+    SOURCE is a folder of recordings of healthy people, outputs of reconstruct, run or batch: each person counts once,
+    by the subject of the session. Or it is a CSV table of a published normal set, with the columns variable, percent,
+    mean and sd in degrees. FILE is JSON. Who is left out is said, with the reason.
+
+    Args:
+        source: folder of recordings, or CSV table
+        licence: terms of use of the reference
+        origin: who was recorded, where and how; or a citation
+        strides: of each side that a person needs
+        from_standing: angles of trunk and legs relative to each person's quiet standing
+        people: number of people
+        system: what measured it, with its model
+        zero: posture in which its angles are 0
+        walking_speed: slowest and fastest walking speed, m/s
+        negate: variables with the opposite sign, separated by commas
+    """
+    from rtof_kin.formats.gait_reference_json import write_gait_reference
+    from rtof_kin.formats.gait_reference_table import read_gait_reference_table
+
+    check_new_file(output, overwrite)
+    table: dict[str, Any] = {"--people": people, "--system": system, "--zero": zero}
+    if source.is_file():
+        if absent := [name for name, value in table.items() if not value]:
+            raise InvalidInputError(f"gait-reference: a table needs {', '.join(absent)} too")
+        reference = read_gait_reference_table(
+            source,
+            negated=negate,
+            people=people or 0,
+            licence=licence,
+            source=origin,
+            system=system,
+            zero=zero,
+            speed_range=walking_speed,
+        )
+    else:
+        table |= {"--walking-speed": walking_speed, "--negate": negate}
+        if given := [name for name, value in table.items() if value]:
+            raise InvalidInputError(f"gait-reference: {', '.join(given)} is for a table, not for recordings")
+        reference = _from_recordings(source, licence, origin, strides, from_standing)
+    _print_reference(reference)
+    write_gait_reference(output, reference, overwrite)
+    out.print(f"wrote {output}", soft_wrap=True)
+
+
+def _from_recordings(source: Path, licence: str, origin: str, strides: int, from_standing: bool) -> GaitReference:
+    """Reference from a folder of recordings; says who is left out, and why."""
+    import rtof_kin
+    from rtof_kin.clinical.gait_scores import build_reference
+    from rtof_kin.data.gait_reference import MODEL_ZERO, OWN_SYSTEM, STANDING_ZERO
+    from rtof_kin.reporting.gait import find_people
+
+    found = find_people(source, from_standing)
+    for place, reason in found.left_out.items():
+        out.print(f"left out: {place}: {reason}", style="yellow", soft_wrap=True)
+    reference, without = build_reference(
+        found.people,
+        least_strides=strides,
+        licence=licence,
+        source=origin,
+        system=f"{OWN_SYSTEM} {rtof_kin.__version__}, skeleton {', '.join(found.skeletons)}",
+        zero=STANDING_ZERO if from_standing else MODEL_ZERO,
+        notes=_notes(found.recordings, found.people),
+    )
+    for code, reason in without.items():
+        out.print(f"left out: {code}: {reason}", style="yellow", soft_wrap=True)
+    return reference
+
+
+def _notes(recordings: dict[str, list[str]], people: dict[str, Any]) -> tuple[str, ...]:
+    """What the builder found about the recordings."""
+    notes = []
+    if alone := [code for code, places in recordings.items() if places == [code]]:
+        notes.append(
+            f"{len(alone)} of {len(recordings)} people are single recordings without a subject in their "
+            "session; recordings of one person count as several people then"
+        )
+    if any(cycles.sigma is None for cycles in people.values()):
+        notes.append("some motions have no covariances, so that errors of the reference are unknown")
+    return tuple(notes)
+
+
+def _print_reference(reference: GaitReference) -> None:
+    """Print what the reference is of, and what it cannot be used for."""
+    from rtof_kin.clinical.gait_scores import FEW, gait_features
+    from rtof_kin.core.errors import InvalidInputError
+
+    speeds = ""
+    if reference.speed_range is not None:
+        speeds = " at {:.2f} to {:.2f} m/s".format(*reference.speed_range)
+    out.print(f"reference of {reference.people} people{speeds}: {reference.system}", style="bold", soft_wrap=True)
+    if reference.people < FEW:
+        text = f"caution: fewer than {FEW} people: scores are relative to few"
+        out.print(text, style="yellow", soft_wrap=True)
+    if reference.missing:
+        text = f"caution: without {', '.join(reference.missing)}: no GPS and GDI, only single scores"
+        out.print(text, style="yellow", soft_wrap=True)
+    try:
+        features = gait_features(reference)
+        out.print(f"GDI: {features.basis.shape[1]} features have 98 % of the variance", soft_wrap=True)
+    except InvalidInputError as error:
+        out.print(f"GDI will not be computed: {error}", soft_wrap=True)
+    for note in reference.notes:
+        out.print(f"note: {note}", soft_wrap=True)
+
+
+@command
+def plan(
+    what: Path | None = None,
+    /,
+    *,
+    output: Folder = None,
+    movements: bool = False,
+    draws: Annotated[int, Parameter(metavar="N")] = 3,
+    search: bool = True,
+    seed: Seed = 0,
+    model: Model = None,
+    workers: Workers = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Expected errors of a recording before it is made, and how to lower them.
+
+    WHAT is a protocol's TOML file, the name of a movement (--movements lists them), the folder of a recording, or the
+    output of reconstruct. The recording is simulated with the errors of a real detector and real sensors and solved as
+    a real one. Prints the standard deviation to expect of every clinical angle, what camera and sensors do not identify
+    and why, the best place of the camera and of one more sensor, and how long to move for the calibration; OUT gets
+    tables, a figure and a page of instructions for the operator.
+
+    Args:
+        what: what is to be recorded
+        movements: list the movements of the library and exit
+        draws: simulated recordings of the plan, each with other errors of person, detector and sensors
+        search: compare cameras, sensors and lengths for the calibration too, not predict only
+    """
+    from lifting.predict import Lifter
+    from rtof_kin.plan.document import MARKER, document, write_plan
+    from rtof_kin.plan.movements import MOVEMENTS
+    from rtof_kin.plan.plan import plan as predict
+    from rtof_kin.plan.setup import planned
+    from rtof_kin.reporting.document import show
+
+    limit_threads(threads)
+    if movements:
+        table = Table("movement", "what it is")
+        for name, movement in MOVEMENTS.items():
+            table.add_row(name, movement.description)
+        out.print(table)
+        return
+    if what is None:
+        raise InvalidInputError("plan: name a protocol's file, a movement, a recording or a motion")
+    if output is not None:
+        check_replaceable(output, MARKER, overwrite)
+    lifter = Lifter.load(model)
+    with progress() as update:
+        protocol, setup = planned(str(what), lifter, update)
+        found = predict(
+            protocol, setup, draws=draws, seed=seed, lifter=lifter, search=search, workers=workers, progress=update
+        )
+    show(document(found), out)
+    if output is not None:
+        write_plan(found, output, overwrite)
+        print_files(output)

@@ -2,31 +2,38 @@
 
 from __future__ import annotations
 
-import argparse
 import math
-import textwrap
 import time
 import webbrowser
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
+import numpy as np
+from cyclopts import Parameter
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.cli.detection import add_detector, detector_of
-from rtof_kin.cli.recordings import lifter_of
-from rtof_kin.cli.terminal import add_model, command, ended_by_signals, err, out, print_calibration, warnings_in_summary
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command
+from rtof_kin.cli.record import detector_of
+from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
+from rtof_kin.clinical.angles import clinical_angles
+from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
+from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.live.samples import OnlineEstimate
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.cli.live_display import LiveDisplay
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+    from rtof_kin.live.open_sources import Streams
     from rtof_kin.live.samples import Sink, Source
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.session.session_summary import SessionSummary
-    from rtof_kin.live.sources.open_sources import Streams
+    from rtof_kin.live.session import LiveSession, SessionSummary
+    from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
 CALIBRATION: Final = "calibration.toml"
@@ -37,206 +44,148 @@ _MEASURING: Final = 2.0
 """[s] for the first examined image of a webcam."""
 _LATENCY, _MARGIN = (0.2, 0.6), 1.5
 """[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
-_EXAMPLES: Final = """
-cameras (--camera):
-  0, /dev/video2           a webcam: the person is detected on this machine
-  walk.mp4                 a video, at its speed
-  lsl:NAME                 points that another program detects, over LSL
-  take.xdf, walk.npz       points that a detector wrote, replayed
-  FOLDER                   the keypoints of a recording, replayed
-
-sensors (--imus, may be given several times):
-  lsl:NAME                 sensors in an LSL stream
-  FILE                     sensor files, replayed
-  FOLDER                   the sensors of a recording, replayed
-
-examples:
-  rtof-kin live out/setup --camera 0 --imus lsl:DOTs -o out/take1
-  rtof-kin live out/setup --imus lsl:DOTs --out ws --view
-  rtof-kin live out/take1 --camera out/take1 --imus out/take1 --speed 4
-"""
+_ANGLES: Final = ("hip_flexion", "knee_flexion", "elbow_flexion")
+_FRAMES: Final = 600
+"""Frames of which the times are summarised."""
+_MESSAGES: Final = 8
+_TABLE_EVERY, _LINE_EVERY, _ANGLES_EVERY = 0.2, 1.0, 0.5  # [s]
+_STYLES: Final = {"ok": "green", "waiting": "dim", "late": "yellow", "lossy": "yellow"}
 
 
-def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
-    parser = command(
-        commands,
-        "live",
-        _live,
-        "poses while a person moves, from cameras and sensors, recorded on request",
-        "SETUP is a recording (of init, or an earlier take) with the camera, the body and the calibration of "
-        "the sensors; its streams are not used. Ctrl-C, as SIGTERM and SIGHUP, ends and finishes "
-        "the recording; --finish does so for a session that was killed. Nothing leaves this machine unless "
-        "an output says so. Needs the extra: pip install 'rtof-kin[live]'.",
-    )
-    parser.formatter_class = _Help
-    parser.description, parser.epilog = textwrap.fill(parser.description or "", 80), _EXAMPLES
-    parser.add_argument("setup", metavar="SETUP", nargs="?", help="folder of the recording that was set up")
-    parser.add_argument("--finish", metavar="FOLDER", help="make a recording of a session that was killed, and end")
-    parser.add_argument("--camera", action="append", default=[], metavar="SOURCE", help="of the points; see below")
-    parser.add_argument("--imus", action="append", default=[], metavar="SOURCE", help="of the sensors; see below")
-    parser.add_argument(
-        "--map",
-        metavar="FILE",
-        help="two columns: each sensor of the streams, and its segment or its name in SETUP; default: they "
-        "have the names that SETUP has for them",
-    )
-    _add_outputs(parser)
-    _add_estimate(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after so many")
-    parser.add_argument(
-        "--speed",
-        type=float,
-        default=1.0,
-        metavar="X",
-        help="of replayed recordings and videos, times real time; inf: as fast as they are estimated",
-    )
-    add_detector(parser)
+@command
+def live(
+    setup: Path | None = None,
+    /,
+    *,
+    camera: Annotated[list[str] | None, Parameter(metavar="SOURCE")] = None,
+    imus: Annotated[list[str] | None, Parameter(metavar="SOURCE")] = None,
+    map: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="FOLDER", help="record everything into a new folder")
+    ] = None,
+    send: Annotated[list[str] | None, Parameter(metavar="OUTPUT")] = None,
+    browser: bool = False,
+    settings: Annotated[
+        OnlineSettings, Fields(rate_hz="fps", lag_s="lag", video_delay_s="video-delay", defaults={"lag_s": 0.25})
+    ],
+    refine: Annotated[
+        tuple[Literal["delay", "heading", "mounting", "posture"], ...], Parameter(show_default=lambda _: "delay")
+    ] = ("delay",),
+    calibration: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    model: Model = None,
+    seconds: Seconds = None,
+    speed: Annotated[float, Parameter(metavar="X")] = 1.0,
+    model_dir: ModelDir = None,
+    fetch_models: FetchModels = None,
+    finish: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+) -> None:
+    """Poses while a person moves, from cameras and sensors, recorded on request.
 
+    SETUP is a recording (of run --only recording, or an earlier take) with the camera, the body and the calibration of
+    the sensors; its streams are not used. Ctrl-C, as SIGTERM and SIGHUP, ends and finishes the recording; --finish does
+    so for a session that was killed. Nothing leaves this machine unless an output says so. Needs the extra: pip install
+    'rtof-kin[live]'. docs/live.md has examples.
 
-def _add_outputs(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("-o", "--output", metavar="FOLDER", help="record everything into a new folder")
-    parser.add_argument(
-        "--out",
-        action="append",
-        default=[],
-        metavar="OUTPUT",
-        help="lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of "
-        "this machine; may be given several times",
-    )
-    parser.add_argument("--view", action="store_true", help="show the skeleton in the browser")
+    Cameras: 0 or /dev/video2, a webcam, in which the person is detected on this machine; walk.mp4, a video, at its
+    speed; lsl:NAME, points that another program detects, over LSL; take.xdf or walk.npz, points that a detector wrote,
+    replayed; FOLDER, the keypoints of a recording, replayed. Sensors: lsl:NAME, in an LSL stream; FILE, sensor files,
+    replayed; FOLDER, the sensors of a recording, replayed.
 
-
-def _add_estimate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--lag",
-        type=float,
-        default=0.25,
-        metavar="S",
-        help="age of the shown poses, 0 to 1 s: the older, the more accurate",
-    )
-    parser.add_argument("--rate", type=float, default=60.0, metavar="HZ", help="poses per second")
-    parser.add_argument(
-        "--video-delay", type=float, default=0.0, metavar="S", help="by how much stamps of the video are late"
-    )
-    parser.add_argument(
-        "--calibrate",
-        default="delay",
-        metavar="KINDS",
-        help="what is refined while the person moves: delay (of the video), heading, mounting (of the "
-        "sensors), posture, with commas between, or none; with -o into FOLDER/calibration.toml. Open more "
-        "than the delay where it is known to be wrong",
-    )
-    parser.add_argument("--calibration", metavar="FILE", help="of an earlier session, that --calibrate begins with")
-    add_model(parser)
-
-
-class _Help(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
-    """Help with defaults, and with the examples as they are written."""
-
-
-# --- what it does --------------------------------------------------------------------------------
-
-
-def _live(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import InvalidInputError
-
-    if (options.setup is None) == (options.finish is None):
+    Args:
+        setup: folder of the recording that was set up
+        camera: source of the points; may be given several times
+        imus: source of the sensors; may be given several times
+        map: two columns: each sensor of the streams, and its segment or its name in SETUP; default: they have the names
+            that SETUP has for them
+        send: lsl[:NAME], an LSL stream of joint angles; ws[:PORT], JointState as JSON over a WebSocket of this machine;
+            may be given several times
+        browser: show the skeleton in the browser
+        refine: what is refined while the person moves: delay (of the video), heading, mounting (of the sensors),
+            posture, with commas between, or none; with -o into FOLDER/calibration.toml. Open more than the delay where
+            it is known to be wrong
+        calibration: of an earlier session, that --refine begins with
+        speed: of replayed recordings and videos, times real time; inf: as fast as they are estimated
+        finish: make a recording of a session that was killed, and end
+    """
+    if (setup is None) == (finish is None):
         raise InvalidInputError("name the folder of the recording that was set up, or --finish FOLDER")
-    if options.finish is not None:
-        _finish(options.finish)
+    if finish is not None:
+        from rtof_kin.live.recorded_session import finish as finished
+
+        for note in finished(finish):
+            line("note", note)
+        _print_recorded(finish)
         return
+    assert setup is not None
+    from rtof_kin.calibration.result import read_self_calibration_toml
+    from rtof_kin.core.files.folder import check_replaceable
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.open_sources import open_sinks, open_sources
+    from rtof_kin.live.recorder import Recorder
+    from rtof_kin.live.refinement import refinement_priors
+    from rtof_kin.live.session import LiveSession
+    from rtof_kin.recording.index import INDEX
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.setup.run import ReconstructionTask
+
     with ended_by_signals():
-        _run_session(options)
-
-
-def _finish(folder: str) -> None:
-    """Make a recording of a session that was killed."""
-    from rtof_kin.live.session.recorded_session import finish
-
-    for note in finish(folder):
-        _line("note", note)
-    _print_recorded(folder)
+        if output is not None:
+            check_replaceable(output, INDEX)
+        known = None if calibration is None else read_self_calibration_toml(calibration)
+        lifter: Any = ReconstructionTask(model=model).lifter()
+        with warnings_in_summary("rtof_kin.recording.cameras"):
+            take = replace(Recording.load(setup), model_prior=getattr(lifter, "prior", None))
+            if not imus and take.keypoints is not None:
+                take = replace(take, imus=None, calibration=None)
+            streams = open_sources(
+                camera or [],
+                imus or [],
+                take,
+                speed=speed,
+                names=map,
+                detector=lambda: detector_of(model_dir, fetch_models),
+            )
+        sinks: list[Sink] = []
+        try:
+            sinks += open_sinks(send or [], take)
+            servers = _served(sinks, take, browser)
+            landmarks = _points_of(streams.sources[0]) if camera else ()
+            settings = replace(
+                settings, video_latency_s=_latency(streams.sources[0]), refined=refinement_priors(refine)
+            )
+            err.print("preparing the estimator", soft_wrap=True)
+            estimator = OnlineEstimator(take, landmarks, settings, lifter, known)
+            _start(streams.sources)
+            recorder = None
+            if output is not None:
+                recorder = Recorder(output, take, video_delay_s=settings.video_delay_s)
+            display = LiveDisplay(out, take.skeleton)
+            session = LiveSession(
+                take,
+                streams.sources,
+                estimator,
+                sinks=(*sinks, display),
+                recorder=recorder,
+                video_delay_s=settings.video_delay_s,
+                in_background=streams.in_real_time,
+            )
+            summary = _run(session, display, servers, streams, seconds)
+            _print_summary(summary, output)
+            _finish_calibration(estimator.calibration, summary)
+        finally:
+            for source in streams.sources:
+                source.close()
+            for sink in sinks:
+                sink.close()
 
 
 def _print_recorded(folder: Path | str) -> None:
-    _line("recorded", f"{folder}")
-    _line("next", f"rtof-kin reconstruct {folder} -o OUT")
-
-
-def _run_session(options: argparse.Namespace) -> None:
-    from rtof_kin.core.environment import limit_threads
-
-    limit_threads(None)
-    from rtof_kin.calibration.result import read_self_calibration_toml
-    from rtof_kin.cli.live_display import LiveDisplay
-    from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
-    from rtof_kin.live.estimation.online_settings import OnlineSettings
-    from rtof_kin.live.estimation.refinement import refinement_priors
-    from rtof_kin.live.session.recorder import Recorder
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.sources.open_sources import open_sinks, open_sources
-    from rtof_kin.recording.index import INDEX
-    from rtof_kin.recording.recording import Recording
-
-    settings = OnlineSettings(options.rate, options.lag, video_delay_s=options.video_delay)
-    if options.output is not None:
-        check_replaceable(options.output, INDEX)
-    known = None if options.calibration is None else read_self_calibration_toml(options.calibration)
-    lifter = lifter_of(options)
-    with warnings_in_summary("rtof_kin.recording.cameras"):
-        setup = replace(Recording.load(options.setup), model_prior=getattr(lifter, "prior", None))
-        if not options.imus and setup.keypoints is not None:
-            setup = replace(setup, imus=None, calibration=None)
-        streams = open_sources(
-            options.camera,
-            options.imus,
-            setup,
-            speed=options.speed,
-            names=options.map,
-            detector=lambda: detector_of(options),
-        )
-    sinks: list[Sink] = []
-    try:
-        sinks += open_sinks(options.out, setup)
-        servers = _served(sinks, setup, options.view)
-        landmarks = _points_of(streams.sources[0]) if options.camera else ()
-        settings = replace(
-            settings,
-            video_latency_s=_latency(streams.sources[0]),
-            refined=refinement_priors(() if options.calibrate == "none" else options.calibrate.split(",")),
-        )
-        err.print("preparing the estimator", soft_wrap=True)
-        estimator = OnlineEstimator(setup, landmarks, settings, lifter, known)
-        _start(streams.sources)
-        recorder = None
-        if options.output is not None:
-            recorder = Recorder(options.output, setup, video_delay_s=options.video_delay)
-        display = LiveDisplay(out, setup.skeleton)
-        session = LiveSession(
-            setup,
-            streams.sources,
-            estimator,
-            sinks=(*sinks, display),
-            recorder=recorder,
-            video_delay_s=options.video_delay,
-            in_background=streams.in_real_time,
-        )
-        summary = _run(session, display, servers, streams, options.seconds)
-        _print_summary(summary, options)
-        _finish_calibration(estimator.calibration, summary)
-    finally:
-        for source in streams.sources:
-            source.close()
-        for sink in sinks:
-            sink.close()
+    line("recorded", f"{folder}")
+    line("next", f"rtof-kin reconstruct {folder} -o OUT")
 
 
 def _points_of(camera: Source) -> tuple[str, ...]:
     """Start a camera and return the names of its points; those of a port come with the first frames."""
-    from rtof_kin.core.errors import SourceError
-
     camera.start()
     deadline = time.monotonic() + _LONGEST_WAIT
     if not camera.landmarks:
@@ -250,8 +199,6 @@ def _points_of(camera: Source) -> tuple[str, ...]:
 
 def _start(sources: Sequence[Source]) -> None:
     """Start sources; sensors of the network that are not there, beside others, are left to the session."""
-    from rtof_kin.core.errors import SourceError
-
     missing = 0
     for source in sources:
         try:
@@ -264,7 +211,7 @@ def _start(sources: Sequence[Source]) -> None:
 
 def _latency(camera: Source) -> float:
     """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
-    from rtof_kin.live.sources.video_source import VideoSource
+    from rtof_kin.live.video import VideoSource
 
     if not isinstance(camera, VideoSource):
         return 0.0
@@ -275,17 +222,17 @@ def _latency(camera: Source) -> float:
     return min(max(_LATENCY[0], _MARGIN * measured), _LATENCY[1])
 
 
-def _served(sinks: list[Sink], setup: Recording, view: bool) -> list[WebSocketServer]:
-    """Return the servers among the outputs and print their addresses; with `view` there is one."""
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+def _served(sinks: list[Sink], setup: Recording, browser: bool) -> list[WebSocketServer]:
+    """Return the servers among the outputs and print their addresses; with `browser` there is one."""
+    from rtof_kin.live.websocket_server import WebSocketServer
 
     servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
-    if view and not servers:
+    if browser and not servers:
         servers = [WebSocketServer(setup.skeleton, floor_height=setup.floor_height)]
         sinks += servers
     for server in servers:
         err.print(f"{server.url} shows the skeleton in a browser, to who has this address", soft_wrap=True)
-    if view:
+    if browser:
         webbrowser.open(servers[0].url_once)
     return servers
 
@@ -317,23 +264,22 @@ def _run(
         return session.run(stop, clock=clock, **waits)
 
 
-def _print_summary(summary: SessionSummary, options: argparse.Namespace) -> None:
+def _print_summary(summary: SessionSummary, output: Path | None) -> None:
     """Print what happened, by stream, and what comes next."""
     frames = f"{summary.frames} poses in {summary.seconds:.1f} s"
     if summary.frames:
         frames += f", {summary.frame_ms_p50:.1f} ms each (99 % below {summary.frame_ms_p99:.1f} ms)"
-    _line("session", frames)
+    line("session", frames)
     for name, one in summary.streams.items():
         counts = {"did not come": one.lost, "late": one.late, "too late": one.too_late, "not used": one.left_out}
         said = "".join(f", {count} {what}" for what, count in counts.items() if count)
-        _line("stream", f"{name}: {one.received} samples{said}")
+        line("stream", f"{name}: {one.received} samples{said}")
     if summary.folder is not None:
         _print_recorded(summary.folder)
-    elif options.output is not None:
-        _line(
+    elif output is not None:
+        line(
             "recorded",
-            f"nothing that is a recording; what came is in {options.output}, and rtof-kin live "
-            f"--finish {options.output} tries again",
+            f"nothing that is a recording; what came is in {output}, and rtof-kin live --finish {output} tries again",
         )
 
 
@@ -349,5 +295,155 @@ def _finish_calibration(found: SelfCalibration | None, summary: SessionSummary) 
         out.print(f"wrote {summary.folder / CALIBRATION}", soft_wrap=True)
 
 
-def _line(name: str, text: str) -> None:
-    out.print(Text(f"{name:9} ", "bold"), Text(text), soft_wrap=True, sep="")
+class LiveDisplay:
+    """Output of a live session on the console.
+
+    Args:
+        now: seconds of the system.
+    """
+
+    def __init__(self, console: Console, skeleton: SkeletonModel, now: Callable[[], float] = time.monotonic):
+        self._console, self._skeleton, self._now = console, skeleton, now
+        self._last: OnlineEstimate | None = None
+        self._seconds: deque[float] = deque(maxlen=_FRAMES)
+        self._lags: deque[float] = deque(maxlen=_FRAMES)
+        self._said: deque[Text] = deque(maxlen=_MESSAGES)
+        self._told = 0
+        self._begun = self._shown = now()
+        self._computed = -math.inf
+        self._known: list[tuple[str, str]] = []
+        self.frames = 0
+        """Estimates so far."""
+        self._live: Live | None = None
+
+    def __enter__(self) -> Self:
+        self._begun = self._shown = self._now()
+        if self._console.is_terminal:
+            self._live = Live(console=self._console, auto_refresh=False, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- sink --------------------------------------------------------------------------------------
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        """Take an estimate."""
+        self._last = estimate
+        self.frames += 1
+        self._seconds.append(estimate.seconds)
+        self._lags.append(estimate.lag_s)
+
+    def tell(self, sentence: str) -> None:
+        """Take a message; without a terminal it is printed at once."""
+        if self._live is None:
+            self._console.print(sentence, soft_wrap=True)
+        else:
+            self._told += 1
+            self._said.append(Text(sentence))
+
+    def due(self) -> bool:
+        """Return whether it is time to show the present state again."""
+        return self._now() - self._shown >= (_LINE_EVERY if self._live is None else _TABLE_EVERY)
+
+    def show(self, status: Mapping[str, Any]) -> None:
+        """Show the present state.
+
+        Args:
+            status: of the streams, see `rtof_kin.live.monitor.Monitor.status`.
+        """
+        self._shown = self._now()
+        if self._live is None:
+            self._console.print(self._line(status), soft_wrap=True)
+        else:
+            self._live.update(self._table(status), refresh=True)
+
+    def close(self) -> None:
+        """Leave the last messages on the terminal; may be called twice."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+            if self._told > len(self._said):
+                self._console.print(f"{self._told - len(self._said)} messages before these")
+            for sentence in self._said:
+                self._console.print(sentence, soft_wrap=True)
+
+    # --- content -----------------------------------------------------------------------------------
+
+    def _figures(self, rate: float | None) -> str:
+        """Return rate, lag and time of a frame in words."""
+        if not self._seconds:
+            return "no estimate yet"
+        p50, p99 = 1000 * np.percentile(self._seconds, [50, 99])
+        parts = [] if rate is None else [f"{rate:.0f} Hz"]
+        parts += [f"lag {1000 * np.median(self._lags):.0f} ms", f"frame {p50:.1f} ms (p99 {p99:.1f})"]
+        return ", ".join(parts)
+
+    def _line(self, status: Mapping[str, Any]) -> str:
+        streams = [*status["sensors"], *([status["camera"]] if status["camera"] else [])]
+        good = sum(one["state"] == "ok" for one in streams)
+        angles = "; ".join(f"{name} {text}" for name, text in self._angles())
+        parts = [
+            f"{self._now() - self._begun:6.1f} s",
+            self._figures(status["rate_hz"]),
+            f"{good} of {len(streams)} streams ok",
+        ]
+        return ", ".join(parts) + (f"; {angles} deg" if angles else "")
+
+    def _table(self, status: Mapping[str, Any]) -> Group:
+        streams = Table(
+            "stream",
+            Column("state", no_wrap=True),
+            Column("rate\n[Hz]", justify="right"),
+            Column("loss\n[%]", justify="right"),
+            Column("late\n[ms]", justify="right"),
+            "says",
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+        )
+        for one in (*([status["camera"]] if status["camera"] else []), *status["sensors"]):
+            state = str(one["state"])
+            streams.add_row(
+                Text(str(one["name"])),
+                Text(state, _STYLES.get(state, "bold red")),
+                *(_number(one[key]) for key in ("rate_hz", "loss_percent", "latency_ms")),
+                Text("" if state == "ok" else str(one["sentence"])),
+            )
+        angles = Table(
+            Column("angle [deg]"),
+            Column("left", justify="right"),
+            Column("right", justify="right"),
+            box=SIMPLE_HEAD,
+            pad_edge=False,
+        )
+        found = dict(self._angles())
+        for name in _ANGLES:
+            what = name.replace("_", " ")
+            angles.add_row(what, found.get(f"left {what}", ""), found.get(f"right {what}", ""))
+        figures = self._figures(status["rate_hz"])
+        head = Text(f"{self._now() - self._begun:.0f} s   {figures}   end with Ctrl-C", "bold")
+        return Group(head, streams, angles, *self._said)
+
+    def _angles(self) -> list[tuple[str, str]]:
+        """Names and values in degrees of the shown angles that are known."""
+        if self._last is None or self._now() - self._computed < _ANGLES_EVERY:
+            return self._known
+        self._computed = self._now()
+        try:
+            angles = clinical_angles(self._last.poses, self._skeleton)
+        except RtofError:  # the skeleton has no clinical angles
+            return []
+        wanted = [f"{side}_{name}" for name in _ANGLES for side in ("left", "right")]
+        names = [name for name in wanted if name in angles.names]
+        values = angles.select(names).values[0]
+        self._known = [
+            (name.replace("_", " "), f"{np.degrees(value):.0f}")
+            for name, value in zip(names, values, strict=True)
+            if math.isfinite(value)
+        ]
+        return self._known
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else f"{value:.0f}"

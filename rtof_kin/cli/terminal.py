@@ -1,19 +1,17 @@
-"""Consoles, progress bars and tables of all commands, and how a command is declared."""
+"""Consoles, progress bars and tables of all commands."""
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import os
-import re
 import signal
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -21,12 +19,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.core.errors import nearest, plain
+from rtof_kin.core.errors import plain
 from rtof_kin.core.files.manifest import MANIFEST
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.reporting.headline import Headline
+    from rtof_kin.reporting.audit_results import Headline
     from rtof_kin.reporting.statistics import ReconstructionStatistics
 
 # Units stand in square brackets, and paths may: nothing printed is markup.
@@ -42,71 +40,12 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
+_WIDEST_FIGURE = 10
+"""Columns of longer cells hold text."""
 _LONG = 600.0
 """[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
 """Mean norm of a normal error in three dimensions, in standard deviations of an axis."""
-
-
-class Parser(argparse.ArgumentParser):
-    """Parser whose errors are one line with the likely meant choice, in place of the whole usage."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with 2."""
-        wrong = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        close = nearest([wrong[1]], re.findall("'(.*?)'", wrong[2])) if wrong else []
-        if close:
-            message = f"{message.partition(' (choose')[0]}; did you mean {close[0]}?"
-        self.exit(2, f"error: {message} ({self.prog} --help has all options)\n")
-
-
-def decimal(text: str) -> float:
-    """Return a decimal number, also with a comma as its point; raises ArgumentTypeError for other text."""
-    try:
-        return float(text.replace(",", "."))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number, such as 1.72 (without its unit)") from error
-
-
-def command(
-    commands: Any, name: str, run: Callable[[argparse.Namespace], int | None], summary: str, more: str
-) -> argparse.ArgumentParser:
-    """Declare a command.
-
-    Args:
-        run: what it does; returns the exit code or None. summary: one line without a full stop.
-    """
-    parser: argparse.ArgumentParser = commands.add_parser(
-        name,
-        help=summary,
-        description=f"{summary[0].upper()}{summary[1:]}. {more}",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.set_defaults(run=run)
-    return parser
-
-
-def add_output(parser: argparse.ArgumentParser, default: str | None, what: str, **how: Any) -> None:
-    """Declare -o and --overwrite.
-
-    Args:
-        default: None where the option is required.
-    """
-    parser.add_argument("-o", "--output", default=default, required=default is None, metavar="OUT", help=what, **how)
-    parser.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
-
-
-_MODEL = (
-    "lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
-    "default), perfect"
-)
-
-
-def add_model(parser: argparse.ArgumentParser, what: str = _MODEL, required: bool = False) -> None:
-    """Declare --model, and --lifter as its old name."""
-    names = parser.add_mutually_exclusive_group(required=required)
-    names.add_argument("--model", type=Path, metavar="FILE", help=what)
-    names.add_argument("--lifter", dest="model", type=Path, help=argparse.SUPPRESS)
 
 
 class _PlainFormatter(logging.Formatter):
@@ -222,6 +161,11 @@ def warnings_in_summary(logger: str = "rtof_kin.reconstruction.pipeline.warnings
 # --- what is printed -----------------------------------------------------------------------------
 
 
+def line(name: str, text: str, style: str = "") -> None:
+    """Print a sentence behind its kind."""
+    out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
+
+
 def print_summary(found: ReconstructionStatistics, headline: Headline, folder: str | Path) -> None:
     """Print a result in five lines: recording, accuracy, cautions, files, next command.
 
@@ -242,7 +186,7 @@ def print_summary(found: ReconstructionStatistics, headline: Headline, folder: s
     }
     for name, text in lines.items():
         style = STYLES.get(headline.grade.value, "") if name == "caution" else ""
-        out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
+        line(name, text, style)
 
 
 def _duration(seconds: float) -> str:
@@ -358,3 +302,25 @@ def _entries(folder: str | Path) -> list[str]:
 def print_files(folder: str | Path) -> None:
     """Print the files of a folder."""
     out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)
+
+
+def print_tables(tables: Sequence[Any]) -> None:
+    """Print tables with their notes."""
+    for table in tables:
+        rows = table.text()
+        columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]
+        shown = Table(*columns, title=table.title)
+        for row in rows:
+            shown.add_row(*row)
+        out.print(shown, crop=False)
+        for note in table.notes:
+            out.print(f"  {note}", style="dim", soft_wrap=True)
+
+
+def _column(heading: str, *cells: str) -> Column:
+    """Column that folds text but never cuts a figure."""
+    widest = max(map(len, cells), default=0)
+    if widest > _WIDEST_FIGURE:
+        return Column(heading, min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
+    words = heading.split()
+    return Column("\n".join(words), justify="right", min_width=max(widest, *map(len, words)))

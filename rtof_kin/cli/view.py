@@ -1,123 +1,103 @@
-"""The command view: a motion, or the live estimator, in 3D in the browser."""
+"""Commands that look at a motion: view in 3D, overlay on its video."""
 
 from __future__ import annotations
 
-import argparse
 import signal
 import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.text import Text
+from cyclopts import Parameter
 
-from rtof_kin.cli.terminal import STYLES, command, out, progress
+from rtof_kin.cli.options import Browser, Fields, File, Fps, Overwrite, Start, Stop, command
+from rtof_kin.cli.terminal import STYLES, err, line, out, progress
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.view.overlay_settings import OverlaySettings
 
 if TYPE_CHECKING:
-    from rtof_kin.view.scene.viewer import Opened
+    from rtof_kin.view.viewer import Opened
 
-_NO_ADDRESS: Final = ""
-"""Value of --live without an address."""
-
-
-def add_commands(commands: Any) -> None:
-    """Declare the commands of this module."""
-    parser = command(
-        commands,
-        "view",
-        _view,
-        "a motion in 3D in the browser, with cameras, sensors, truth and curves",
-        "OUT is the output of reconstruct or run. The page is served to this machine only, under an address "
-        "with a secret token; nothing leaves it. Ctrl-C ends. Keys: space plays, arrows step by a frame "
-        "(left, right) or a second (up, down). Needs the extra: pip install 'rtof-kin[view]'.",
-    )
-    parser.add_argument("motion", metavar="OUT", nargs="?", help="output folder, or its motion.h5")
-    parser.add_argument(
-        "--video",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="video of the camera, shown in its frustum; several times for several cameras, in their order",
-    )
-    parser.add_argument("--second", metavar="OUT_B", help="another motion beside it, e.g. of another setting")
-    parser.add_argument(
-        "--live",
-        nargs="?",
-        const=_NO_ADDRESS,
-        metavar="ADDRESS",
-        help="show rtof-kin live instead; ADDRESS is the one it printed, with its token",
-    )
-    parser.add_argument("--port", type=int, default=0, help="of the page; 0: a free one")
-    parser.add_argument("--no-browser", action="store_true", help="only print the address")
-    _add_page(parser)
+_OTHERS = (
+    "only the tracked person's face is made unrecognisable, not those of other people, nor clothes, gait or the place"
+)
+Page = Parameter(group="One file that opens offline, instead of a server")
 
 
-def _add_page(parser: argparse.ArgumentParser) -> None:
-    page = parser.add_argument_group("one file that opens offline, instead of a server")
-    page.add_argument("--html", metavar="FILE", help="file to write")
-    page.add_argument("--from", dest="start", type=float, metavar="S", help="begin at this time")
-    page.add_argument("--to", dest="stop", type=float, metavar="S", help="end at this time")
-    page.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="frames per second, at most")
-    page.add_argument(
-        "--limit", type=float, default=50.0, metavar="MB", help="of the file; longer motions are thinned out"
-    )
-    page.add_argument("--overwrite", action="store_true", help="replace what an earlier run wrote there")
+@command
+def view(
+    motion: Path | None = None,
+    /,
+    *,
+    video: list[Path] | None = None,
+    beside: Annotated[Path | None, Parameter(metavar="OUT_B")] = None,
+    live: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
+    port: Annotated[int, Parameter(metavar="N")] = 0,
+    browser: Browser = True,
+    html: Annotated[Path | None, Page, Parameter(metavar="FILE")] = None,
+    start: Annotated[Start, Page] = None,
+    stop: Annotated[Stop, Page] = None,
+    fps: Annotated[Fps, Page] = 30.0,
+    limit: Annotated[float, Page, Parameter(metavar="MB")] = 50.0,
+    overwrite: Annotated[Overwrite, Page] = False,
+) -> None:
+    """A motion in 3D in the browser, with cameras, sensors, truth and curves.
 
+    The page is served to this machine only, under an address with a secret token; nothing leaves it. Ctrl-C ends.
+    Keys: space plays, arrows step by a frame (left, right) or a second (up, down). Needs the extra: pip install
+    'rtof-kin[view]'.
 
-def _view(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import InvalidInputError
-
-    if (options.motion is None) == (options.live is None):
+    Args:
+        motion: output folder of reconstruct or run, or its motion.h5
+        video: video of the camera, shown in its frustum; several times for several cameras, in their order
+        beside: another motion beside it, e.g. of another setting
+        live: show rtof-kin live instead; ADDRESS is the one it printed, with its token
+        port: of the page; 0: a free one
+        html: file to write
+        limit: size of the file; longer motions are thinned out
+    """
+    if (motion is None) == (live is None):
         raise InvalidInputError("name the output folder of a motion, or --live ADDRESS")
-    if options.live is not None:
-        if options.html or options.video or options.second:
-            raise InvalidInputError("--live shows the live estimator alone; leave out --html, --video, --second")
-        _live(options)
-    elif options.html is not None:
-        if options.video:
-            raise InvalidInputError("--html: the file has no video; leave out --video")
-        _page(options)
-    else:
-        _motion(options)
-
-
-def _motion(options: argparse.Namespace) -> None:
-    from rtof_kin.view.scene.local_server import local_server
-    from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
+    if live is not None:
+        if html or video or beside:
+            raise InvalidInputError("--live shows the live estimator alone; leave out --html, --video, --beside")
+        _live(live, port, browser)
+        return
+    assert motion is not None
+    if html is not None and video:
+        raise InvalidInputError("--html: the file has no video; leave out --video")
+    from rtof_kin.core.files.folder import check_new_file
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.static_page import write_static_page
+    from rtof_kin.view.viewer import MotionFiles, MotionViewer
 
     with ExitStack() as stack:
-        files = stack.enter_context(MotionFiles(options.motion, options.second))
-        _tell(files, options)
-        server = stack.enter_context(local_server(options.port, "rtof_kin view"))
-        stop = stack.enter_context(_until_interrupted())
-        viewer = stack.enter_context(MotionViewer(server, files, options.video))
-        _open(server, options)
-        viewer.run(stop)
-
-
-def _page(options: argparse.Namespace) -> None:
-    from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.view.scene.local_server import local_server
-    from rtof_kin.view.scene.static_page import write_static_page
-    from rtof_kin.view.scene.viewer import MotionFiles
-
-    check_new_file(options.html, options.overwrite)
-    with MotionFiles(options.motion, options.second) as files, local_server() as server:
-        _tell(files, options)
-        with progress() as update:
-            page = write_static_page(
-                server,
-                files,
-                options.html,
-                start=options.start,
-                stop=options.stop,
-                rate_hz=options.rate,
-                largest_mb=options.limit,
-                overwrite=options.overwrite,
-                progress=update,
-            )
-    thinned = f", thinned out to stay below {options.limit:g} MB" if page.thinned else ""
+        if html is not None:
+            check_new_file(html, overwrite)
+        files = stack.enter_context(MotionFiles(motion, beside))
+        _print_files(files, motion, beside)
+        if html is None:
+            server = stack.enter_context(local_server(port, "rtof_kin view"))
+            end = stack.enter_context(_until_interrupted())
+            viewer = stack.enter_context(MotionViewer(server, files, video or []))
+            _open(server, browser)
+            viewer.run(end)
+            return
+        server, update = stack.enter_context(local_server()), stack.enter_context(progress())
+        page = write_static_page(
+            server,
+            files,
+            html,
+            start=start,
+            stop=stop,
+            rate_hz=fps,
+            largest_mb=limit,
+            overwrite=overwrite,
+            progress=update,
+        )
+    thinned = f", thinned out to stay below {limit:g} MB" if page.thinned else ""
     out.print(
         f"wrote {page.path}: {page.size_mb:.1f} MB, {page.frames} frames at {page.rate_hz:.3g} Hz{thinned}; "
         "opens in any browser without a network",
@@ -125,30 +105,21 @@ def _page(options: argparse.Namespace) -> None:
     )
 
 
-def _live(options: argparse.Namespace) -> None:
-    from rtof_kin.core.errors import InvalidInputError
-    from rtof_kin.view.scene.live_client import LiveClient, live_address
-    from rtof_kin.view.scene.live_viewer import LiveViewer
-    from rtof_kin.view.scene.local_server import local_server
+def _live(address: str, port: int, browser: bool) -> None:
+    from rtof_kin.view.live_client import LiveClient, live_address
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.viewer import LiveViewer
 
-    if options.live == _NO_ADDRESS:
-        raise InvalidInputError(
-            "--live: give the address that rtof-kin live ... --out ws printed, e.g. --live "
-            "http://127.0.0.1:8765/kq0T.../"
-        )
-    url = live_address(options.live)
-    with LiveClient(url) as client, local_server(options.port, "rtof_kin live") as server:
+    url = live_address(address)
+    with LiveClient(url) as client, local_server(port, "rtof_kin live") as server:
         out.print(f"shows the estimates of {url}", soft_wrap=True)
         viewer = LiveViewer(server, client)
-        with _until_interrupted() as stop:
-            _open(server, options)
-            viewer.run(stop)
+        with _until_interrupted() as end:
+            _open(server, browser)
+            viewer.run(end)
 
 
-# --- what is said --------------------------------------------------------------------------------
-
-
-def _tell(files: Opened, options: argparse.Namespace) -> None:
+def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
     """Print what is shown."""
     motion, given = files.motion, files.measurements
     parts = [f"{motion.times[-1] - motion.times[0]:.1f} s at {motion.rate_hz:.0f} Hz"]
@@ -157,25 +128,20 @@ def _tell(files: Opened, options: argparse.Namespace) -> None:
         parts += [f"{len(first.views)} camera{'s' if len(first.views) > 1 else ''}"] if first.views else []
         parts += [f"{len(first.sensors)} IMUs"] if first.sensors else []
         parts += ["the truth"] if first.truth is not None else []
-    if options.second is not None:
-        parts.append(f"beside it {options.second}")
-    _line("shows", f"{options.motion}: {', '.join(parts)}")
-    _line("verdict", files.verdict.line, STYLES.get(files.verdict.grade, ""))
+    if beside is not None:
+        parts.append(f"beside it {beside}")
+    line("shows", f"{folder}: {', '.join(parts)}")
+    line("verdict", files.verdict.line, STYLES.get(files.verdict.grade, ""))
     for note in files.notes:
-        _line("missing", note)
+        line("missing", note)
 
 
-def _line(name: str, text: str, style: str = "") -> None:
-    out.print(Text(f"{name:9} ", "bold"), Text(text, style), soft_wrap=True, sep="")
-
-
-def _open(server: Any, options: argparse.Namespace) -> None:
+def _open(server: Any, browser: bool) -> None:
     """Print the address and open the browser."""
-    from rtof_kin.view.scene.local_server import address
+    from rtof_kin.view.local_server import address
 
-    url = address(server)
-    _line("address", f"{url} (this machine only, to who has this address; Ctrl-C ends)")
-    if not options.no_browser:
+    line("address", f"{address(server)} (this machine only, to who has this address; Ctrl-C ends)")
+    if browser:
         webbrowser.open(address(server, once=True))
 
 
@@ -192,3 +158,70 @@ def _until_interrupted() -> Iterator[threading.Event]:
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)
+
+
+@command
+def overlay(
+    motion: Path,
+    video: Path | None = None,
+    /,
+    *,
+    output: File,
+    no_video: bool = False,
+    settings: Annotated[
+        OverlaySettings,
+        Fields(
+            "start",
+            "stop",
+            "angles",
+            "bands",
+            "points",
+            "blur_face",
+            "title",
+            "background",
+            shift="video-shift",
+            width_px="width",
+        ),
+    ],
+    view: Annotated[int, Parameter(metavar="N")] = 1,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw a motion on its video, as an MP4 or GIF.
+
+    Skeleton coloured by what observed it, and none where nothing did; angles with their 95 % bands, faults of sensors
+    while they last, and time. Prints the verdict on the motion. Sound and metadata of the video (place, date, device)
+    are not copied. Nothing leaves this machine. With --blur-face only the tracked person's face is made
+    unrecognisable, not those of other people, nor clothes, gait or the place.
+
+    Args:
+        motion: output folder of reconstruct or run
+        video: that the motion was computed from, uncropped
+        no_video: plain background in place of the video, for privacy
+        view: camera of VIDEO, the first is 1
+    """
+    from rtof_kin.view.film import write_overlay
+
+    if (video is None) != no_video:
+        raise InvalidInputError("overlay: name the VIDEO of this motion, or give --no-video")
+    with progress() as update:
+        result = write_overlay(
+            motion, output, video, view=view, settings=settings, overwrite=overwrite, progress=update
+        )
+    for note in result.notes:
+        err.print(f"warning: {note}", style="yellow", soft_wrap=True)
+    size = Path(result.path).stat().st_size / 1e6
+    out.print(
+        f"wrote {result.path}: {result.frames} pictures of {result.width_px} x {result.height_px} px, "
+        f"{size:.1f} MB, {result.encoder}; no sound, no metadata of the video",
+        soft_wrap=True,
+    )
+    if result.without_motion:
+        out.print(
+            f"{result.without_motion} pictures have no skeleton: nobody is observed, or they are outside the motion",
+            soft_wrap=True,
+        )
+    out.print(f"motion    {result.verdict.line}", style=STYLES.get(result.verdict.grade, ""), soft_wrap=True)
+    if result.encoder == "mpeg4":
+        out.print("this PyAV cannot encode H.264: the file is MPEG-4 part 2, which browsers do not play")
+    if video is not None and settings.blur_face:
+        out.print(f"faces: {_OTHERS}; look at the whole film before you pass it on", soft_wrap=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
+from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import AngleTable, angle_table
@@ -52,8 +54,8 @@ class MotionAnalysis:
         return out | {"torques": (NO_WEIGHT,) if self.torques is None else self.torques.notes}
 
 
-def analyse_motion(
-    motion: Motion | MotionSource,
+def analyse(
+    motion: str | Path | Motion | MotionSource,
     *,
     weight_kg: float | None = None,
     height: float | None = None,
@@ -64,6 +66,7 @@ def analyse_motion(
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
 
     Args:
+        motion: output folder of a reconstruction, its motion file, or a motion.
         weight_kg: body mass, kg; no torques without it. height: m, to check the size of the skeleton.
         sex: 'male', 'female' or None for the mean.
         from_standing: whether angles are relative to the person's quiet standing (`relative_to_standing`).
@@ -74,6 +77,16 @@ def analyse_motion(
     """
     if weight_kg is None and (height is not None or sex is not None):
         raise InvalidInputError("height and sex are used for joint torques, which need a weight in kg")
+    if isinstance(motion, str | Path):
+        with MotionReader(motion_path(motion)) as reader:
+            return analyse(
+                reader,
+                weight_kg=weight_kg,
+                height=height,
+                sex=sex,
+                repetitions=repetitions,
+                from_standing=from_standing,
+            )
     source = MotionSource.of(motion)
     angles, paths = _angles_and_paths(source, from_standing)
     if from_standing:

@@ -27,7 +27,7 @@ import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.comparison import HEADINGS, LEAST_SHARE, repetition_spans
 from rtof_kin.clinical.comparison_change import Measured
@@ -103,7 +103,7 @@ class Visit:
 def trial(name: str, motion: Motion | MotionSource, setup: Setup | None = None) -> Trial:
     """Return a motion with its analysis, repetitions and stated errors of its strides."""
     source = MotionSource.of(motion)
-    analysis = analyse_motion(source)
+    analysis = analyse(source)
     spans = repetition_spans(analysis.paths, analysis.angles)
     return Trial(name, analysis, spans, _stride_sigmas(source, analysis), setup or Setup())
 

@@ -47,7 +47,10 @@ class UnitCheck:
         """
         R, f = R_inertial_sensor, f_sensor
         norm = np.linalg.norm(f, axis=-1)
-        self._turned.append(_sums(np.einsum("tsij,tsj->tsi", R, f)))
+        turned = np.einsum("tsij,tsj->tsi", R, f)
+        known = np.asarray(np.isfinite(turned).all(axis=-1))
+        sums = np.where(known[..., None], turned, 0.0).sum(axis=0)
+        self._turned.append(np.column_stack([sums, known.sum(axis=0)]))
         before, self._last = self._last, (R[-1:], f[-1:])
         if before is not None:
             R, f = np.concatenate([before[0], R]), np.concatenate([before[1], f])
@@ -69,16 +72,19 @@ class UnitCheck:
                 _check_unit(name, norms[:, s], turned[s])
 
 
-def _sums(f: Array) -> Array:
-    """Return the sums (S, 3) over known samples of f (T, S, 3), with their number (S,) as a fourth column."""
-    known = np.asarray(np.isfinite(f).all(axis=-1))
-    return np.column_stack([np.where(known[..., None], f, 0.0).sum(axis=0), known.sum(axis=0)])
-
-
 def _check_unit(name: str, norm: Array, turned: Array) -> None:
-    """Check the specific force of a sensor: norms (T,), and `_sums` (4,) in the inertial reference."""
+    """Check the specific force of a sensor.
+
+    A norm contains gravity, in any unit, if it is rarely small, or if most of it is constant in the inertial reference.
+
+    Args:
+        norm: (T,). turned: (4,) sum of the known samples in the inertial reference, and their number.
+    """
     median = float(np.nanmedian(norm))
-    if 0.5 < median < 2.0 and _feels_gravity(norm, turned):
+    feels_gravity = np.nanquantile(norm, 0.1) > 0.7 * median or (
+        turned[3] > 0 and np.linalg.norm(turned[:3] / turned[3]) > 0.5 * np.nanmean(norm)
+    )
+    if 0.5 < median < 2.0 and feels_gravity:
         raise UnitError(
             f"IMU {name}: the median specific force is {median:.2f}, which is one gravity "
             f"in g; multiply by {STANDARD_GRAVITY} to get m/s^2"
@@ -93,16 +99,6 @@ def _check_unit(name: str, norm: Array, turned: Array) -> None:
             f"IMU {name}: the median specific force is {median:.3g}, far above one gravity; "
             "give m/s^2 (9.81 at rest), not milli-g or raw counts"
         )
-
-
-def _feels_gravity(norm: Array, turned: Array) -> bool:
-    """Return whether a norm (T,) of specific force, in any unit, contains gravity.
-
-    Either it is rarely small, or most of it is constant in the inertial reference.
-    """
-    if np.nanquantile(norm, 0.1) > 0.7 * np.nanmedian(norm):
-        return True
-    return bool(turned[3] > 0 and np.linalg.norm(turned[:3] / turned[3]) > 0.5 * np.nanmean(norm))
 
 
 @dataclass(frozen=True)

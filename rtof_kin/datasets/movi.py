@@ -134,7 +134,7 @@ class Movi:
                 raise FileFormatError(
                     self.root / file,
                     "the calibration of the camera is missing; unpack 'Camera Parameters.tar', or measure "
-                    "without one: --camera unknown",
+                    "without one: --uncalibrated",
                 )
         return read_camera(*(path for path in found.values() if path is not None))
 

@@ -91,7 +91,7 @@ class OpenCapValidation:
         calibration = existing(
             take.folder.parent / "cameraIntrinsicsExtrinsics.pickle",
             "the calibration of the camera",
-            "unpack it from LabValidation_withVideos, or measure without one: --camera unknown",
+            "unpack it from LabValidation_withVideos, or measure without one: --uncalibrated",
         )
         return TakeInputs(video=_video(take), rate_hz=60.0, camera=calibration, height=_height(take))
 

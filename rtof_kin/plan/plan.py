@@ -13,12 +13,10 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.plan.calibration_time import CalibrationTime, calibration_time
 from rtof_kin.plan.identifiability import Information, Weakness, information
-from rtof_kin.plan.prediction import Prediction, predict
+from rtof_kin.plan.prediction import CalibrationTime, Prediction, calibration_time, predict
 from rtof_kin.plan.protocol import Protocol
-from rtof_kin.plan.setup import Setup, seen_share
-from rtof_kin.plan.sources import liveliest
+from rtof_kin.plan.setup import Setup, liveliest, seen_share
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reporting.angle_names import XZY, angle_name
 

@@ -47,10 +47,13 @@ class Human36MProtocol(CameraProtocol):
     keypoints: str = "gt"
     """'gt', or the detector's part of the archive's name."""
     subjects: tuple[str, ...] = SUBJECTS_TEST
+    """Subjects that are measured."""
     actions: tuple[str, ...] = ()
     """Names such as 'Walking', with or without their number; empty for all."""
     cameras: tuple[int, ...] = CAMERAS
+    """Numbers of the cameras."""
     modes: tuple[str, ...] = _VISION
+    """Stages to measure."""
     save: Path | None = None
     """Folder for the motions, if wanted."""
 

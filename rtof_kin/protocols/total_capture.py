@@ -77,19 +77,24 @@ class TotalCaptureProtocol(CameraProtocol):
     root: Path
     """Folder of the dataset."""
     subjects: tuple[str, ...] = SUBJECTS
+    """Subjects that are measured."""
     takes: tuple[str, ...] = TEST_TAKES
+    """Takes of each subject; default: the paper's three test takes."""
     cameras: tuple[int, ...] = CAMERAS
+    """Numbers of the cameras; camera 2 is miscalibrated."""
     keypoints: Path | None = None
-    """Folder with a detector's 2D; by default ground-truth 2D."""
+    """Folder with a detector's 2D; default: ground-truth 2D."""
     layout: str | None = None
-    """Layout of the detector's points, or `RECOGNISE`; by default landmarks of the skeleton."""
+    """Layout of the detector's points, such as body25, coco17 or mediapipe33, or auto to have it recognised; default:
+    landmarks of the skeleton."""
     noise_px: float = 0.0
     """Standard deviation of white noise added to ground-truth 2D, px per axis."""
     sensors: tuple[str, ...] = LIMB_SENSORS
-    """Names, or the one of `SENSOR_SETS`."""
+    """Names of the sensors, or 8, 10 or 13 for the sets of the paper."""
     space: Space = SPACES[0]
     """Variables of the fragment solver; the studies use those of the paper."""
     modes: tuple[str, ...] = CAMERA_MODES
+    """Stages to measure."""
     lifter: Path | None = None
     """A file, or the name of a shipped one; the shipped default where not given."""
     calibrate: bool = False

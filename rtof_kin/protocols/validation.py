@@ -45,7 +45,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.reporting import document
 from rtof_kin.reporting.document import Document
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
@@ -74,6 +74,7 @@ class ValidationProtocol:
     mode: Mode | None = None
     """Of reconstruction; None for what the set has inputs for."""
     lifter: Path | None = None
+    """A file, or the name of a shipped one; the shipped default where not given."""
     camera: str = CAMERAS[0]
     """One of `CAMERAS`."""
     keypoints: Path | None = None
@@ -288,7 +289,7 @@ def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> 
     """Return the recording of a take, and what was found, assumed or in doubt.
 
     Raises:
-        InvalidInputError: the take lacks what the mode needs. Errors of `make_recording`,
+        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`,
             `calibrate_by_pose`.
     """
     mode = job.protocol.own_mode
@@ -335,7 +336,7 @@ def _of_images(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> tu
         write_opensense_sto(sensors[0], SensorLog.of_imus(imus_of_log(log), sensors[0]))
     sources = Sources(keypoints=_keypoints(job, inputs, settings), camera=camera, sensors=tuple(sensors))
     find_people(sources, settings, job.folder / "recording", _no_detector)
-    said = make_recording(sources, settings, job.folder / "recording", name=job.take.key)
+    said = write_recording(sources, settings, job.folder / "recording", name=job.take.key)
     notes = [*said.assumed, *said.doubtful]
     if inputs.height is None:  # init's remedy is an option of its own
         notes = [note for note in notes if "--height" not in note]

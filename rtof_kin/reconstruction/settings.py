@@ -24,13 +24,14 @@ class ReconstructionSettings:
     fragment: JointSpaceSettings | CartesianSettings | None = None
     """Settings of the fragment solver; their type gives the space. Default: those of `space`."""
     space: Space | None = None
-    """Variables of the fragment solver where `fragment` is not given. Default: see `FragmentSolver`."""
+    """Variables of the fragment solver: configurations of the skeleton, or joint positions (the paper's); default:
+    joint, where a pose prior is shipped for the skeleton."""
     backend: Backend | None = None
-    """Solver of a fragment where `fragment` is not given. Default: that of the space."""
+    """Solver of a fragment; default: realtime in joint space, ipopt in cartesian. Calibration has its own solver."""
     frames: int = 50
-    """N, frames of a fragment."""
+    """Frames of a fragment, N."""
     guards: tuple[Guard, ...] = GUARDS
-    """Which outliers of keypoints and sensors are rejected (`Reconstruction.faults`)."""
+    """Which outliers of keypoints and sensors are rejected, see `Reconstruction.faults`; none: no rejection."""
     confidence: bool = True
     """Compute pose covariances (`Motion.confidence`) in modes rto and rtof in joint space."""
     checks: bool = True

@@ -60,7 +60,7 @@ def index_of(folder: Path) -> RecordingTable:
             finish = f"rtof-kin live --finish {folder}"
             raise FileFormatError(folder, f"a live session that was not finished; {finish} makes a recording of it")
         raise FileFormatError(
-            path, "there is no such file; rtof-kin init makes a recording of a video and sensors' files"
+            path, "there is no such file; rtof-kin run --only recording makes a recording of a video and sensors' files"
         )
     data = load_toml(path)
     version = data.get("schema_version", SCHEMA_VERSION)

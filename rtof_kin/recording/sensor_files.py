@@ -19,7 +19,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.data.imu import ImuCalibration, ImuSequence
-from rtof_kin.data.imu_stream import CHOICES, SensorLog, SensorStream
+from rtof_kin.data.imu_stream import CHOICES, SensorLog
 from rtof_kin.formats.imu_calibration_toml import calibration_of
 from rtof_kin.formats.sensors.files import format_of, read_sensor_log
 from rtof_kin.formats.sensors.sensor_map import matched, read_sensor_map
@@ -151,14 +151,10 @@ def imus_of_log(log: SensorLog) -> ImuSequence:
     Raises:
         InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
     """
-    estimated = log_with_orientation(log)
-    return ImuSequence.joined([_with_force(stream).imu() for stream in estimated.streams])
-
-
-def _with_force(stream: SensorStream) -> SensorStream:
-    if stream.f_sensor is not None:
-        return stream
-    return replace(stream, f_sensor=np.full((len(stream), 3), np.nan))
+    streams = log_with_orientation(log).streams
+    unknown = {one.name: np.full((len(one), 3), np.nan) for one in streams if one.f_sensor is None}
+    complete = [replace(one, f_sensor=unknown.get(one.name, one.f_sensor)) for one in streams]
+    return ImuSequence.joined([one.imu() for one in complete])
 
 
 # --- this package's own files --------------------------------------------------------------------

@@ -13,6 +13,7 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -44,6 +45,7 @@ GRADE_WORDS: Final = {
     Grade.INFORMATION: "for information",
 }
 """What a grade means to the reader of a page."""
+_LEAST: Final = 16  # characters of a column of words on a narrow terminal, if it has longer ones
 _CHARTS: Final = ("unpack.js", "charts.js", "comparison.js")
 _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 
@@ -146,8 +148,8 @@ class Document:
     figures: Sequence[Figure] = ()
     tables: Mapping[str, Table] = field(default_factory=dict)
     """Name of a CSV file -> all of its rows."""
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    """JSON data with units in the names, beside 'sentences' and 'cautions'."""
+    facts: Mapping[str, Any] | None = field(default_factory=dict)
+    """JSON data with units in the names, beside 'sentences' and 'cautions'; None: no JSON file of the document."""
     data: Mapping[str, Any] = field(default_factory=dict)
     """Name of a further JSON file -> its data."""
     lead: Markup = Markup()  # noqa: RUF009
@@ -157,13 +159,13 @@ class Document:
 
     @property
     def marker(self) -> str:
-        """Name of the JSON file, by which a folder of this kind is known."""
-        return f"{self.name}.json"
+        """Name of the file by which a folder of this kind is known: the JSON, without one the first table."""
+        return f"{self.name}.json" if self.facts is not None else next(iter(self.tables))
 
     def plain(self) -> dict[str, Any]:
         """Return the JSON data."""
         said = {"sentences": [self.headline, *self.sentences], "cautions": list(self.cautions)}
-        return {"headline": self.headline} | said | dict(self.facts)
+        return {"headline": self.headline} | said | dict(self.facts or {})
 
 
 # --- writers -------------------------------------------------------------------------------------
@@ -189,10 +191,11 @@ def show_table(table: Table, out: Console) -> None:
 
     rows = table.text()
     right = [c > 0 and all(_NUMBER.match(_plain(row[c])) for row in rows) for c in range(len(table.columns))]
-    columns = [
-        Column(name, justify="right" if own else "left", no_wrap=own)
-        for name, own in zip(table.columns, right, strict=True)
-    ]
+    columns = []
+    for c, name in enumerate(table.columns):
+        longest = max(len(word) for row in [table.columns, *rows] for word in [*_plain(row[c]).split(), ""])
+        side: Any = "right" if right[c] else "left"
+        columns.append(Column(name, justify=side, no_wrap=right[c], overflow="fold", min_width=min(longest, _LEAST)))
     grid = Grid(*columns, title=table.title or None, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for row in rows:
         grid.add_row(*(Text(_plain(cell), STYLES.get(getattr(cell, "grade", ""), "")) for cell in row))
@@ -230,8 +233,9 @@ def write_files(document: Document, folder: Path) -> list[Path]:
     if document.sections:
         paths.append(folder / f"{document.name}.html")
         write_text(paths[-1], page(document, pictures), overwrite=True)
-    paths.append(folder / document.marker)
-    write_json(paths[-1], document.plain())
+    if document.facts is not None:
+        paths.append(folder / document.marker)
+        write_json(paths[-1], document.plain())
     return paths
 
 
@@ -311,13 +315,13 @@ def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
 def _known(cell: Cell) -> Cell:
     if isinstance(cell, str):
         return _plain(cell)
-    return cell if cell is not None and np.isfinite(cell) else None
+    return cell if cell is not None and math.isfinite(cell) else None
 
 
 def _shown(cell: Cell, digits: int | None, missing: str) -> Any:
     if isinstance(cell, str):
         return cell
-    if cell is None or not np.isfinite(cell):
+    if cell is None or not math.isfinite(cell):
         return missing
     return f"{cell:.6g}" if digits is None else f"{cell:.{digits}f}"
 

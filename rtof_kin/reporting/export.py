@@ -35,7 +35,7 @@ from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_f
 from rtof_kin.reconstruction.measured import measurements_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import headline
 from rtof_kin.reporting.provenance import input_provenance
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SIGMAS

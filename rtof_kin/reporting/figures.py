@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from rtof_kin.body.metrics import BEGUN_TOGETHER, comparable, flexion, hinges
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.reconstruction.result import Reconstruction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
 
 ESTIMATE: Final = "#c0392b"
 TRUTH: Final = "#2e8b57"
@@ -40,12 +41,14 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
     return save_figures(figures, folder)
 
 
-def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path]:
+def save_figures(figures: Mapping[str, Plot], folder: str | Path) -> list[Path]:
     """Write figures as PNG, and return their paths.
 
     Args:
         figures: name of the file without suffix -> figure.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     paths = []
     for name, figure in figures.items():
         paths.append(Path(folder) / f"{name}.png")
@@ -55,7 +58,7 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> list[Path
     return paths
 
 
-def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
+def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
     """Plot the estimated skeleton (red) and the reference (green) at a few instants, from two sides.
 
     Positions are relative to the estimate's root, seen from the camera and from its right; without a
@@ -69,7 +72,9 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     if result.recording.truth is not None:
         poses = comparable(poses, result.recording.truth, result.mode)
     frames = np.linspace(0, len(poses) - 1, instants + 2).round().astype(int)[1:-1]
-    figure = Figure(figsize=(2.6 * instants, 6.4), layout="constrained")
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=(2.6 * instants, 6.4), layout="constrained")
     axes = figure.subplots(2, instants, squeeze=False)
     sides, title = _sides(result)
     for column, frame in enumerate(frames):
@@ -92,13 +97,15 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Figure:
     return figure
 
 
-def error_over_time(result: Reconstruction) -> Figure:
+def error_over_time(result: Reconstruction) -> Plot:
     """Plot the mean joint error of each stage, absolute and relative to the root, over time.
 
     Args:
         result: of `reconstruct`, with a reference.
     """
-    figure = Figure(figsize=(11, 6), layout="constrained")
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=(11, 6), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
     titles = {"mpjpe_rr_mm": "relative to the root", "mpjpe_mm": "absolute"}
     for ax, (key, title) in zip(axes, titles.items(), strict=True):
@@ -116,7 +123,7 @@ def error_over_time(result: Reconstruction) -> Figure:
     return figure
 
 
-def joint_angles(result: Reconstruction) -> Figure:
+def joint_angles(result: Reconstruction) -> Plot:
     """Plot flexion of knees and elbows over time, with the reference if there is one.
 
     Args:
@@ -127,7 +134,9 @@ def joint_angles(result: Reconstruction) -> Figure:
     joints = hinges(skeleton)
     estimated = np.degrees(flexion(poses.p_world_joint, skeleton))
     true = None if truth is None else np.degrees(flexion(truth, skeleton))
-    figure = Figure(figsize=(11, 2.0 * len(joints)), layout="constrained")
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=(11, 2.0 * len(joints)), layout="constrained")
     axes = figure.subplots(len(joints), 1, sharex=True, squeeze=False)[:, 0]
     for ax, j in zip(axes, joints, strict=True):
         names = (dof.clinical.removeprefix("-") for dof in skeleton.table.joints[j].dofs)

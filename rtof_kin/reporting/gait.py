@@ -34,9 +34,8 @@ from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.gait_reference import NAMES, PERCENT, STANDING_ZERO, VARIABLES, GaitReference
 from rtof_kin.formats.gait_reference_json import read_gait_reference
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label
-from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.reporting.document import Document, Figure, Section, Table, number
-from rtof_kin.reporting.headline import headline
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 
 if TYPE_CHECKING:

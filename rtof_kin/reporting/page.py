@@ -17,7 +17,7 @@ from markupsafe import Markup
 from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import SIDES, AngleRow, AngleTable, clinical_name
 from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
@@ -26,13 +26,20 @@ from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
-from rtof_kin.reporting.audit_results import SECTIONS, AuditResult, Grade, SectionVerdict, section_verdict
+from rtof_kin.reporting.audit_results import (
+    SECTIONS,
+    AuditResult,
+    Grade,
+    Headline,
+    SectionVerdict,
+    headline,
+    section_verdict,
+)
 from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
 from rtof_kin.reporting.document import Cell, Table, badge, fixed
-from rtof_kin.reporting.headline import Headline, headline
 from rtof_kin.reporting.html import css_string, render
-from rtof_kin.reporting.isb import CITATION, isb_items
 from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, player_data, shown_frames
+from rtof_kin.reporting.provenance import CITATION, isb_items
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.reporting.summary_lines import summary_lines
 
@@ -100,9 +107,8 @@ def report(
     subject = {**summary.subject, "mass_kg": weight_kg, "sex": sex}
     inputs = summary.inputs | {"subject": subject, "session": labels.plain()}
     summary = replace(summary, inputs=inputs)
-    with MotionReader(folder) as reader:
-        motion = reader
-        analysis = analyse_motion(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
+    with MotionReader(folder) as motion:
+        analysis = analyse(motion, weight_kg=weight_kg, sex=sex if weight_kg else None)
         return _page(motion, analysis, summary, labels, (made or date.today()).isoformat())
 
 

@@ -1,9 +1,16 @@
-"""Provenance of a reconstruction: its inputs as plain data, a part of ``summary.json``."""
+"""Provenance of a reconstruction: its inputs as plain data, a part of ``summary.json``.
+
+**Checklist.** Items that a study with inertial sensors should report, filled in where they are known.
+
+They follow the recommendations of the International Society of Biomechanics (`CITATION`), but selection,
+grouping and wording are ours and have not been compared with the list of the article.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -118,3 +125,109 @@ def _sensors(statistics: ReconstructionStatistics) -> list[Data]:
 def _rate(times: Array) -> float | None:
     """Sampling rate, Hz, from the median step; None for a single sample."""
     return float(1 / np.median(np.diff(times))) if len(times) > 1 else None
+
+
+Items = dict[str, str | None]
+CITATION: Final = (
+    "A. Cereatti et al.: ISB recommendations on the definition, estimation, and reporting of joint "
+    "kinematics in human motion analysis applications using wearable inertial measurement technology. "
+    "Journal of Biomechanics 173, 112225, 2024, doi 10.1016/j.jbiomech.2024.112225"
+)
+_METHODS: Final = {
+    "lift": "a temporal convolution network on 2D keypoints alone",
+    "sf2": "a network on 2D keypoints, corrected frame by frame by the sensors' orientations",
+    "rto": "a network on 2D keypoints, then a posterior optimised in fragments; no sensors",
+    "rtof": "2D keypoints of one camera and sensors fused in a posterior over the skeleton's "
+    "configuration, optimised in overlapping fragments; orientation residuals are weighted separately "
+    "across the bone and about it, acceleration at the lever arm",
+    "imu": "sensors alone: orientation, acceleration at the lever arm, standing feet, prior and hinges",
+}
+
+
+def isb_items(inputs: Mapping[str, Any], mode: str, bands: bool, gaps: str) -> dict[str, Items]:
+    """Return topic -> item -> its value; None if the user must provide it.
+
+    Args:
+        inputs: of `report.provenance`. bands: whether angles have 95 % bands. gaps: description of missing data.
+    """
+    confidence = "95 % bands of the posterior, inflated on other subjects"
+    return {
+        "Participants and task": _participants(inputs),
+        "Sensors": _sensor_items(inputs),
+        "Orientation and alignment": _orientation(inputs, mode),
+        "Joint kinematics": _joints(inputs, mode),
+        "Quality": {
+            "missing data": gaps,
+            "uncertainty of the angles": confidence if bands else None,
+            "validation against a reference for this task and population": None,
+            "repeatability between trials, days and operators": None,
+            "software and version": inputs.get("software"),
+        },
+    }
+
+
+def _participants(inputs: Mapping[str, Any]) -> Items:
+    subject, session = inputs.get("subject") or {}, inputs.get("session") or {}
+    units = {"height_m": "m tall", "mass_kg": "kg"}
+    body = [f"{subject[name]:g} {unit}" for name, unit in units.items() if subject.get(name)]
+    body += [subject["sex"]] if subject.get("sex") else []
+    return {
+        "height, mass, sex": ", ".join(body) or None,
+        "age, condition, criteria of inclusion": None,
+        "task, instructions, speed, footwear": session.get("protocol"),
+        "place, floor, ferromagnetic surroundings": session.get("place"),
+    }
+
+
+def _sensor_items(inputs: Mapping[str, Any]) -> Items:
+    sensors = inputs.get("sensors") or []
+    rates = sorted({f"{s['rate_hz']:.4g} Hz" for s in sensors if s.get("rate_hz")})
+    largest = [s["largest_specific_force_m_s2"] for s in sensors if s.get("largest_specific_force_m_s2")]
+    force = f"the largest specific force was {max(largest):.0f} m/s2; the range itself:" if largest else None
+    return {
+        "manufacturer, model, firmware; which of accelerometer, gyroscope, magnetometer": None,
+        "ranges, resolution, noise": force,
+        "sampling rate": ", ".join(rates) or None,
+        "number and placement": "; ".join(map(_place, sensors)) or "no sensors were used",
+        "how they were fixed (strap, tape, clothing), by whom": None,
+        "calibration of the sensors themselves (bias, scale), when": None,
+    }
+
+
+def _place(sensor: Mapping[str, Any]) -> str:
+    lever = sensor.get("lever_arm_m")
+    where = f" at ({', '.join(f'{1000 * v:.0f}' for v in lever)}) mm in its frame" if lever else ""
+    return f"{sensor.get('name', '')} on {sensor.get('segment') or 'segment not stated'}{where}"
+
+
+def _orientation(inputs: Mapping[str, Any], mode: str) -> Items:
+    heading = aligned = delay = None
+    if inputs.get("sensors"):
+        heading = "constant headings as given with the recording"
+        aligned = "as given with the recording; its procedure:"
+        delay = "one clock, as given with the recording; how it was made:"
+    if inputs.get("calibration"):
+        heading = "estimated from the recording itself, see Calibration"
+        aligned = "as given, corrected from the recording itself, see Calibration"
+        delay = "delay between video and sensors estimated from the recording itself, see Calibration"
+    return {
+        "orientation filter, its settings, use of the magnetometer": None,
+        "heading reference and drift": heading,
+        "sensor to segment: static pose, functional movement, manual alignment": aligned,
+        "synchronisation, between sensors and with the camera": delay,
+        "estimation of the motion": _METHODS.get(mode),
+    }
+
+
+def _joints(inputs: Mapping[str, Any], mode: str) -> Items:
+    bones = (inputs.get("subject") or {}).get("bones", "bones not stated")
+    hinges = "" if mode in ("lift", "sf2") else "; knees and elbows are hinges within their limits"
+    return {
+        "body model": f"tree of rigid segments, {bones}{hinges}",
+        "segment frames": "x forward, y up, z right in the anatomical standing posture (the ISB's axes)",
+        "joint coordinate systems and sequences": "Z-X-Y for spine, hip, knee, ankle, elbow, wrist (Grood "
+        "and Suntay); shoulder Y-X-Y (Wu 2005) and X-Z-Y; pelvis Y-X-Z (Baker 2001); left mirrored; signs "
+        "in angles.json",
+        "zero of the angles": "anatomical standing posture of the model; no static trial is subtracted",
+        "filters": "none on angles; velocities from angles low-passed at 6 Hz",
+    }

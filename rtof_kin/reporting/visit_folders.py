@@ -43,8 +43,7 @@ from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.input_table import InputTable, Names, Number
 from rtof_kin.formats.measurements_file import MeasurementsReader, measurements_path
-from rtof_kin.reporting.audit_results import Grade
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 
 PLAN: Final = "follow.toml"

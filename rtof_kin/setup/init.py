@@ -1,25 +1,24 @@
 """From raw files to the folder of a recording: detection, person, camera, sensors, ``recording.toml``.
 
-    find_people(sources, settings, "walk", detect)    # keypoints.npz, frames.png
-    found = make_recording(sources, settings, "walk") # recording.toml, imus.npz
-
-Both write the same folder, so that a person can be chosen by the picture without detecting again.
+`find_people` writes keypoints.npz and frames.png, `write_recording` recording.toml and imus.npz, both into the same
+folder, so that a person can be chosen by the picture without detecting again; `make_recording` does both.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.folder import new_folder
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.files.folder import check_replaceable, new_folder
+from rtof_kin.core.files.manifest import fingerprint, made_from
 from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.core.packages import can_draw
 from rtof_kin.data.camera_motion import stabilised
@@ -40,6 +39,7 @@ from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
 from rtof_kin.vision.landmark_regression import recognise
+from rtof_kin.vision.video import detect_video
 from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
 
 if TYPE_CHECKING:
@@ -60,19 +60,24 @@ class SetupSettings:
     """What the user says about a take."""
 
     height: float | None = None
-    """Standing height of the person, m."""
+    """Standing height of the person, m; every length follows it."""
+    pose: Literal["N", "T", "seated"] = "N"
+    """How the person stood still at first, of sensors without a video."""
     person: int | None = None
-    """Number of the person in `PICTURE`; None: the only prominent one."""
+    """Number of the person in frames.png; default: the only prominent one."""
     camera_name: str | None = None
     """Of the camera, in a calibration file of several."""
+    phone_log: Path | None = None
+    """Gyroscope and accelerometer of the phone that filmed by hand, from which its tilt is known."""
     rate_hz: float | None = None
     """Frames per second of keypoints without times."""
     size_px: tuple[int, int] | None = None
-    """Width and height of the image, for keypoints without a video."""
-    phone_log: Path | None = None
-    """Gyroscope and accelerometer of the phone that filmed."""
+    """Width and height of the image, px, for keypoints without a video, as 1920x1080."""
     keep_video: bool = True
-    """Whether the folder may show and name the video."""
+    """Whether the folder may show and name the video; otherwise the keypoints alone are kept."""
+    model_dir: Path | None = None
+    """Folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; default:
+    what is at hand, downloaded models, else MediaPipe."""
     lifter: LifterLike | None = field(default=None, compare=False)
     """Default: the shipped one."""
 
@@ -113,20 +118,26 @@ def find_people(
     sources: Sources,
     settings: SetupSettings,
     folder: str | Path,
-    detect: Detect,
+    detect: Detect | None = None,
     inputs: Mapping[str, str] | None = None,
+    progress: Progress | None = None,
 ) -> People:
     """Detect the people, number them and write `KEYPOINTS` and `PICTURE`.
 
     Args:
         folder: to write; an unfinished one is replaced.
-        detect: detects the people in a video, where there are no keypoints.
+        detect: detects the people in a video, where there are no keypoints; default: the detector of `settings`.
         inputs: fingerprints for the folder's manifest.
 
     Raises:
         InvalidInputError: there is no person, or the keypoints lack the image's size or times.
     """
     video = _described(sources, settings)
+    if detect is None:
+
+        def detect(path: Path) -> Detections:
+            return detect_video(path, settings.model_dir, progress=progress)
+
     found = _detections(sources, video, detect)
     known = recognise(found.uv_px, found.confidence, found.names)
     order = list(known.order)
@@ -142,6 +153,85 @@ def find_people(
 
 
 def make_recording(
+    files: Iterable[str | Path],
+    folder: str | Path,
+    settings: SetupSettings | None = None,
+    *,
+    name: str | None = None,
+    detect: Detect | None = None,
+    made_with: object = None,
+    overwrite: bool = False,
+    kept: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Make the recording of one take: person, camera and sensors are found from the files.
+
+    What is there and made from the same files and settings is kept.
+
+    >>> from rtof_kin.setup.init import SetupSettings
+    >>> settings = SetupSettings(height=1.78, size_px=(1920, 1080))
+    >>> found = make_recording(["files/keypoints.csv", "files/dots", "files/places.csv"], "walk", settings)
+    >>> found.given
+    ('the person is 1.78 m tall',)
+
+    Args:
+        files: a video, a detector's keypoints or both; files or folders of sensors, also alone; a calibration of the
+            camera and a map of sensors: each is recognised, in any order.
+        folder: to write. name: title in reports; default: of the video or keypoints.
+        detect: detects the people in a video; default: the detector of `settings`.
+        made_with: what the recording depends on beside files and settings, e.g. the name of a lifter.
+        overwrite: replace a recording of other files or of another person.
+        kept: called with the name of the folder where it is kept as it is. progress: called with (stage, steps done,
+            in all).
+
+    Returns:
+        What was given, found, assumed and is in doubt.
+
+    Raises:
+        OutputExistsError: the folder is of other files, or has what this package did not write. Errors of the files,
+            of `find_people` and of `write_recording`.
+    """
+    folder, settings, sources = Path(folder), settings or SetupSettings(), Sources.of(files)
+    settings = replace(settings, phone_log=settings.phone_log or sources.phone)
+    inputs, before = _fingerprints(sources, settings, made_with), made_from(folder)
+    if before.get("recording") == inputs["recording"]:
+        if kept is not None:
+            kept(folder.name)
+        return read_findings(folder)
+    if before and before.get("files") != inputs["files"] and not overwrite:
+        raise OutputExistsError(f"{folder}: was made from other files; name another folder by -o, or add --overwrite")
+    check_replaceable(folder, INDEX, bool(before) or overwrite)
+    if "recording" in before and before.get("person", inputs["person"]) != inputs["person"] and not overwrite:
+        raise OutputExistsError(
+            f"{folder}: is of another person of the video; name another folder by -o, or add --overwrite, "
+            "which replaces that person's results"
+        )
+    if not sources.seen:
+        from rtof_kin.setup.sensors_alone import make_sensor_recording
+
+        return make_sensor_recording(sources, settings, folder, name=name, inputs=inputs)
+    if before.get("people") != inputs["people"]:
+        begun = {step: inputs[step] for step in ("files", "people")}
+        find_people(sources, settings, folder, detect, begun, progress)
+    return write_recording(sources, settings, folder, name=name, inputs=inputs, progress=progress)
+
+
+def _fingerprints(sources: Sources, settings: SetupSettings, made_with: object) -> dict[str, str]:
+    """Return what a recording is made from: its files, the picture of the people, everything."""
+    image = [path for path in (sources.video, sources.keypoints) if path is not None]
+    log = [settings.phone_log] if settings.phone_log is not None else []
+    names = [one.name for one in fields(settings) if one.compare and one.name != "phone_log"]
+    seen = ("rate_hz", "size_px", "model_dir", "keep_video")
+    values = {name: str(getattr(settings, name)) for name in names}
+    return {
+        "files": fingerprint(*sources.paths),
+        "people": fingerprint(*image, *(values[name] for name in seen)),
+        "person": str(settings.person or 1),
+        "recording": fingerprint(*sources.paths, *log, values, str(made_with)),
+    }
+
+
+def write_recording(
     sources: Sources,
     settings: SetupSettings,
     folder: str | Path,
@@ -210,7 +300,7 @@ def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupS
     Args:
         sources, settings: as for `make_recording`.
     """
-    title = f"Recording, set up by rtof-kin init from {', '.join(path.name for path in sources.paths)}"
+    title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
         FINDINGS: json.dumps(vars(found), indent=1, ensure_ascii=False) + "\n",
         INDEX: recording_text({**tables, "notes": {"text": Field(found.text)}}, title),
@@ -253,7 +343,7 @@ def _described(sources: Sources, settings: SetupSettings) -> _Video:
         return _Video((camera.width_px, camera.height_px), Field(None, Origin.FILE), settings.rate_hz, None)
     raise InvalidInputError(
         f"{sources.keypoints}: keypoints do not say how large the image is; give the video beside them, its "
-        "calibration by --camera, or --size 1920x1080"
+        "calibration, or --size 1920x1080"
     )
 
 

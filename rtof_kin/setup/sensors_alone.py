@@ -28,7 +28,6 @@ def make_sensor_recording(
     sources: Sources,
     settings: SetupSettings,
     folder: str | Path,
-    pose: str = "N",
     *,
     name: str | None = None,
     inputs: Mapping[str, str] | None = None,
@@ -37,7 +36,7 @@ def make_sensor_recording(
 
     Args:
         sources: sensors and, where their names do not say it, a map of their segments.
-        settings: of the user; the height is used. pose: that was kept: N, T or seated.
+        settings: of the user; height and pose (`rtof_kin.inertial.poses`) are used.
         name: title in reports; default: of the files. inputs: fingerprints for the folder's manifest.
 
     Raises:
@@ -54,7 +53,7 @@ def make_sensor_recording(
     log = log.select(list(places))
     joints = {sensor: str(field.value) for sensor, field in places.items()}
     skeleton = skeleton if settings.height is None else skeleton.with_height(settings.height)
-    found = calibrate_by_pose(log, joints, pose, skeleton)
+    found = calibrate_by_pose(log, joints, settings.pose, skeleton)
     imus = imus_of_log(log)
     first = float(imus.times[0])
     tables: Tables = {

@@ -21,7 +21,6 @@ from scipy.signal import lfilter
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
-from rtof_kin.core.rotations import unit
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table
@@ -97,7 +96,7 @@ def _behind(points: Array, start: Array, stop: Array, radius: float, margin: flo
     """Return which points (T, K) a capsule from `start` to `stop` (T, 3) hides."""
     share = np.linspace(0, 1, _SPHERES)[:, None]
     centre = start[:, None] + share * (stop - start)[:, None]
-    along = unit(points) @ np.swapaxes(centre, -1, -2)  # of the foot of the perpendicular from the centre
+    along = so3.unit(points) @ np.swapaxes(centre, -1, -2)  # of the foot of the perpendicular from the centre
     off = np.sum(centre**2, axis=-1)[:, None] - along**2
     near = (off < radius**2) & (along < np.linalg.norm(points, axis=-1, keepdims=True) - margin)
     return np.asarray(near.any(axis=-1))
@@ -190,7 +189,9 @@ def simulate_detections(
     scene = _scene(person, poses, skeleton, true_camera, table, errors)
     T = len(poses)
     error = errors.coloured * _coloured(colour, scene, table) * _amplitude(moods, scene, table)[..., None]
-    error += errors.constant * _correlated(lasting, table.constant.factor, table.constant.rest)
+    factor, rest = table.constant.factor, table.constant.rest
+    shared = lasting.standard_normal(factor.shape[-1])
+    error += errors.constant * (factor @ shared + rest * lasting.standard_normal(rest.shape))
     error += _jumps(jumps, scene, table, errors.jumps)
     p_found = scene.p_point + np.concatenate([error, np.zeros((T, len(table.layout), 1))], axis=-1)
     uv = _exchanged(swaps, scene.lens.project(p_found), scene, table, errors.exchanges)
@@ -234,12 +235,15 @@ def _scene(
     R_camera_pelvis, p_hips = R_camera_bone[:, hips], p_camera_joint[:, hips]
     anchor = p_camera_joint[:, skeleton.index(*table.places.anchor)]
     offset = _offsets(rng, R_camera_bone, R_camera_pelvis, anchor, skeleton, table, errors)
+    legs = [skeleton.index(f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in ("Left", "Right")]
+    bones = np.diff(poses.p_world_joint[0, legs], axis=1)
+    leg = float(np.linalg.norm(bones, axis=-1).sum(axis=1).mean())  # thigh and shank together
     forward, leftward = np.moveaxis(np.einsum("tji,tj->ti", R_camera_pelvis, -p_hips), -1, 0)[:2]
     speed = np.linalg.norm(np.gradient(anchor, axis=0), axis=-1) * poses.rate_hz
     return _Scene(
         lens=replace(camera, R_camera_world=np.eye(3), t_camera_world=np.zeros(3)),
         p_joint=anchor,
-        p_point=anchor + _leg_length(poses, skeleton) / table.places.leg * offset,
+        p_point=anchor + leg / table.places.leg * offset,
         azimuth=np.arctan2(leftward, forward),
         hidden=self_occluded(p_camera_joint, anchor, table.limb, skeleton),
         far=np.clip((anchor[..., 2] - p_hips[:, None, 2]) / _FAR, -_FAR_RANGE, _FAR_RANGE),
@@ -272,19 +276,7 @@ def _offsets(
     return np.asarray(in_frames + turned @ np.swapaxes(R_camera_pelvis, -1, -2))
 
 
-def _leg_length(poses: PoseSequence, skeleton: SkeletonModel) -> float:
-    """Return the mean length of thigh and shank together, m."""
-    legs = [skeleton.index(f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in ("Left", "Right")]
-    bones = np.diff(poses.p_world_joint[0, legs], axis=1)
-    return float(np.linalg.norm(bones, axis=-1).sum(axis=1).mean())
-
-
 # --- errors in the image, m at the depth of the points -------------------------------------------
-
-
-def _correlated(rng: Generator, factor: Array, rest: Array) -> Array:
-    """Return normal errors (K, 2) of covariance ``factor factor^T + diag(rest^2)``."""
-    return np.asarray(factor @ rng.standard_normal(factor.shape[-1]) + rest * rng.standard_normal(rest.shape))
 
 
 def _coloured(rng: Generator, scene: _Scene, table: DetectorErrorTable) -> Array:

@@ -191,8 +191,6 @@ def resample_clip(clip: MocapClip, rate_hz: float) -> MocapClip:
     return replace(clip, poses=PoseSequence(times, p, R, NAMES))
 
 
-__all__ = ["NAMES", "PARENTS", "MocapClip", "find_asf", "read_corpus", "read_mocap", "resample_clip", "without_spikes"]
-
 _BLOCK: Final = 4096
 """Frames that are mapped at once."""
 
@@ -329,11 +327,15 @@ def read_corpus(
     missing = [] if subjects is None else sorted(set(subjects) - set(known))
     if missing:
         raise UnknownNameError("subject", missing, known)
+    feet = [m for m, name in enumerate(NAMES) if name.endswith("Foot")]
     for row in rows:
         if subjects is not None and row["subject"] not in subjects:
             continue
         whole = read_mocap(root / row["file"], rate_hz=_rate(root, row), output_rate_hz=None)
-        whole = _on_floor(replace(whole, subject=row["subject"], category=row["tc_like"], quality=row["quality"]))
+        p = whole.poses.p_world_joint.copy()
+        p[..., 2] -= np.percentile(p[:, feet, 2].min(axis=1), 5) - ANKLE_HEIGHT
+        poses, quality = replace(whole.poses, p_world_joint=p), row["quality"]
+        whole = replace(whole, poses=poses, subject=row["subject"], category=row["tc_like"], quality=quality)
         pieces = without_spikes(whole)
         for piece in pieces:
             if len(pieces) == 1 or len(piece.poses) >= min_seconds * piece.poses.rate_hz:
@@ -368,14 +370,6 @@ def _rate(root: Path, row: dict[str, str]) -> float:
         problem = f"{row['file']}: fps is {row['fps'][:40]!r}, not a number of frames per second"
         raise FileFormatError(root / "index.csv", problem)
     return rate_hz
-
-
-def _on_floor(clip: MocapClip) -> MocapClip:
-    """Shift a clip in height so that the floor is at z = 0."""
-    p = clip.poses.p_world_joint.copy()
-    feet = [m for m, name in enumerate(NAMES) if name.endswith("Foot")]
-    p[..., 2] -= np.percentile(p[:, feet, 2].min(axis=1), 5) - ANKLE_HEIGHT
-    return replace(clip, poses=replace(clip.poses, p_world_joint=p))
 
 
 def without_spikes(clip: MocapClip) -> list[MocapClip]:

@@ -9,7 +9,7 @@ each recording from a log-normal distribution (`parameter_spread`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Self
 
 import numpy as np
@@ -26,7 +26,6 @@ from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import InvalidInputError, UnitError
 from rtof_kin.data.imu import GRAVITY_WORLD, ImuCalibration, ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.simulation import noise as noises
 
 ORIENTATION_MEDIAN_DEG: Final = {
     "Head": 2.0,
@@ -56,10 +55,11 @@ _LEGS = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
 _WRISTS = ("LeftHand", "RightHand")
 
 
-def _varied(noise: Any, rng: Generator, fields: Sequence[str]) -> dict[str, Any]:
-    """Return the fields named, each times a log-normal factor."""
-    factors = np.exp(noise.parameter_spread * rng.standard_normal(len(fields)))
-    return {f: getattr(noise, f) * float(k) for f, k in zip(fields, factors, strict=True)}
+def _varied(noise: Any, rng: Generator, *fixed: str) -> dict[str, Any]:
+    """Return the numbers of some errors, each but the fixed ones times a log-normal factor."""
+    names = [one.name for one in fields(noise) if one.type == "float" and one.name not in ("parameter_spread", *fixed)]
+    factors = np.exp(noise.parameter_spread * rng.standard_normal(len(names)))
+    return {name: getattr(noise, name) * float(k) for name, k in zip(names, factors, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -108,19 +108,8 @@ class KeypointNoise:
 
     def drawn(self, rng: Generator) -> Self:
         """Return a detector with randomly drawn parameters."""
-        scales = (
-            "bias_px",
-            "drift_px",
-            "drift_memory",
-            "wrist_memory",
-            "white_px",
-            "arms_factor",
-            "legs_factor",
-            "outlier_px",
-            "confidence_spread",
-        )
         share = float(rng.uniform(*self.outlier_share))
-        return replace(self, **_varied(self, rng, scales), outlier_share=(share, share))
+        return replace(self, **_varied(self, rng, "confidence"), outlier_share=(share, share))
 
     def factor(self, joint: str) -> float:
         """Return the factor on the errors of one joint."""
@@ -157,18 +146,7 @@ class ImuNoise:
 
     def drawn(self, rng: Generator) -> Self:
         """Return a sensor with randomly drawn parameters."""
-        scales = (
-            "misalignment_deg",
-            "orientation_factor",
-            "drift_memory",
-            "wobble_share",
-            "white",
-            "white_per_acceleration",
-            "coloured",
-            "coloured_memory",
-            "bias",
-        )
-        drawn = replace(self, **_varied(self, rng, scales))
+        drawn = replace(self, **_varied(self, rng))
         return replace(drawn, wobble_share=min(drawn.wobble_share, 1.0))
 
 
@@ -380,7 +358,7 @@ def _measure(
 
     axis = so3.unit(skeleton.table.joints[j].end)
     local = _at(poses, R_parent_bone[:, j], times)
-    R_bone_slipped = noises.mounting_errors(rng, times, joint, axis, local, noise)
+    R_bone_slipped = mounting_errors(rng, times, joint, axis, local, noise)
     R_world_bone = _at(poses, poses.R_world_bone[:, j], times)
     R_world_sensor = R_world_bone @ R_bone_slipped @ R_bone_sensor
 
@@ -389,7 +367,7 @@ def _measure(
     f_sensor = np.einsum("tji,tj->ti", R_world_sensor, a_world - GRAVITY_WORLD)
     return {
         "R_inertial_sensor": R_world_inertial.T @ R_world_sensor,
-        "f_sensor": f_sensor + noises.accelerometer_errors(rng, times, a_world, noise),
+        "f_sensor": f_sensor + accelerometer_errors(rng, times, a_world, noise),
         "R_world_inertial": R_world_inertial,
         "R_sensor_bone": R_bone_sensor.T @ misalignment,
     }

@@ -1,7 +1,6 @@
 """Simulated recordings of known motion: a virtual camera and virtual IMUs with realistic errors.
 
-The clock is that of the poses and the IMUs. `rtof_kin.simulation.noise` simulates the IMUs,
-`rtof_kin.simulation.noise` all the errors.
+The clock is that of the poses and the IMUs. `rtof_kin.simulation.noise` simulates the IMUs and the errors.
 """
 
 from __future__ import annotations
@@ -35,7 +34,8 @@ from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.simulation import noise as noises
 from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections
-from rtof_kin.simulation.mocap import PARENTS, MocapClip, read_mocap, resample_clip
+from rtof_kin.simulation.mocap import MocapClip, read_mocap, resample_clip
+from rtof_kin.simulation.mocap_families import PARENTS
 from rtof_kin.simulation.noise import ImuNoise, KeypointNoise, simulate_imus
 from rtof_kin.vision.keypoints import keypoints_from_detections
 
@@ -268,18 +268,14 @@ def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
         azimuth = first + quarter * np.pi / 2 + rng.uniform(-0.3, 0.3)
         height, distance = rng.uniform(*_CAMERA_HEIGHT), rng.uniform(*_CAMERA_DISTANCE)
         direction = np.array([np.cos(azimuth), np.sin(azimuth)])
-        cameras.append(_far_enough(p, centre, direction, float(height), float(distance)))
+        while True:
+            position = np.array([*(centre[:2] + distance * direction), height])
+            camera = Camera.looking_at(position, centre, _FOCAL_PX)
+            if _inside(camera, camera.project(p)).mean() >= _IN_VIEW or distance >= _FURTHEST_CAMERA:
+                break
+            distance += 0.25
+        cameras.append(camera)
     return cameras
-
-
-def _far_enough(p: Array, centre: Array, direction: Array, height: float, distance: float) -> Camera:
-    while True:
-        position = np.array([*(centre[:2] + distance * direction), height])
-        camera = Camera.looking_at(position, centre, _FOCAL_PX)
-        in_view = _inside(camera, camera.project(p)).mean()
-        if in_view >= _IN_VIEW or distance >= _FURTHEST_CAMERA:
-            return camera
-        distance += 0.25
 
 
 def _check(poses: PoseSequence, skeleton: SkeletonModel) -> None:
@@ -318,13 +314,25 @@ def _simulate_keypoints(
     lag: float,
     cut: int,
 ) -> KeypointSequence:
-    if isinstance(settings.keypoints, KeypointNoise):
-        names = settings.landmarks or skeleton.names
-        return _noisy_landmarks(rng, poses, skeleton, camera, settings.keypoints, names, lag, cut)
-    shown = _shown(poses, poses.times[cut:] - lag)
-    found = simulate_detections(rng, shown, skeleton, camera, settings.keypoints)
-    keypoints = keypoints_from_detections(found, poses.times[cut:], camera).keypoints
-    return keypoints.select(settings.landmarks) if settings.landmarks else keypoints
+    """Return what a detector finds in the frames from number `cut` on, which show what was `lag` s earlier."""
+    noise, times = settings.keypoints, poses.times[cut:]
+    if isinstance(noise, DetectorErrors):
+        found = simulate_detections(rng, _shown(poses, times - lag), skeleton, camera, noise)
+        keypoints = keypoints_from_detections(found, times, camera).keypoints
+        return keypoints.select(settings.landmarks) if settings.landmarks else keypoints
+    names, known = settings.landmarks or skeleton.names, list(skeleton.landmarks)
+    landmarks = [skeleton.landmarks[known[i]] for i in indices_of("landmark", names, known)]
+    joints = [joint for joint, _ in landmarks]
+    index, offsets = skeleton.index(*joints), np.array([offset for _, offset in landmarks])
+    p = poses.p_world_joint[:, index] + np.einsum("tlij,lj->tli", poses.R_world_bone[:, index], offsets)
+    p = CubicSpline(poses.times, p)(times - lag) if lag > 0 else p
+    noise = noise.drawn(rng)
+    uv = camera.project(p)
+    errors = noises.keypoint_errors(rng, times, joints, noise)
+    confidence = noises.confidences(rng, times, errors, noise)
+    seen = ~noises.unseen(rng, times, _inside(camera, uv), noise) & np.isfinite(uv).all(axis=-1)
+    uv, confidence = np.where(seen[..., None], uv + errors, np.nan), np.where(seen, confidence, 0.0)
+    return KeypointSequence(camera, times, uv, confidence, names)
 
 
 def _shown(poses: PoseSequence, times: Array) -> PoseSequence:
@@ -332,37 +340,6 @@ def _shown(poses: PoseSequence, times: Array) -> PoseSequence:
     times = np.maximum(times, poses.times[0])
     R = signals.interpolate_rotations(poses.times, poses.R_world_bone, times)
     return PoseSequence(times, CubicSpline(poses.times, poses.p_world_joint)(times), R, poses.names)
-
-
-def _noisy_landmarks(
-    rng: Generator,
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    camera: Camera,
-    noise: KeypointNoise,
-    names: tuple[str, ...],
-    lag: float,
-    cut: int,
-) -> KeypointSequence:
-    known = list(skeleton.landmarks)
-    places = [skeleton.landmarks[known[i]] for i in indices_of("landmark", names, known)]
-    joints = [joint for joint, _ in places]
-    index, offsets = skeleton.index(*joints), np.array([offset for _, offset in places])
-    p = poses.p_world_joint[:, index] + np.einsum("tlij,lj->tli", poses.R_world_bone[:, index], offsets)
-    times = poses.times[cut:]
-    p = CubicSpline(poses.times, p)(times - lag) if lag > 0 else p
-    noise = noise.drawn(rng)
-    uv = camera.project(p)
-    errors = noises.keypoint_errors(rng, times, joints, noise)
-    confidence = noises.confidences(rng, times, errors, noise)
-    seen = ~noises.unseen(rng, times, _inside(camera, uv), noise) & np.isfinite(uv).all(axis=-1)
-    return KeypointSequence(
-        camera=camera,
-        times=times,
-        uv_px=np.where(seen[..., None], uv + errors, np.nan),
-        confidence=np.where(seen, confidence, 0.0),
-        names=names,
-    )
 
 
 def _inside(camera: Camera, uv_px: Array) -> Mask:
@@ -376,17 +353,7 @@ KEYPOINTS, SENSORS, PLACES, CAMERA = "keypoints.csv", "dots", "places.csv", "cam
 _BEGUN: Final = 37.0
 """[s] What the sensors' clock shows when the video begins."""
 _WORDS: Final = {"UpLeg": "thigh", "Leg": "shank", "ForeArm": "forearm", "Arm": "upper arm", "Foot": "foot"}
-_DOT_COLUMNS: Final = (
-    "PacketCounter",
-    "SampleTimeFine",
-    "Quat_W",
-    "Quat_X",
-    "Quat_Y",
-    "Quat_Z",
-    "FreeAcc_X",
-    "FreeAcc_Y",
-    "FreeAcc_Z",
-)
+_DOT_COLUMNS: Final = "PacketCounter,SampleTimeFine,Quat_W,Quat_X,Quat_Y,Quat_Z,FreeAcc_X,FreeAcc_Y,FreeAcc_Z"
 
 
 def write_raw_files(recording: Recording, folder: str | Path, overwrite: bool = False) -> None:
@@ -425,7 +392,7 @@ def _write_sensors(recording: Recording, folder: Path) -> None:
     stamps = np.round(1e6 * (imus.times - recording.video.times[0] + _BEGUN))
     for s, name in enumerate(imus.names):
         rows = np.column_stack([np.arange(len(stamps)), stamps, so3.to_quat_wxyz(R[:, s]), free[:, s]])
-        lines = [",".join(_DOT_COLUMNS), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
+        lines = [_DOT_COLUMNS, *(",".join(f"{value:.9g}" for value in row) for row in rows)]
         head = f"sep=,\nDeviceTag:,D{s + 1}\nOutputRate:,{rate:.0f}Hz\n\n"
         path = folder / SENSORS / f"D{s + 1}_20260131_101500.csv"
         write_text(path, head + "\n".join(lines) + "\n")

@@ -28,13 +28,13 @@ def test_all_folders_below_are_found_but_for_the_output_and_hidden_ones(tmp_path
 def test_a_manifest_names_recordings_and_options_of_each(tmp_path: Path) -> None:
     manifest = tmp_path / "list.csv"
     manifest.write_text(
-        "recording,name,reconstruct,analyse\n"
+        "recording,name,reconstruct,export\n"
         'takes/b,,"--mode imu --guards ""a b"",c",\n'
         "../far/a,first,,--weight 70\n"
         "../far/z,,,\n\n"
     )
     assert find_recordings(manifest, tmp_path / "out") == [
-        Entry("first", tmp_path / "../far/a", {"analyse": ("--weight", "70")}),
+        Entry("first", tmp_path / "../far/a", {"export": ("--weight", "70")}),
         Entry("takes/b", tmp_path / "takes/b", {"reconstruct": ("--mode", "imu", "--guards", "a b,c")}),
         Entry("z", tmp_path / "../far/z", {}),
     ]

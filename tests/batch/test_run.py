@@ -96,7 +96,7 @@ def test_every_recording_has_a_row_and_a_failure_stops_none(root: Path, out: Pat
     assert "Traceback" in (out / "e/log/reconstruct.txt").read_text()
     assert reports[0] == (0, 5, "")
     assert reports[1] == (1, 5, "e failed: reconstruct: ZeroDivisionError: divided by nothing")
-    assert calls(log)["e analyse"] == 0
+    assert calls(log)["e export"] == 0
 
 
 def test_what_is_done_is_kept_and_what_failed_is_tried_again(root: Path, out: Path, log: Path) -> None:
@@ -105,7 +105,7 @@ def test_what_is_done_is_kept_and_what_failed_is_tried_again(root: Path, out: Pa
     (root / "s2/d/recording.toml").write_text("pass")
     assert facts(run(batch_of(root, out))) == VERDICTS | {"s2/d": "pass"}
     new = calls(log) - before
-    assert new == {"e reconstruct": 1, "s2/d reconstruct": 1, "s2/d analyse": 1, "s2/d report": 1}
+    assert new == {"e reconstruct": 1, "s2/d reconstruct": 1, "s2/d export": 1, "s2/d report": 1}
     kept = table(out)["s1/a"]
     assert float(kept["seconds"]) > 0  # of the run that made it
 
@@ -114,19 +114,19 @@ def test_only_steps_after_a_change_are_done_again(root: Path, out: Path, log: Pa
     one = write_recordings(root.parent / "one", a="pass")
     run(batch_of(one, out))
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report"))
-    assert calls(log) - before == {"a analyse": 1, "a report": 1}
+    run(batch_of(one, out, "reconstruct, report --weight 70"))
+    assert calls(log) - before == {"a export": 1, "a report": 1}
     assert (out / "a/angles/angles.csv").read_text() == "--weight 70 --overwrite"
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report, evaluate"))
+    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
     assert calls(log) - before == {"a evaluate": 1}
     assert (out / "a/log/evaluate.txt").read_text() == "evaluate says so\n"
-    run(batch_of(one, out, "reconstruct, analyse --weight 70, report, evaluate"))
+    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
     assert calls(log)["a evaluate"] == 1
     (one / "a" / "note.txt").write_text("a new file of the recording")
     before = calls(log)
     run(batch_of(one, out))
-    assert calls(log) - before == {"a reconstruct": 1, "a analyse": 1, "a report": 1}
+    assert calls(log) - before == {"a reconstruct": 1, "a export": 1, "a report": 1}
     run(batch_of(one, out, version="2"))
     assert calls(log)["a reconstruct"] == 3
     (out / "a/motion/motion.h5").unlink()
@@ -288,7 +288,7 @@ def until(true: Any) -> None:
     raise AssertionError("it did not become so in a minute")
 
 
-@pytest.mark.parametrize("step", ["motion", "angles", "report.html", "batch.json"])
+@pytest.mark.parametrize("step", ["motion", "export", "report.html", "batch.json"])
 def test_a_run_that_was_killed_while_it_wrote_goes_on(step: str, root: Path, out: Path, log: Path) -> None:
     """The state says that the step began, and its output is there or half there."""
     one = write_recordings(root.parent / "one", a="pass")
@@ -409,6 +409,6 @@ def test_command_lines_are_checked_before_the_first_is_run(root: Path, out: Path
             raise InvalidInputError("unrecognized arguments: --wrong")
 
     check_chain(batch_of(root, out), check)
-    assert [line[0] for line in seen] == ["reconstruct", "analyse", "report"]  # all recordings have the same
-    with pytest.raises(RtofError, match="e, analyse: unrecognized arguments: --wrong"):
-        check_chain(batch_of(root, out, "reconstruct, analyse --wrong"), check)
+    assert [line[0] for line in seen] == ["reconstruct", "export", "report"]  # all recordings have the same
+    with pytest.raises(RtofError, match="e, export: unrecognized arguments: --wrong"):
+        check_chain(batch_of(root, out, "reconstruct, export --wrong"), check)

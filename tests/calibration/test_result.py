@@ -244,7 +244,7 @@ def test_file_is_not_overwritten_by_default(tmp_path: Path) -> None:
 
 def test_other_toml_files_are_refused(tmp_path: Path) -> None:
     recording().save(tmp_path / "take")
-    with pytest.raises(FileFormatError, match="no calibration that `rtof-kin calibrate` wrote"):
+    with pytest.raises(FileFormatError, match="no calibration that `rtof-kin reconstruct --calibrate-only` wrote"):
         read_self_calibration_toml(tmp_path / "take" / "recording.toml")
 
 

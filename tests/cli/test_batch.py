@@ -17,7 +17,7 @@ import pytest
 
 from rtof_kin.recording.recording import Recording
 
-CHAIN = "reconstruct --no-figures, analyse --no-figures, report --subject 'A, B'"
+CHAIN = "reconstruct --no-figures, report --no-figures --subject 'A, B'"
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +73,13 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
 @pytest.mark.parametrize(
     "arguments, named",
     [
-        (["--chain", "reconstruct --framez 3"], "s1/good, reconstruct: unrecognized arguments: --framez 3"),
+        (
+            ["--chain", "reconstruct --framez 3"],
+            "s1/good, reconstruct: Unknown option: --framez. Did you mean --frames?",
+        ),
         (["--chain", "reconstruct --help"], "asks for help"),
         (["--chain", "batch"], "batch is no command"),
+        (["--chain", "reconstruct,analyse"], "chain: analyse is now rtof-kin report OUT --analysis FOLDER"),
         (["--chain", "view"], "what view reads and writes is not known"),
         (["--address", "host:6379"], "add --engine ray"),
         (["--shard", "2/1"], "shard 2/1"),

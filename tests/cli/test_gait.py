@@ -1,4 +1,4 @@
-"""The commands gait-reference and gait-scores, and compare --spm."""
+"""The commands gait-reference and report --gait-reference, and compare --spm."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def test_a_reference_says_who_is_in_it_and_who_is_not(cli: Any, healthy: Path, t
 
 
 def test_scores_of_a_person_of_the_reference(cli: Any, healthy: Path, reference: Path, tmp_path: Path) -> None:
-    done = cli("gait-scores", healthy / "r3", "--reference", reference, "-o", tmp_path / "out")
+    done = cli("report", healthy / "r3", "--gait-reference", reference, "--analysis", tmp_path / "out")
     assert done.code == 0, done.err
-    assert done.out.startswith("r3: GPS")
+    assert "r3: GPS" in done.out
     assert "GDI right" in done.out
     assert "no covariances" in done.out
-    files = {path.name for path in (tmp_path / "out").iterdir()}
+    files = {path.name for path in (tmp_path / "out" / "gait_scores").iterdir()}
     assert files >= {"gait_scores.json", "gait_scores.csv", "gait_curves.csv", "gait_scores.png"}
-    data = json.loads((tmp_path / "out" / "gait_scores.json").read_text())
+    data = json.loads((tmp_path / "out" / "gait_scores" / "gait_scores.json").read_text())
     rows = {(row["score"], row["side"]): row["value_deg"] for row in data["scores"]}
     assert len(rows) == 21
     squares = [rows[name, "left"] ** 2 for name, side in rows if side == "left" and name != "gps"]
@@ -78,13 +78,13 @@ def test_scores_of_a_person_of_the_reference(cli: Any, healthy: Path, reference:
 def test_a_motion_that_is_no_gait_has_one_sentence_and_no_score(
     cli: Any, healthy: Path, reference: Path, tmp_path: Path
 ) -> None:
-    done = cli("gait-scores", healthy / "squats", "--reference", reference, "-o", tmp_path / "out")
+    done = cli("report", healthy / "squats", "--gait-reference", reference, "--analysis", tmp_path / "out")
     assert done.code == 0
-    assert done.out.startswith("No gait scores: ")
-    data = json.loads((tmp_path / "out" / "gait_scores.json").read_text())
+    assert "No gait scores: " in done.out
+    data = json.loads((tmp_path / "out" / "gait_scores" / "gait_scores.json").read_text())
     assert data["scores"] == []
     assert not data["is_gait"]
-    assert not (tmp_path / "out" / "gait_scores.png").exists()
+    assert not (tmp_path / "out" / "gait_scores" / "gait_scores.png").exists()
 
 
 def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Path) -> None:
@@ -95,9 +95,10 @@ def test_another_system_and_missing_variables_come_first(cli: Any, tmp_path: Pat
     level[..., feet] = False
     blind = replace(motion, poses=replace(motion.poses, orientation_observed=level))
     folder_of(blind, tmp_path / "motion")
-    done = cli("gait-scores", tmp_path / "motion", "--reference", tmp_path / "other.json", "-o", tmp_path / "out")
+    out, reference = tmp_path / "out", tmp_path / "other.json"
+    done = cli("report", tmp_path / "motion", "--gait-reference", reference, "--analysis", out)
     assert done.code == 0, done.err
-    assert done.out.startswith("The reference is of another system (Plug-in Gait; zero: static trial)")
+    assert "The reference is of another system (Plug-in Gait; zero: static trial)" in done.out
     assert "GPS not computed" in done.out
     assert "right foot progression" in done.out
     assert "needs a sensor on the foot" in done.out
@@ -112,7 +113,7 @@ def test_a_table_needs_what_recordings_have_by_themselves(cli: Any, healthy: Pat
     done = cli("gait-reference", table, "-o", tmp_path / "t.json", *TERMS)
     assert done.code == 2
     assert "--people" in done.err
-    more = ("--people", 40, "--system", "Vicon, Plug-in Gait", "--zero", "static trial", "--speed", 1, 1.5)
+    more = ("--people", 40, "--system", "Vicon, Plug-in Gait", "--zero", "static trial", "--walking-speed", 1, 1.5)
     done = cli("gait-reference", table, "-o", tmp_path / "t.json", *TERMS, *more)
     assert done.code == 0, done.err
     assert "reference of 40 people at 1.00 to 1.50 m/s" in done.out

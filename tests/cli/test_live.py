@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import re
@@ -23,11 +22,11 @@ from rtof_kin.calibration.result import (
     read_self_calibration_toml,
     write_self_calibration_toml,
 )
-from rtof_kin.cli.live_display import LiveDisplay
+from rtof_kin.cli.live import LiveDisplay
 from rtof_kin.core.resources import model_path
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.recorder import Recorder
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Person
 
@@ -65,7 +64,7 @@ def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         fake.calibration = calibration
         return fake
 
-    monkeypatch.setattr("rtof_kin.live.estimation.estimator.OnlineEstimator", make)
+    monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
     return made
 
 
@@ -92,7 +91,7 @@ def test_a_replay_is_recorded_as_a_recording_that_can_be_reconstructed(
 def test_a_line_a_second_and_every_message_are_printed_where_there_is_no_terminal(
     cli: Cli, estimator: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rtof_kin.cli.live_display._LINE_EVERY", 0.05)
+    monkeypatch.setattr("rtof_kin.cli.live._LINE_EVERY", 0.05)
     done = cli("live", DEMO, "--imus", DEMO, "--seconds", 4, "--speed", "inf")
     assert done.code == 0
     assert estimator["landmarks"] == ()
@@ -108,7 +107,7 @@ def test_what_is_refined_begins_with_an_earlier_calibration_and_is_written(
     earlier = SelfCalibration((delay,), (), 0.0, True)
     write_self_calibration_toml(tmp_path / "earlier.toml", earlier)
     take = tmp_path / "take"
-    opened = ("--calibrate", "delay,mounting", "--calibration", tmp_path / "earlier.toml")
+    opened = ("--refine", "delay,mounting", "--calibration", tmp_path / "earlier.toml")
     options = (*opened, "--seconds", 1, "--speed", "inf")
     done = cli("live", DEMO, "--camera", DEMO, "--imus", DEMO, *options, "-o", take)
     assert done.code == 0, done.err
@@ -124,20 +123,20 @@ def test_a_video_is_examined_by_the_detector_of_the_options(
     pytest.importorskip("onnx")
     from dot_detector import write_video
 
-    asked: list[argparse.Namespace] = []
+    asked: list[Path | None] = []
 
-    def of(options: argparse.Namespace) -> Walking:
-        asked.append(options)
+    def of(models: Path | None, fetch: str | None) -> Walking:
+        asked.append(models)
         return Walking()
 
     monkeypatch.setattr("rtof_kin.cli.live.detector_of", of)
     images = [np.zeros((108, 192, 3), dtype=np.uint8)] * 50
     film = write_video(tmp_path / "film.mp4", images)
     take = tmp_path / "take"
-    options = ("--speed", "inf", "--rate", 25, "--model-dir", "models", "-o", take)
+    options = ("--speed", "inf", "--fps", 25, "--model-dir", "models", "-o", take)
     done = cli("live", DEMO, "--camera", film, *options)
     assert done.code == 0, done.err
-    assert [one.model_dir for one in asked] == ["models"]
+    assert asked == [Path("models")]
     assert "video: 50 samples" in done.out
     assert "L_UpArm" not in done.out
     assert estimator["setup"].calibration is None
@@ -194,7 +193,7 @@ def test_a_killed_session_is_finished_and_reconstruct_says_how(cli: Cli, tmp_pat
         (("--camera", "absent.mp4"), "absent.mp4"),
         (("--imus", "absent.csv"), "absent.csv"),
         (("--imus", DEMO, "--lag", "3"), "lag_s"),
-        (("--imus", DEMO, "--out", "pigeon"), "pigeon"),
+        (("--imus", DEMO, "--send", "pigeon"), "pigeon"),
         (("--camera", "0", "--speed", "2"), "speed 2"),
     ],
 )
@@ -207,7 +206,7 @@ def test_wrong_words_end_in_one_line(cli: Cli, arguments: tuple[Any, ...], named
 
 def test_help_lists_sources_with_examples(cli: Cli) -> None:
     text = cli("live", "--help").out
-    for word in ("lsl:NAME", "walk.mp4", "FOLDER", "/dev/video2", "rtof-kin live out/setup"):
+    for word in ("lsl:NAME", "walk.mp4", "FOLDER", "/dev/video2", "docs/live.md"):
         assert word in text
 
 
@@ -216,7 +215,7 @@ def test_the_page_is_shown_in_the_browser_where_asked_for(cli: Cli, monkeypatch:
     pytest.importorskip("websockets")
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)
-    done = cli("live", DEMO, "--imus", DEMO, "--seconds", 1, "--speed", "inf", "--view")
+    done = cli("live", DEMO, "--imus", DEMO, "--seconds", 1, "--speed", "inf", "--browser")
     assert done.code == 0
     (url,) = opened
     printed = re.search(r"(http://127\.0\.0\.1:\d+/)([\w-]{20,})/", done.err)

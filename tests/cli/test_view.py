@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from scene_support import measured, walking, written
 
-from rtof_kin.live.outputs.websocket_server import WebSocketServer
+from rtof_kin.live.websocket_server import WebSocketServer
 
 pytest.importorskip("viser")
 Cli = Callable[..., Any]
@@ -92,7 +92,7 @@ def test_live_estimates_are_shown_until_ctrl_c() -> None:
 
 def test_motion_without_measurements_says_what_is_missing(cli: Cli, tmp_path: Path) -> None:
     folder = written(tmp_path / "old", walking(40))
-    done = cli("view", folder, "--html", tmp_path / "page.html", "--rate", 10)
+    done = cli("view", folder, "--html", tmp_path / "page.html", "--fps", 10)
     assert done.code == 0, done.err
     assert "No measurements.h5 beside the motion" in done.out
     assert "Reconstruct again" in done.out
@@ -106,15 +106,15 @@ def test_wrong_input_is_told_in_one_line(cli: Cli, out: Path, tmp_path: Path) ->
     for arguments, words in (
         ((), "name the output folder"),
         ((out, "--live", "8765"), "name the output folder"),
-        (("--live",), "give the address that rtof-kin live ... --out ws printed"),
+        (("--live",), "--live needs a value"),
         (("--live", "ws://10.1.2.3:80"), "not an address of this machine"),
         (("--live", "http://localhost:9/key/", "--html", "a.html"), "leave out --html"),
         ((out, "--html", tmp_path / "a.html", "--video", "a.mp4"), "the file has no video"),
         ((tmp_path,), "no such file; name the output folder"),
-        ((out, "--second", tmp_path), "no such file; name the output folder"),
+        ((out, "--beside", tmp_path), "no such file; name the output folder"),
         ((out, "--no-browser", "--video", "a", "--video", "b"), "2 videos, but the motion has 1 camera"),
         ((out, "--no-browser", "--port", 99999), "a port is a number"),
-        ((out, "--html", tmp_path / "a.html", "--from", 50), "the motion is from 2 to"),
+        ((out, "--html", tmp_path / "a.html", "--start", 50), "the motion is from 2 to"),
     ):
         done = cli("view", *arguments)
         assert done.code == 2, arguments

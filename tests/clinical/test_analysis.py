@@ -1,4 +1,4 @@
-"""The complete analysis: files, figures and the command `rtof-kin analyse`."""
+"""The complete analysis: files, figures and the command `rtof-kin report --analysis`."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ from typing import Any
 import numpy as np
 import planted
 import pytest
-from clinical_support import walk, walking
+from clinical_support import walk, walking, write_analysis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from report_support import certain_to
 
 from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angles import all_observed
-from rtof_kin.clinical.files import write_analysis
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reporting.clinical_figures import SHOWN, angles_over_time, gait_cycles
+from rtof_kin.reporting.analysis import SHOWN, angles_over_time, gait_cycles
 
 BODY = SkeletonModel.default()
 REACTION = {"ground_reaction.csv", "ground_reaction.json"}
@@ -43,7 +42,7 @@ ALWAYS = {
 
 @pytest.fixture(scope="module")
 def analysis() -> MotionAnalysis:
-    return analyse_motion(walk(), weight_kg=70.0, height=1.72, repetitions="squat")
+    return analyse(walk(), weight_kg=70.0, height=1.72, repetitions="squat")
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +68,7 @@ def read(path: Path) -> Any:
 
 @pytest.mark.parametrize("step", [20, 80])
 def test_low_frame_rates_disable_only_gait_events(step: int) -> None:
-    analysis = analyse_motion(walk()[::step], weight_kg=70.0, repetitions="squat")
+    analysis = analyse(walk()[::step], weight_kg=70.0, repetitions="squat")
     assert "too low a rate for gait events" in analysis.notes["gait"][0]
     assert np.isfinite(analysis.angles["right_hip_flexion"]).all()
     assert {row.name: row.peak_velocity for row in analysis.ranges}["right_hip_flexion"] > 0.1
@@ -141,7 +140,7 @@ def test_ranges_are_written_in_degrees(analysis: MotionAnalysis, folder: Path) -
 
 def test_bands_of_ranges_and_headings_are_written(tmp_path: Path) -> None:
     motion = walk()
-    analysis = analyse_motion(replace(motion, confidence=certain_to(3.0, motion)))
+    analysis = analyse(replace(motion, confidence=certain_to(3.0, motion)))
     write_analysis(analysis, tmp_path)
     header, *lines = (tmp_path / "range_of_motion.csv").read_text().splitlines()
     rows = {line.split(",")[0]: dict(zip(header.split(","), line.split(","), strict=True)) for line in lines}
@@ -155,7 +154,7 @@ def test_bands_of_ranges_and_headings_are_written(tmp_path: Path) -> None:
 
 
 def test_without_a_weight_a_note_replaces_the_torques(tmp_path: Path) -> None:
-    write_analysis(analyse_motion(planted.standing(BODY, 120)), tmp_path)
+    write_analysis(analyse(planted.standing(BODY, 120)), tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == ALWAYS
     notes = read(tmp_path / "notes.json")
     assert "no weight" in notes["torques"][0]
@@ -175,7 +174,7 @@ def test_figure_panels_have_units_and_mark_unobserved_angles(analysis: MotionAna
             if (legend := ax.get_legend()) is not None:
                 assert not legend.get_window_extent().overlaps(ax.get_window_extent().padded(-1))
     observed = tuple(curve for curve in analysis.curves if not curve.name.endswith("ankle_dorsiflexion"))
-    blind = analyse_motion(planted.standing(BODY, 30))
+    blind = analyse(planted.standing(BODY, 30))
     for figure in (angles_over_time(blind), gait_cycles(replace(analysis, curves=observed))):
         ankle = figure.axes[SHOWN.index("ankle_dorsiflexion")]
         assert [text.get_text() for text in ankle.texts] == ["not observed"]
@@ -194,16 +193,16 @@ def test_cycle_panels_show_the_mean_and_number_of_strides_of_each_side(analysis:
 
 def test_height_without_weight_and_unknown_repetitions_are_rejected() -> None:
     with pytest.raises(InvalidInputError, match="need a weight"):
-        analyse_motion(walk(), height=1.8)
+        analyse(walk(), height=1.8)
     with pytest.raises(UnknownNameError, match="Known: squat, sit_to_stand"):
-        analyse_motion(walk(), repetitions="lunge")  # type: ignore[arg-type]
+        analyse(walk(), repetitions="lunge")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("frames", [1, 2, 10])
 def test_few_frames_give_angles_and_notes(frames: int, any_skeleton: SkeletonModel) -> None:
     motion = planted.moving(any_skeleton, frames)
     motion = replace(motion, poses=all_observed(motion.poses))
-    analysis = analyse_motion(motion, weight_kg=70.0, repetitions="sit_to_stand")
+    analysis = analyse(motion, weight_kg=70.0, repetitions="sit_to_stand")
     assert np.isfinite(analysis.angles["right_hip_flexion"]).all()
     assert analysis.torques is not None
     assert np.isnan(analysis.torques.torques).all()
@@ -221,7 +220,7 @@ def test_an_unobserved_motion_has_no_values(tmp_path: Path) -> None:
         valid=None,
     )
     unseen = replace(motion, q=np.full_like(motion.q, np.nan), poses=nothing)
-    analysis = analyse_motion(unseen, weight_kg=70.0, repetitions="squat")
+    analysis = analyse(unseen, weight_kg=70.0, repetitions="squat")
     write_analysis(analysis, tmp_path)
     assert not analysis.angles.known.any()
     assert np.all(analysis.angles.provenance == Provenance.NOBODY)
@@ -236,7 +235,7 @@ def test_command_writes_the_folder_and_prints_tables(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "analysis"
-    assert main(["analyse", str(motion_file), "-o", str(out), "--weight", "70"]) == 0
+    assert main(["report", str(motion_file), "--analysis", str(out), "--weight", "70"]) == 0
     text = capsys.readouterr().out
     for part in ("right_knee_flexion", "cadence steps/min", "torques of the legs in", "m forward, without"):
         assert part in text
@@ -258,7 +257,7 @@ def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest
     """Two strides on a treadmill are too few; their numbers are in the files all the same."""
     path = tmp_path / "motion.h5"
     write_motion(path, walking(2.4, treadmill=True), mode="rtof")
-    assert main(["analyse", str(path), "-o", str(tmp_path / "out")]) == 0
+    assert main(["report", str(path), "--analysis", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "gait: Only 2 complete strides of walking" in text
     assert "cadence steps/min" not in text
@@ -271,7 +270,7 @@ def test_command_replaces_a_folder_only_with_overwrite(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "analysis"
-    command = ["analyse", str(motion_file.parent), "-o", str(out), "--no-figures"]
+    command = ["report", str(motion_file.parent), "--analysis", str(out), "--no-figures"]
     assert main(command) == 0
     assert main([*command, "--weight", "70"]) == 2
     assert "--overwrite" in capsys.readouterr().err
@@ -288,7 +287,7 @@ def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_fil
     (folder / "summary.json").write_text(json.dumps({"inputs": {"subject": subject}}))
     for given, more, weight in ((folder, [], 62.0), (motion, ["--weight", "70"], 70.0)):
         out = tmp_path / str(weight)
-        assert main(["analyse", str(given), "-o", str(out), "--no-figures", *more]) == 0
+        assert main(["report", str(given), "--analysis", str(out), "--no-figures", *more]) == 0
         assert read(out / "torques.json")["weight_kg"] == weight
 
 
@@ -303,7 +302,7 @@ def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_fil
 def test_implausible_subjects_exit_with_one_line(
     motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
 ) -> None:
-    assert main(["analyse", str(motion_file), "-o", str(tmp_path / "out"), *more]) == 2
+    assert main(["report", str(motion_file), "--analysis", str(tmp_path / "out"), *more]) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert message in error

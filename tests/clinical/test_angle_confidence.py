@@ -8,21 +8,20 @@ from pathlib import Path
 import numpy as np
 import planted
 import pytest
-from clinical_support import LEG, posture
+from clinical_support import LEG, posture, write_analysis
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
 from rtof_kin.clinical.decomposition import UNIFORM_SIGMA, angle_rates, decompose, reliable_samples, turns_too_fast
-from rtof_kin.clinical.files import write_analysis
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.data.confidence import WORLD, Confidence
-from rtof_kin.reporting.clinical_figures import angles_over_time
+from rtof_kin.reporting.analysis import angles_over_time
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -124,14 +123,14 @@ def test_negative_or_infinite_sigmas_are_rejected(value: float) -> None:
 
 
 def test_files_and_figures_have_the_bands(tmp_path: Path) -> None:
-    analysis = analyse_motion(with_covariance(motion(), np.radians(2.0) ** 2 * np.eye(3)))
+    analysis = analyse(with_covariance(motion(), np.radians(2.0) ** 2 * np.eye(3)))
     write_analysis(analysis, tmp_path)
     columns = read_csv(tmp_path / "angles.csv")
     assert columns["pelvis_tilt_sigma_deg"][3] == pytest.approx(2.0, rel=0.05)
     figure = angles_over_time(analysis)
     assert any(ax.collections for ax in figure.axes)
     assert "95 %" in figure.get_suptitle()
-    assert not any(ax.collections for ax in angles_over_time(analyse_motion(motion())).axes)
+    assert not any(ax.collections for ax in angles_over_time(analyse(motion())).axes)
 
 
 def reliable(sigma: Array | None, hip: Array | None = None) -> tuple[NDArray[np.bool_], str]:

@@ -11,7 +11,7 @@ from clinical_support import LEG, limb, posture, walk, walking
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis, analyse_gait, cycle_curves
 from rtof_kin.clinical.gait_events import gait_events
@@ -244,7 +244,7 @@ def in_a_circle(radius: float, speed: float = 1.1) -> Motion:
 
 
 def test_walking_in_a_circle_is_no_asymmetry_of_the_strides() -> None:
-    gait = analyse_motion(in_a_circle(2.5)).gait
+    gait = analyse(in_a_circle(2.5)).gait
     assert gait.is_gait
     assert abs(gait.symmetry["stride_length"]) < 0.01
     for side in ("right", "left"):
@@ -254,13 +254,13 @@ def test_walking_in_a_circle_is_no_asymmetry_of_the_strides() -> None:
 @pytest.mark.parametrize("heading", [0.0, 2.5])
 def test_pelvis_rotation_over_the_cycle_is_from_the_direction_of_walking(heading: float) -> None:
     for motion in (walking(6.0, heading=heading), in_a_circle(2.5)):
-        found = [c for c in analyse_motion(motion).curves if c.name == "pelvis_rotation"]
+        found = [c for c in analyse(motion).curves if c.name == "pelvis_rotation"]
         assert {curve.side for curve in found} == {"right", "left"}
         assert np.degrees(max(np.abs(curve.curves).max() for curve in found)) < 5
 
 
 def test_measures_of_gait_are_of_its_strides_of_walking_alone() -> None:
-    gait = analyse_motion(walking(8.0)).gait
+    gait = analyse(walking(8.0)).gait
     odd = replace(gait.verdict, walking=gait.verdict.walking[1:])
     assert len(replace(gait, verdict=odd).counted) == len(gait.strides) - 1
     assert replace(gait, verdict=replace(odd, why_not="It is a dance.")).counted == gait.strides

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.ground_reaction import Contact, GroundReaction, _hull_distance, _shares
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.data.poses import PoseSequence
@@ -44,7 +44,7 @@ def standing(**degrees: float) -> Array:
 
 
 def reaction(q: Array, weight_kg: float = 70.0) -> GroundReaction:
-    found = analyse_motion(motion_of(q), weight_kg=weight_kg).ground_reaction
+    found = analyse(motion_of(q), weight_kg=weight_kg).ground_reaction
     assert found is not None
     return found
 
@@ -117,7 +117,7 @@ def test_ballistic_flight_has_no_force_and_no_centre_of_pressure() -> None:
 
 def test_walking_keeps_the_balance_of_momentum() -> None:
     motion = walk()
-    analysis = analyse_motion(motion, weight_kg=70.0)
+    analysis = analyse(motion, weight_kg=70.0)
     found = analysis.ground_reaction
     assert found is not None
     known = np.flatnonzero(np.isfinite(found.force[:, 2]))

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_support import walk
+from clinical_support import walk, write_analysis
 from long_motion import with_confidence
 
 from benchmarks.long_outputs import repeated, write_repeated
 from rtof_kin.body import motion_source
 from rtof_kin.body.skeleton import Motion
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
-from rtof_kin.clinical.files import write_analysis
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.core.array_types import Array
 from rtof_kin.formats.motion_files import FORMATS, write_motion_files
 
@@ -42,7 +41,7 @@ def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def analysed(motion: Motion) -> MotionAnalysis:
-    return analyse_motion(motion, weight_kg=70.0, repetitions="squat")
+    return analyse(motion, weight_kg=70.0, repetitions="squat")
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +97,7 @@ def numbers(path: Path) -> Array:
 
 MEASURED = """
 import resource, sys
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.formats.motion_files import write_motion_files
 from rtof_kin.body.motion_file import MotionReader
 
@@ -109,7 +108,7 @@ before = peak()
 with MotionReader(sys.argv[1]) as reader:
     write_motion_files(sys.argv[2], reader, ["mot"])
     written = peak()
-    analyse_motion(reader)
+    analyse(reader)
     print(written - before, peak() - before)
 """
 

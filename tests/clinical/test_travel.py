@@ -11,7 +11,7 @@ from clinical_support import squatting, stepping, walk, walking
 from report_support import certain_to
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.travel import DRIFT, Travel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import Provenance
@@ -22,7 +22,7 @@ TIMES = np.arange(480) / 60
 
 
 def of(motion: Motion) -> Travel:
-    return analyse_motion(motion).travel
+    return analyse(motion).travel
 
 
 def turning(heading: np.ndarray) -> Travel:

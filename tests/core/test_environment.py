@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import getpass
 import platform
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+import planted
 import pytest
+from numpy.typing import NDArray
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import environment as module
 from rtof_kin.core.environment import environment
 from rtof_kin.core.files.compact import multiples
 from rtof_kin.core.numerics import c_compiler
+from rtof_kin.solve.fragment_solver import FragmentSolver
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 
 
 def test_environment_has_versions_and_neither_names_nor_paths(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -55,3 +62,48 @@ def test_evaluation_of_the_energy_is_known(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_zero_that_is_written_is_positive() -> None:
     assert not np.signbit(multiples([-0.0, -1e-12, 0.0], 24)).any()
+
+
+Array = NDArray[np.float64]
+BODY = SkeletonModel.default()
+BODIES = (BODY, BODY.with_height(1.6), BODY)
+N, FRAMES = 8, 12
+SETTINGS: dict[str, JointSpaceSettings | CartesianSettings] = {
+    "joint": JointSpaceSettings(),
+    "cartesian": CartesianSettings(),
+    "cartesian by IPOPT": CartesianSettings(backend="ipopt"),
+}
+
+
+def solve(kind: str, i: int, solver: FragmentSolver | None = None) -> Array:
+    """Positions of the i-th recording, of a body and a motion of its own."""
+    body = BODIES[i]
+    truth = planted.human(body, FRAMES, seed=i)
+    seen = planted.keypoints(truth.poses, 2.0, seed=i)
+    imus = planted.bone_imus(body, truth.poses, degrees=3.0, seed=i)
+    solver = solver or FragmentSolver(body, N, SETTINGS[kind])
+    start = planted.human(body, FRAMES, seed=i, size=0.9).poses
+    return solver.solve(start, seen, imus).poses.p_world_joint
+
+
+@cache
+def one_after_the_other(kind: str) -> list[Array]:
+    return [solve(kind, i) for i in range(3)]
+
+
+@pytest.mark.parametrize("kind", SETTINGS)
+def test_three_threads_give_the_results_of_one(kind: str) -> None:
+    expected = one_after_the_other(kind)
+    with ThreadPoolExecutor(3) as pool:
+        for found, alone in zip(pool.map(lambda i: solve(kind, i), range(3)), expected, strict=True):
+            np.testing.assert_array_equal(found, alone)
+
+
+@pytest.mark.parametrize("kind", ["joint", "cartesian"])
+def test_solver_may_be_shared_by_threads(kind: str) -> None:
+    solver = FragmentSolver(BODY, N, SETTINGS[kind])
+    expected = one_after_the_other(kind)
+    numbers = [0, 2, 0, 2]  # of the same body
+    with ThreadPoolExecutor(4) as pool:
+        for i, found in zip(numbers, pool.map(lambda i: solve(kind, i, solver), numbers), strict=True):
+            np.testing.assert_array_equal(found, expected[i])

@@ -16,7 +16,7 @@ from lifting.checkpoint import save_tensors
 from lifting.training.train import write_curves
 from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.cli import inspection
+from rtof_kin.cli import files
 from rtof_kin.core.errors import RtofError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.formats.c3d import write_c3d
@@ -51,9 +51,9 @@ WRITERS: dict[str, Callable[[Path, Motion], object]] = {
 
 
 def test_figure_of_inspect_is_complete_or_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rtof_kin.reporting.inspection_figures.picture", lambda found: Figure())
+    monkeypatch.setattr("rtof_kin.reporting.inspection.picture", lambda found: Figure())
     with full_disk(), pytest.raises(RtofError, match=r"wrong\.png: cannot be written"):
-        inspection._draw(None, tmp_path / "wrong.png", False)
+        files._draw(None, tmp_path / "wrong.png", False)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 import rtof_kin
-from rtof_kin.cli import command_names
+from rtof_kin.cli import COMMANDS, app, command_names
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "commands")
@@ -60,9 +61,32 @@ def test_every_name_of_the_front_door_is_in_the_reference() -> None:
     assert documented == set(rtof_kin.__all__)
 
 
-def test_every_command_has_a_row() -> None:
-    rows = re.findall(r"^\| `rtof-kin ([\w-]+)", (ROOT / "docs/command_line.md").read_text("utf-8"), re.MULTILINE)
-    assert sorted(rows) == sorted(command_names())
+def command_line() -> str:
+    return (ROOT / "docs/command_line.md").read_text("utf-8")
+
+
+def test_every_command_has_a_row_under_what_it_is_for() -> None:
+    parts = re.split(r"^### (.*)$", command_line().partition("## Options")[0], flags=re.MULTILINE)
+    rows = {title.lower(): re.findall(r"^\| `rtof-kin ([\w-]+)", text, re.MULTILINE) for title, text in batched(parts)}
+    assert rows == {purpose: list(commands) for purpose, commands in COMMANDS.items()}
+
+
+def batched(parts: list[str]) -> list[tuple[str, str]]:
+    return list(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def test_an_option_of_several_commands_has_one_row_with_its_meaning() -> None:
+    rows = re.findall(r"^\| `(--[\w-]+)[^`]*` \| .+ \| (.+) \|$", command_line(), re.MULTILINE)
+    listed = {option: set(re.findall("`([^`]+)`", commands)) for option, commands in rows}
+    found = defaultdict[str, set[str]](set)
+    for name in command_names():
+        whole = app([name])[name]
+        for command in (whole, *(whole[inner] for inner in whole if not inner.startswith("-"))):
+            for argument in command.assemble_argument_collection():
+                if not argument.field_info.is_positional:
+                    found[argument.names[0]].add(name)
+    assert len(listed) == len(rows)
+    assert {option: names for option, names in found.items() if option in listed or len(names) > 1} == listed
 
 
 @cache

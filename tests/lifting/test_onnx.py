@@ -131,7 +131,7 @@ def test_the_command_writes_the_file_and_overwrites_only_if_asked(
 ) -> None:
     checkpoint = save_checkpoint(tmp_path / "lifter.pt", lifter.network, lifter.description)
     file = tmp_path / "lifter.onnx"
-    command = ["export-lifter", str(checkpoint), "-o", str(file)]
+    command = ["export", str(checkpoint), "-o", str(file), "--to", "onnx"]
     assert main(command) == 0
     assert session(file).get_inputs()[0].name == "rays_world"
     assert [path.name for path in tmp_path.glob("*.part")] == []

@@ -178,7 +178,7 @@ def test_the_command_trains_with_every_option(
     file, out = str(corpus.save(tmp_path / "corpus.npz")), tmp_path / "lifter.pt"
     common = ["train", file, "--windows", "32", "--batch", "16", "--channels", "8", "--threads", "1"]
     common += ["--validation-windows", "8", "--ema", "0.9", "--no-bfloat16"]
-    assert cli.main([*common, "-o", str(out), "--causal", "--camera", "4", "1.5", "--seed", "3"]) == 0
+    assert cli.main([*common, "-o", str(out), "--causal", "--camera-at", "4", "1.5", "--seed", "3"]) == 0
     assert f"curves: {out}.curves.png" in capsys.readouterr().out
     description = load_checkpoint(out)[1]
     assert description.network.causal
@@ -186,11 +186,11 @@ def test_the_command_trains_with_every_option(
     assert description.recipe["augment"]["distance"] == [4.0, 4.0]
     assert description.recipe["augment"]["camera_height"] == [1.5, 1.5]
     tuned = tmp_path / "tuned.pt"
-    assert cli.main([*common, "-o", str(tuned), "--start", str(out)]) == 0
+    assert cli.main([*common, "-o", str(tuned), "--initial", str(out)]) == 0
     baseline = tmp_path / "baseline.pt"
     assert cli.main([*common, "-o", str(baseline), "--network", "videopose3d"]) == 0
     assert load_checkpoint(baseline)[1].recipe["dropout"] == 0.25
-    assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--start", str(tmp_path / "none.pt")]) == 2
+    assert cli.main([*common, "-o", str(tmp_path / "x.pt"), "--initial", str(tmp_path / "none.pt")]) == 2
     assert "none.pt: no such file" in capsys.readouterr().err
 
 

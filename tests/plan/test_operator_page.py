@@ -12,10 +12,9 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.plan.drawing import draw_setup
 from rtof_kin.plan.movements import MOVEMENTS, movement
-from rtof_kin.plan.operator_page import MOST_LINES, operator_page, operator_steps
-from rtof_kin.plan.placing import framing, sensor_places
+from rtof_kin.plan.operator_page import MOST_LINES, draw_setup, operator_page, operator_steps
+from rtof_kin.plan.protocol import framing, sensor_places
 
 SKELETON = SkeletonModel.default()
 SQUAT = movement("squat", SKELETON, 1, rate_hz=20.0)

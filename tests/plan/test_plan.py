@@ -16,16 +16,13 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import plan as planning
-from rtof_kin.plan.calibration_time import ENOUGH, PLANTED, CalibrationTime, calibration_time, planted
-from rtof_kin.plan.figures import plan_figure
-from rtof_kin.plan.files import COLUMNS, INSTRUCTIONS, MARKER, TABLE, write_plan
+from rtof_kin.plan.document import COLUMNS, MARKER, advice, cautions, headline, plan_figure, write_plan
 from rtof_kin.plan.identifiability import ROOT, Information
+from rtof_kin.plan.operator_page import INSTRUCTIONS
 from rtof_kin.plan.plan import Plan, plan
-from rtof_kin.plan.prediction import Prediction
+from rtof_kin.plan.prediction import ENOUGH, PLANTED, CalibrationTime, Prediction, calibration_time, planted
 from rtof_kin.plan.protocol import CameraPlace, Protocol
-from rtof_kin.plan.sentences import advice, cautions, headline
-from rtof_kin.plan.setup import Setup
-from rtof_kin.plan.sources import liveliest, planned
+from rtof_kin.plan.setup import Setup, liveliest, planned
 
 NAMES = ("pelvis_tilt", "right_hip_flexion", "right_knee_flexion", "right_wrist_flexion")
 
@@ -127,8 +124,9 @@ def test_values_in_the_figure_stand_beside_the_marks_of_errors(made: Plan) -> No
 
 
 def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:
-    write_plan(made, tmp_path)
-    with (tmp_path / TABLE).open() as file:
+    write_plan(made, tmp_path / "out")
+    tmp_path /= "out"
+    with (tmp_path / "plan.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == list(COLUMNS)
     assert [row["angle"] for row in rows] == list(NAMES)
@@ -147,7 +145,7 @@ def test_files_have_every_angle(made: Plan, tmp_path: Path) -> None:
 def test_a_plan_without_search_compares_nothing(stubbed: Setup, tmp_path: Path) -> None:
     found = plan(Protocol("squat", wanted=NAMES), stubbed, search=False)
     assert (found.cameras, found.sensors, found.calibration) == ((), (), None)
-    write_plan(found, tmp_path)
+    write_plan(found, tmp_path / "out")
 
 
 # --- how long to move ----------------------------------------------------------------------------
@@ -165,7 +163,7 @@ def test_time_is_needed_until_statement_and_simulation_agree() -> None:
 
 
 def test_what_is_planted_is_what_is_measured_as_left(setup: Setup) -> None:
-    from rtof_kin.plan.calibration_time import _left
+    from rtof_kin.plan.prediction import _left
 
     true = setup.recorded(0, late=False)
     wrong = planted(true, 3)

@@ -13,8 +13,8 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.plan import identifiability
 from rtof_kin.plan.identifiability import NOT_IDENTIFIABLE, ROOT, Information, information
-from rtof_kin.plan.placing import centre_of
 from rtof_kin.plan.prediction import Prediction, predict
+from rtof_kin.plan.protocol import centre_of
 from rtof_kin.plan.setup import Setup, seen_share
 from rtof_kin.solve.joint_space.covariance import confidence_of
 from rtof_kin.solve.joint_space.state import StateSpace

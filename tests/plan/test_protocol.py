@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
-from rtof_kin.plan.placing import centre_of, facing_of
-from rtof_kin.plan.protocol import CameraPlace, Protocol, direction, place_of
+from rtof_kin.plan.protocol import CameraPlace, Protocol, centre_of, direction, facing_of, place_of
 from rtof_kin.plan.setup import Setup
 
 WHOLE = """

@@ -18,7 +18,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.self_calibration import CLOCK_DOUBT, DAYS_APART, ClockOffset, find_offset
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import headline
 
 DEMO = Path(__file__).parents[2] / "models" / "demo"
 

@@ -19,8 +19,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.self_calibration import with_camera
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.audit_results import Grade
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import Grade, headline
 
 CAMERA = Camera.looking_at([5.0, 1.0, 2.0], [0.0, 0.0, 0.9], 1200.0)
 POINTS = np.random.default_rng(0).uniform([-1, -1, 0], [1, 1, 2], (6, 3))

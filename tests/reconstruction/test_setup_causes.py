@@ -17,7 +17,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import headline
 
 SECONDS = 8.0
 

@@ -21,8 +21,8 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reporting import figures
 from rtof_kin.reporting.audit import audit
+from rtof_kin.reporting.audit_results import headline
 from rtof_kin.reporting.export import export, summary
-from rtof_kin.reporting.headline import headline
 
 BODY = SkeletonModel.default().with_height(1.66)
 T = 16

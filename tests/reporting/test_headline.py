@@ -8,8 +8,14 @@ from dataclasses import replace
 import pytest
 
 from rtof_kin.data.imu_stream import FaultKind
-from rtof_kin.reporting.audit_results import FAILED_FRAGMENTS, ROOM_BAND, UNOBSERVED_FRAGMENTS, AuditResult, Grade
-from rtof_kin.reporting.headline import headline
+from rtof_kin.reporting.audit_results import (
+    FAILED_FRAGMENTS,
+    ROOM_BAND,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+    Grade,
+    headline,
+)
 
 GOOD = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
 OFF = AuditResult("image", "error", "Foot", 50.0, "px", 2.0, 5.0, note="the camera is off")

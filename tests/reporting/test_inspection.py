@@ -23,8 +23,7 @@ from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.formats.markers import MarkerSequence
 from rtof_kin.formats.trc import write_trc
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.inspection import inspect
-from rtof_kin.reporting.inspection_figures import MOST, picture
+from rtof_kin.reporting.inspection import MOST, inspect, picture
 
 DATA = Path(__file__).parents[1] / "fixtures"
 SENSORS = DATA / "inertial"

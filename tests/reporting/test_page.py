@@ -19,14 +19,14 @@ from hypothesis.extra import numpy as arrays
 from report_support import BROWSER, Page, certain_to, folder_of, plotted_data, rendered, unpacked
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.audit_results import AuditResult
-from rtof_kin.reporting.isb import isb_items
 from rtof_kin.reporting.page import report
 from rtof_kin.reporting.plot_data import packed, player_data
+from rtof_kin.reporting.provenance import isb_items
 
 TODAY = date(2026, 2, 3)
 INPUTS = {
@@ -166,7 +166,7 @@ def test_sections_have_verdicts_reasons_and_limits(page: Page) -> None:
 
 
 def test_ranges_compare_left_and_right(page: Page) -> None:
-    found = {r.name: np.degrees(r.range) for r in analyse_motion(walk()).ranges}
+    found = {r.name: np.degrees(r.range) for r in analyse(walk()).ranges}
     right, left = (found[f"{side}_knee_flexion"] for side in ("right", "left"))
     for text in (f"{right:.0f}", f"{left:.0f}", f"{round(right - left):+d}"):
         assert text in page.text["ranges"]
@@ -260,7 +260,7 @@ def test_packed_numbers_have_one_decimal(values: np.ndarray[Any, Any]) -> None:
 
 def test_plotted_curves_and_bands_are_those_of_the_analysis(html: str) -> None:
     data = plotted_data(html)
-    analysis = analyse_motion(replace(walk(), confidence=certain_to(2.0, walk())))
+    analysis = analyse(replace(walk(), confidence=certain_to(2.0, walk())))
     right = next(s for s in knee_of(data["angles"]["groups"]) if s["side"] == "right")
     a = analysis.angles.names.index("right_knee_flexion")
     assert analysis.angles.sigma is not None

@@ -16,7 +16,7 @@ from clinical_support import walk
 from pypdf import PdfReader
 from report_support import certain_to, folder_of
 
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.reporting.audit_results import AuditResult
 from rtof_kin.reporting.page import report
 
@@ -194,7 +194,7 @@ def test_names_and_signs_follow_the_chosen_convention(opened: BrowserPage) -> No
     for text in ("knee_angle_r, _l", "pelvis_tilt", "lumbar_extension", "no OpenSim coordinate"):
         assert text in other
     assert "knee flexion" not in other
-    found = {own.name: own for own in analyse_motion(walk()).ranges}["spine_flexion"]
+    found = {own.name: own for own in analyse(walk()).ranges}["spine_flexion"]
     low, high = (round(float(np.degrees(angle))) for angle in (found.low, found.high))
     assert f"{low} to {high}" in usual
     assert f"{-high} to {-low}" in other
@@ -221,7 +221,7 @@ def test_each_chart_has_its_extremes_in_words(opened: BrowserPage) -> None:
     labels = opened.value("[...document.querySelectorAll('figure svg')].map(one => one.ariaLabel)")
     assert all("lowest" in label or "not observed" in label for label in labels)
     (knee,) = [label for label in labels if label.startswith("knee flexion") and " s," in label]
-    angles = analyse_motion(walk()).angles
+    angles = analyse(walk()).angles
     values = np.degrees(angles["right_knee_flexion"])
     # The curve has a half of the frames.
     lowest = re.search(r"right: lowest (-?\d+) deg at ([\d.]+) s, highest (-?\d+) deg at ([\d.]+) s", knee)

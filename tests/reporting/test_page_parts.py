@@ -16,7 +16,7 @@ from markupsafe import Markup
 from report_support import certain_to, unpacked
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.clinical.analysis import analyse_motion
+from rtof_kin.clinical.analysis import analyse
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.range_of_motion import UncertainEnd
 from rtof_kin.data.poses import Provenance
@@ -90,7 +90,7 @@ def test_the_envelope_of_a_curve_has_its_extremes_in_order(values: np.ndarray, s
 def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plot_data, "MOST_SAMPLES", 40)
     motion = replace(walk(), confidence=certain_to(2.0, walk()))
-    analysis = analyse_motion(motion)
+    analysis = analyse(motion)
     found = angle_curves(analysis, shown_frames(motion.times))
     (group,) = [group for group in found["groups"] if group["name"] == "knee flexion"]
     (right,) = [series for series in group["series"] if series["side"] == "right"]
@@ -110,7 +110,7 @@ def test_long_curves_keep_their_peaks_and_widest_bands(monkeypatch: pytest.Monke
 
 
 def test_unreliable_samples_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    analysis = analyse_motion(walk())
+    analysis = analyse(walk())
     a = analysis.angles.names.index("right_knee_flexion")
 
     def right_knee(first: int, stop: int) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def test_frames_of_any_length_are_bounded() -> None:
 
 
 def test_ranges_have_bands_and_headings_have_none() -> None:
-    analysis = analyse_motion(replace(walk(), confidence=certain_to(2.0, walk())))
+    analysis = analyse(replace(walk(), confidence=certain_to(2.0, walk())))
     html = html_of(*range_tables(analysis.ranges, analysis.angles.rows))
     found = {own.name: own for own in analysis.ranges}["right_knee_flexion"]
     half = round(1.96 * float(np.degrees(found.range_sigma)))
@@ -158,12 +158,12 @@ def test_ranges_have_bands_and_headings_have_none() -> None:
     assert f"<b>{round(float(np.degrees(found.range)))}</b> ± {half}" in html
     assert "pelvis rotation" not in html
     assert "pelvis tilt" in html
-    unknown = html_of(*range_tables(analyse_motion(walk()).ranges, analysis.angles.rows))
+    unknown = html_of(*range_tables(analyse(walk()).ranges, analysis.angles.rows))
     assert "±" not in unknown
 
 
 def test_few_reliable_frames_have_no_range_and_no_difference_of_the_sides() -> None:
-    analysis = analyse_motion(replace(walk(), confidence=certain_to(2.0, walk())))
+    analysis = analyse(replace(walk(), confidence=certain_to(2.0, walk())))
 
     def knee(right: float, left: float) -> list[str]:
         shares = {"right_knee_flexion": right, "left_knee_flexion": left}
@@ -204,7 +204,7 @@ def test_the_figure_opens_on_a_frame_in_which_the_person_is_seen() -> None:
 
 def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -> None:
     motion = walk()
-    analysis = analyse_motion(replace(motion, confidence=certain_to(2.0, motion)))
+    analysis = analyse(replace(motion, confidence=certain_to(2.0, motion)))
     end = UncertainEnd(1.0, np.radians(141.0), np.radians(200.0))
     rows = [replace(row, uncertain_high=end) if row.name == "right_hip_flexion" else row for row in analysis.ranges]
     html = html_of(*range_tables(rows, analysis.angles.rows))
@@ -215,7 +215,7 @@ def test_an_uncertain_range_is_a_least_one_without_a_difference_of_the_sides() -
 
 
 def test_the_way_says_how_far_and_which_way_it_turned() -> None:
-    way = analyse_motion(walk()).travel
+    way = analyse(walk()).travel
     text = way_line(way)
     assert f"{way.path_length:.1f} m along its path" in text
     assert "without turns" in text
@@ -264,12 +264,12 @@ def test_texts_have_enough_contrast_in_light_and_dark() -> None:
 
 
 def test_gait_is_shown_only_where_it_is_gait() -> None:
-    analysis = analyse_motion(walk())
+    analysis = analyse(walk())
     assert analysis.gait.is_gait
     html = html_of(gait_table(analysis.gait))
     mean, spread, strides = analysis.gait.summary["right"]["stride_time"]
     assert f'<td data-label="right">{mean:.2f} ± {spread:.2f} ({strides})</td>' in html
     assert len(cycle_curves_data(analysis)["groups"]) > 10
-    short = analyse_motion(walk()[:60])
+    short = analyse(walk()[:60])
     assert not short.gait.is_gait
     assert cycle_curves_data(short)["groups"] == []

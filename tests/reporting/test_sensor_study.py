@@ -22,8 +22,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Choices
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.audit_results import Grade, SectionVerdict
-from rtof_kin.reporting.headline import Headline
+from rtof_kin.reporting.audit_results import Grade, Headline, SectionVerdict
 from rtof_kin.reporting.sensor_study import runs as sensor_runs
 from rtof_kin.reporting.sensor_study.accuracy import PARTS, measure_set
 from rtof_kin.reporting.sensor_study.figures import error_by_number, write_study_figures

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from report_support import certain_to
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.clinical.analysis import MotionAnalysis, analyse_motion
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.comparison import compare_sides, compared
 from rtof_kin.clinical.range_of_motion import ranges_of_motion
@@ -21,11 +21,17 @@ from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
 from rtof_kin.recording.session import Session
 from rtof_kin.reporting.angle_names import plain_words
-from rtof_kin.reporting.audit_results import AuditResult, Grade
-from rtof_kin.reporting.headline import Headline
+from rtof_kin.reporting.audit_results import AuditResult, Grade, Headline
 from rtof_kin.reporting.summary_file import Summary
-from rtof_kin.reporting.summary_findings import EVENT_SIGMA, Finding, anatomical_limits, compared_sides, findings
-from rtof_kin.reporting.summary_lines import SummaryLine, summary_lines
+from rtof_kin.reporting.summary_lines import (
+    EVENT_SIGMA,
+    Finding,
+    SummaryLine,
+    anatomical_limits,
+    compared_sides,
+    findings,
+    summary_lines,
+)
 
 BODY = SkeletonModel.default()
 LABELS = ("Who", "What", "How good", "Careful", "Findings")
@@ -48,7 +54,7 @@ def summary(
 def lines(
     motion: Motion, overall: Headline = FINE, session: Session | None = None, **fields: Any
 ) -> dict[str, SummaryLine]:
-    found = summary_lines(analyse_motion(motion), summary(**fields), overall, session or Session())
+    found = summary_lines(analyse(motion), summary(**fields), overall, session or Session())
     assert tuple(line.label for line in found) == LABELS
     assert all(line.text.endswith(".") for line in found)
     return {line.label: line for line in found}
@@ -134,12 +140,12 @@ def test_segments_with_sensors_are_named_in_words() -> None:
     names = ("Hips", "Head", "LeftShoulder", "LeftFoot", "RightFoot")
     own = replace(own, inputs=own.inputs | {"sensors": [{"segment": name} for name in names]})
     motion = squatting()
-    what = summary_lines(analyse_motion(motion), own, FINE, Session())[1].text
+    what = summary_lines(analyse(motion), own, FINE, Session())[1].text
     assert what.endswith("and 5 sensors (pelvis, head, left shoulder, both feet).")
 
 
 def test_angles_that_turned_on_beyond_their_interval_have_no_finding() -> None:
-    analysis = analyse_motion(certain(knees(60, 60), 2.0))
+    analysis = analyse(certain(knees(60, 60), 2.0))
     values = np.array(analysis.angles.values)
     values[120:, analysis.angles.names.index("left_knee_flexion")] -= 2 * np.pi
     turned = replace(analysis.angles, values=values)
@@ -179,7 +185,7 @@ def test_the_report_has_the_differences_of_the_sides_that_the_command_prints() -
     printed, _ = compare_sides(compared("a motion", motion))
     (changed,) = printed.changed
     assert (changed.name, changed.largest.measure) == ("knee_flexion", "range")
-    found = compared_sides(analyse_motion(motion))
+    found = compared_sides(analyse(motion))
     assert found is not None
     assert found.by == printed.by
     assert [
@@ -203,11 +209,11 @@ def test_small_or_uncertain_differences_are_no_findings(right: float, left: floa
 def test_an_end_beyond_an_anatomical_limit_is_a_finding() -> None:
     limit = np.degrees(anatomical_limits(BODY.table)["right_knee_flexion"][1])
     motion = certain(knees(limit + 12, limit + 12), 2.0)
-    (knee,) = found_in(analyse_motion(motion))
+    (knee,) = found_in(analyse(motion))
     assert knee.subject == "right_knee"[6:]
     assert f"highest angle {limit + 12:.0f} ± 4°, beyond the anatomical limit of {limit:.0f}°" in knee.text
     assert knee.size == pytest.approx(6, rel=0.02)
-    assert found_in(analyse_motion(certain(knees(limit + 3, limit + 3), 2.0))) == ()
+    assert found_in(analyse(certain(knees(limit + 3, limit + 3), 2.0))) == ()
 
 
 def test_limits_have_the_signs_of_the_clinical_angles() -> None:
@@ -222,19 +228,19 @@ def test_limits_have_the_signs_of_the_clinical_angles() -> None:
 
 def test_unobserved_and_unreliable_angles_have_no_finding() -> None:
     motion = certain(knees(90, 60), 2.0)
-    assert found_in(analyse_motion(motion))
+    assert found_in(analyse(motion))
     provenance = np.full(motion.poses.valid.shape, Provenance.CAMERA, dtype=np.uint8)
     observed = np.array(motion.poses.orientation_observed)
     for part in ("LeftLeg", "LeftFoot"):
         provenance[:40, BODY.index(part)[0]] = Provenance.PRIOR
         observed[:40, BODY.index(part)[0]] = False
     unseen = replace(motion.poses, provenance=provenance, orientation_observed=observed)
-    assert found_in(analyse_motion(replace(motion, poses=unseen))) == ()
-    assert found_in(analyse_motion(certain(knees(90, 60), 20.0))) == ()
+    assert found_in(analyse(replace(motion, poses=unseen))) == ()
+    assert found_in(analyse(certain(knees(90, 60), 20.0))) == ()
 
 
 def test_asymmetric_stance_of_gait_is_a_finding_only_if_it_is_gait() -> None:
-    analysis = analyse_motion(certain(walking(10.0), 2.0))
+    analysis = analyse(certain(walking(10.0), 2.0))
     assert found_in(analysis) == ()
 
     def limping(analysis: MotionAnalysis) -> MotionAnalysis:
@@ -283,7 +289,7 @@ def test_careful_has_the_headline_in_words_and_what_is_unseen() -> None:
 def test_the_position_in_the_room_has_a_verdict_of_its_own() -> None:
     room = "position in the room not verified: ± 0.4 m, nothing in the recording verifies it"
     both = Headline(Grade.WARN, f"Hips: share of frames unseen 30 %; {room}", (), Grade.WEAK, room)
-    found = summary_lines(analyse_motion(knees(60, 60)), summary(), both, Session())
+    found = summary_lines(analyse(knees(60, 60)), summary(), both, Session())
     assert [(line.label, line.grade) for line in found if line.grade] == [
         ("How good", Grade.WARN),
         ("Position in the room", Grade.WEAK),

@@ -19,7 +19,7 @@ from rtof_kin.formats.camera_motion_npz import read_camera_motion
 from rtof_kin.inertial.orientation import HELD
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.camera import assumed_camera, filming_camera, turning_of_video
-from rtof_kin.setup.init import SetupSettings, find_people, make_recording
+from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.recording_text import Field
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.background_motion import bearings, turn_between
@@ -82,9 +82,9 @@ def test_log_of_another_take_is_not_used(
 def test_detect_writes_the_motion_and_what_to_declare(
     filmed: tuple[Path, Array], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    monkeypatch.setattr("rtof_kin.cli.detection.detector_of", lambda options: None)
+    monkeypatch.setattr("rtof_kin.cli.record.detector_of", lambda *_: None)
     monkeypatch.setattr("rtof_kin.vision.video.detect_video", lambda *_, **__: PEOPLE)
-    order = ["detect", str(filmed[0]), "--out", str(tmp_path / "k.npz")]
+    order = ["detect", str(filmed[0]), "-o", str(tmp_path / "k.npz")]
     order += ["--camera-motion", str(tmp_path / "m.npz")]
     assert main(order) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -113,7 +113,7 @@ def test_recording_of_a_handheld_video_is_stabilised_and_of_a_tripod_is_not(tmp_
         sources = Sources(tmp_path / f"{name}.mp4", tmp_path / f"{name}.npz")
         settings = SetupSettings(height=1.8)
         find_people(sources, settings, tmp_path / name, lambda _: PEOPLE)
-        findings = make_recording(sources, settings, tmp_path / name)
+        findings = write_recording(sources, settings, tmp_path / name)
         found[name] = Recording.load(tmp_path / name).video
         assert any("the camera turned by up to" in s for s in findings.found) == (name == "handheld")
     assert found["handheld"].camera.stabilised

@@ -16,7 +16,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.formats.camera_toml import write_camera_toml
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import init
-from rtof_kin.setup.init import Findings, SetupSettings, find_people, make_recording, read_findings
+from rtof_kin.setup.init import Findings, SetupSettings, find_people, read_findings, write_recording
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 
@@ -36,7 +36,7 @@ def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
 def set_up(folder: Path, settings: SetupSettings, *files: Path) -> Findings:
     sources = Sources.of(files)
     find_people(sources, settings, folder, no_detector)
-    return make_recording(sources, settings, folder)
+    return write_recording(sources, settings, folder)
 
 
 def test_keypoints_become_a_recording_with_every_assumption_said(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_a_discarded_video_leaves_no_name(tmp_path: Path) -> None:
     sources = Sources.of([video])
     for name, settings in {"kept": SETTINGS, "discarded": replace(SETTINGS, keep_video=False)}.items():
         find_people(sources, settings, tmp_path / name, detect)
-        make_recording(sources, settings, tmp_path / name, name="walk")
+        write_recording(sources, settings, tmp_path / name, name="walk")
     text = {name: (tmp_path / name / "recording.toml").read_text() for name in ("kept", "discarded")}
     assert "secret_patient.mp4" in text["kept"]
     everything = b"".join(path.read_bytes() for path in (tmp_path / "discarded").iterdir())

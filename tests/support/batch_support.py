@@ -18,7 +18,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.files.text import read_text, write_text
 
-COMMANDS = ("reconstruct", "analyse", "report", "evaluate", "overlay", "inspect")
+COMMANDS = ("reconstruct", "export", "report", "evaluate", "overlay", "inspect")
 CALLS = "BATCH_CALLS"
 """Environment variable: folder in which every command leaves a file."""
 
@@ -37,7 +37,7 @@ def write_recordings(root: Path, **doing: str) -> Path:
 
 
 def batch_of(
-    source: Path, out: Path, chain: str = "reconstruct, analyse, report", shard: str = "1/1", version: str = "1"
+    source: Path, out: Path, chain: str = "reconstruct, export, report", shard: str = "1/1", version: str = "1"
 ) -> Batch:
     steps = read_chain(chain, COMMANDS)
     return Batch(source, find_recordings(source, out), steps, out, version, Shard.of(shard))
@@ -66,7 +66,7 @@ def obey(line: list[str]) -> int:
             (folder / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     elif command == "report":
         write_text(output, "<p>page</p>" * 10, overwrite="--overwrite" in line)
-    elif command == "analyse":
+    elif command == "export":
         with new_folder(output, "angles.csv", "--overwrite" in line) as folder:
             (folder / "angles.csv").write_text(" ".join(line[4:]), encoding="utf-8")
     else:

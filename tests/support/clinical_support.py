@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,11 +11,14 @@ from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.clinical.analysis import MotionAnalysis
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import all_observed
 from rtof_kin.clinical.decomposition import anatomical_posture
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.reporting.analysis import document
+from rtof_kin.reporting.document import write_files
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]
@@ -130,3 +134,8 @@ def squatting(count: int = 4, depth: float = 0.35) -> Motion:
     height = -0.78 + depth / 2 * (1 - np.cos(np.pi * times))
     ankle = np.stack([np.zeros_like(times), height], axis=-1)
     return stepping(times, {"right": ankle, "left": ankle})
+
+
+def write_analysis(analysis: MotionAnalysis, folder: Path) -> None:
+    """Write the tables of an analysis, without figures."""
+    write_files(replace(document(analysis), figures=()), folder)

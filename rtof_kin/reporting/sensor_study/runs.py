@@ -27,8 +27,7 @@ from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit import audit
-from rtof_kin.reporting.audit_results import Grade, SectionVerdict
-from rtof_kin.reporting.headline import Headline, headline
+from rtof_kin.reporting.audit_results import Grade, Headline, SectionVerdict, headline
 from rtof_kin.reporting.sensor_study.accuracy import SensorSet, measure_set, true_angles
 
 Progress = Callable[[int, int, str], None]

@@ -27,8 +27,8 @@ from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.angle_names import SECOND_SHOULDER, label
+from rtof_kin.reporting.audit_results import Headline
 from rtof_kin.reporting.clinical_findings import SECOND_PELVIS
-from rtof_kin.reporting.headline import Headline
 from rtof_kin.reporting.sensor_study.accuracy import SensorSet, spread
 from rtof_kin.reporting.sensor_study.part import LONGEST, Part, liveliest_part
 from rtof_kin.reporting.sensor_study.runs import Progress, Runs

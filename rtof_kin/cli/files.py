@@ -1,0 +1,263 @@
+"""Commands on files: inspect identifies and checks them, export writes motions in other formats."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+from rich.box import SIMPLE
+from rich.table import Column, Table
+from rich.text import Text
+
+from rtof_kin.cli.options import Overwrite, command
+from rtof_kin.cli.terminal import out, print_files
+from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.files.folder import check_new_file, new_file
+
+
+@command
+def inspect(
+    files: list[Path] | None = None,
+    /,
+    *,
+    declare: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FIELD=VALUE")] = None,
+    every: Annotated[bool, Parameter(name="--all")] = False,
+    fix: bool = False,
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="new folder for --fix")
+    ] = None,
+    plot: Annotated[Path | None, Parameter(metavar="PNG")] = None,
+    schema: bool = False,
+    overwrite: Overwrite = False,
+) -> int:
+    """Identify files and check their contents by physics.
+
+    FILES are sensor logs or folders of them, recordings, motions, motion capture, markers, cameras or a detector's
+    keypoints. Every check is printed with its figure and limit; where a declaration is wrong, the likely right one is
+    named as the option to add. Of a recording with calibrated sensors, those that are on another segment than declared
+    are named, and --fix writes the corrected recording. Exit code 1: a check does not hold.
+
+    Args:
+        files: files or folders
+        declare: units and conventions of a sensor log, e.g. acceleration_unit=g gravity=removed
+        every: figures of every sensor and bone
+        fix: correct the segments of sensors that are elsewhere; of one recording, with -o
+        plot: draw what looks wrong; of one FILE
+        schema: print the path of the JSON Schema of recording.toml and exit
+    """
+    from rtof_kin.reporting.inspection import inspect as examine
+
+    if schema:
+        from rtof_kin.recording.tables import SCHEMA
+
+        out.print(SCHEMA, soft_wrap=True)
+        return 0
+    files = files or []
+    if not files:
+        raise InvalidInputError("inspect: name the files or folders to examine")
+    if plot is not None:
+        if len(files) > 1:
+            raise InvalidInputError(f"--plot draws one FILE, {len(files)} are named")
+        if plot.suffix.lower() != ".png":
+            raise InvalidInputError(f"--plot {plot}: give the picture a name that ends in .png")
+        check_new_file(plot, overwrite)
+    if fix != (output is not None) or (fix and len(files) > 1):
+        raise InvalidInputError("--fix corrects one recording and needs a new folder for it: --fix -o OUT")
+    declared = dict(map(_declaration, declare or []))
+    failed = False
+    for file in files:
+        found, corrected = _with_places(examine(file, **declared))
+        _print(found, every)
+        if output is not None:
+            _fix(found, corrected, output)
+        if plot is not None:
+            _draw(found, plot, overwrite)
+        failed |= bool(found.failed)
+    return int(failed)
+
+
+def _declaration(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise InvalidInputError(f"{text!r} is not FIELD=VALUE, such as acceleration_unit=g")
+    try:
+        return name, float(value) if name == "rate_hz" else value
+    except ValueError as error:
+        raise InvalidInputError(f"rate_hz: {value!r} is not a number of samples per second") from error
+
+
+def _with_places(found: Any) -> tuple[Any, Any]:
+    """Add the check of where a recording's sensors are; with the corrected recording, if any is wrong."""
+    from rtof_kin.calibration.assignment import NAME
+    from rtof_kin.core.checks import Check
+    from rtof_kin.reconstruction.checks.sensors import check_recording
+    from rtof_kin.recording.recording import Recording
+
+    if found.title != "recording" or found.log is None:
+        return found, None
+    recording = Recording.load(found.path)
+    if recording.calibration is None:
+        return found, None
+    try:
+        places, corrected = check_recording(recording)
+    except RtofError as error:
+        check = Check.unknown(NAME, "sensors", "", str(error))
+        return replace(found, checks=(*found.checks, check)), None
+    notes = (f"sensors: {places.doubt}",) if places.doubt else ()
+    found = replace(found, checks=(*found.checks, places.check()), notes=(*found.notes, *notes))
+    return found, corrected if places.wrong else None
+
+
+def _fix(found: Any, corrected: Any, target: Path) -> None:
+    if found.title != "recording":
+        raise InvalidInputError(f"--fix: {found.path} is a {found.title}; only recordings are corrected")
+    if corrected is None:
+        text = "no sensor is found elsewhere: there is nothing to correct, and nothing was written"
+        out.print(text, soft_wrap=True)
+        return
+    corrected.save(target)
+    places = zip(corrected.calibration.sensors, corrected.calibration.joints, strict=True)
+    out.print(f"wrote {target}: {', '.join(f'{sensor} on {joint}' for sensor, joint in places)}", soft_wrap=True)
+
+
+def _print(found: Any, every: bool) -> None:
+    out.print(f"\n{found.path}: {found.title}", style="bold", soft_wrap=True)
+    contents = Table(Column(overflow="fold"), Column(overflow="fold"), show_header=False)
+    for name, value in found.contents:
+        contents.add_row(name, value)
+    out.print(contents)
+    for note in found.notes:
+        out.print(f"note: {note}", soft_wrap=True)
+    shown = list(found.checks) if every else _worst(found.checks)
+    if shown:
+        out.print(_checks_table(shown, found.checks), crop=False)
+    for check in shown:
+        if check.failed:
+            text = f"{check.subject}: {check.name}. {check.advice}"
+            out.print(text, soft_wrap=True)
+    likely = {tuple(check.likely.items()) for check in found.failed if check.likely}
+    if likely:
+        pairs = sorted({f"{name}={value}" for one in likely for name, value in one})
+        options = " ".join(map(shlex.quote, pairs))
+        out.print(f"likely: --declare {options}", style="bold", soft_wrap=True)
+
+
+def _worst(checks: Any) -> list[Any]:
+    """Of checks of the same name, the one that failed most or comes nearest to it."""
+    worst: dict[str, Any] = {}
+    for check in checks:
+        if check.name not in worst or _nearness(check) > _nearness(worst[check.name]):
+            worst[check.name] = check
+    return list(worst.values())
+
+
+def _nearness(check: Any) -> float:
+    return -1.0 if math.isnan(check.value) else float(check.value / check.limit)
+
+
+def _checks_table(shown: list[Any], checks: Any) -> Table:
+    """A row for each check shown; its texts are wrapped where there is little room, and never cut."""
+    names = (Column(name, overflow="fold") for name in ("check", "figure"))
+    table = Table(Column("verdict", no_wrap=True), *names, box=SIMPLE)
+    for check in shown:
+        verdict = Text(check.verdict.value, style="bold red" if check.failed else "")
+        table.add_row(verdict, check.name, _figure(check, shown, checks))
+    return table
+
+
+def _figure(check: Any, shown: list[Any], checks: Any) -> str:
+    """Value and limit, or why there are none; of the worst of several, for how many the check holds."""
+    if math.isnan(check.value):
+        return f"{check.subject}: {check.advice}"
+    text = f"{check.value:.3g} {check.unit}".rstrip() + f", limit {check.limit:.3g}"
+    alike = [other for other in checks if other.name == check.name]
+    if len(alike) == 1 or len(shown) == len(checks):
+        return f"{text}; {check.subject}"
+    holding = sum(other.passed for other in alike)
+    return f"{text}; worst is {check.subject}, {holding} of {len(alike)} hold"
+
+
+def _draw(found: Any, target: Path, overwrite: bool) -> None:
+    from rtof_kin.core.packages import optional
+
+    canvas = optional("matplotlib.backends.backend_agg", "figures", "a picture")
+    from rtof_kin.reporting.inspection import picture
+
+    figure = picture(found)
+    if figure is None:
+        out.print("nothing of this file can be drawn")
+        return
+    canvas.FigureCanvasAgg(figure)
+    with new_file(target, overwrite) as whole:
+        figure.savefig(whole)
+    out.print(f"wrote {target}", soft_wrap=True)
+
+
+@command
+def export(
+    motion: str,
+    target: Path | None = None,
+    /,
+    *,
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="the same, as for other commands")
+    ] = None,
+    to: tuple[str, ...] = (),
+    recording: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    flip: bool = True,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a reconstructed motion in other formats.
+
+    Always writes the subject's URDF and files.json, which lists axes, units and names of every file. Unobserved frames
+    are marked or missing in every format.
+
+    --to archive makes one ZIP file of recording, settings, versions and result, without names and video. --to onnx
+    writes a lifter, MOTION being its file or name (detections, perfect), as one graph from rays and sensor orientations
+    in world to poses in world; its inputs, outputs, joints and rate are in the metadata. It needs the package onnx.
+
+    Args:
+        motion: output folder of reconstruct or run, or its motion.h5
+        target: folder or file to write
+        to: separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh; archive; onnx
+        recording: recording of MOTION for the archive; default: that of run, or the demo
+        flip: of a lifter, estimate the mirrored scene too; without it faster and less exact
+    """
+    if (target is None) == (output is None):
+        raise InvalidInputError("export: name one folder or file to write, as OUT or with -o OUT")
+    written = output if target is None else target
+    assert written is not None
+    if {"archive", "onnx"} & {*to}:
+        if len(to) > 1:
+            raise InvalidInputError(f"--to {to[0]}: one file of its own; other formats go to a folder of their own")
+        (_write_archive if to[0] == "archive" else _write_lifter)(motion, written, recording, flip, overwrite)
+        return
+    from rtof_kin.body.motion_file import MotionReader, motion_path
+    from rtof_kin.core.files.folder import new_folder
+    from rtof_kin.formats.motion_files import DEFAULT, URDF, check_formats, write_motion_files
+
+    formats = to or DEFAULT
+    check_formats(formats)
+    with MotionReader(motion_path(motion)) as reader, new_folder(written, URDF, overwrite) as folder:
+        write_motion_files(folder, reader, formats)
+    print_files(written)
+
+
+def _write_archive(motion: str, path: Path, recording: Path | None, _: bool, overwrite: bool) -> None:
+    from rtof_kin.reporting.archive import write_result_archive
+
+    write_result_archive(path, Path(motion), recording, overwrite)
+    out.print(f"wrote {path}: recording, settings, versions and result, without names and video", soft_wrap=True)
+
+
+def _write_lifter(name: str, path: Path, _: Path | None, flip: bool, overwrite: bool) -> None:
+    from lifting.onnx_export import export_onnx
+    from lifting.predict import Lifter
+    from rtof_kin.core.files.folder import check_new_file
+
+    check_new_file(path, overwrite)
+    out.print(f"wrote {export_onnx(Lifter.load(Path(name)), path, flip, overwrite)}", soft_wrap=True)

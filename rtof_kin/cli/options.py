@@ -1,0 +1,216 @@
+"""Options of commands: from the parameters of their functions and the fields of settings.
+
+A command is a function with typed parameters and a docstring; cyclopts makes options of them. A parameter of
+a settings' dataclass that is annotated with `Fields` becomes one option for each named field, with the field's
+docstring, type and default, so that no field is described twice.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, fields
+from functools import partial, wraps
+from importlib import import_module
+from pathlib import Path
+from types import NoneType
+from typing import Annotated, Any, Final, Literal, get_args, get_origin, get_type_hints
+
+from cyclopts import Parameter, Token, convert
+
+from rtof_kin.core.environment import USUAL
+
+Function = Callable[..., Any]
+
+
+class Fields:
+    """Fields of a settings' dataclass that become options of a command.
+
+    Args:
+        names: of the fields, in the order of the help. renamed: field -> option, without dashes.
+        of: 'module:class', where the parameter is annotated as a mapping; the command then gets only the values that
+            were given. group: title in the help. defaults: field -> default, where it is not that of the class.
+    """
+
+    def __init__(self, *names: str, of: str = "", group: str = "", defaults: Mapping[str, Any] = {}, **renamed: str):
+        self.options = {name: name for name in names} | renamed
+        self.of, self.group, self.defaults = of, group, defaults
+
+
+def command(function: Function) -> Function:
+    """Return a function whose parameters are all options, with converters that accept a comma as decimal point
+    and lists with commas, and settings filled from their fields.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    parameters: list[inspect.Parameter] = []
+    filled: dict[str, tuple[type, Fields]] = {}
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        chosen = next((one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Fields)), None)
+        if chosen is None:
+            parameters.append(parameter.replace(annotation=_option(hint, parameter.default)))
+            continue
+        filled[parameter.name] = _named(chosen.of) if chosen.of else get_args(hint)[0], chosen
+        parameters += _options_of(*filled[parameter.name])
+
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        for name, (settings, chosen) in filled.items():
+            given = {field: named.pop(field) for field in chosen.options if field in named}
+            named[name] = given if chosen.of else settings(**{**chosen.defaults, **given})
+        return function(*arguments, **named)
+
+    parameters.sort(key=lambda one: one.kind)
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {one.name: one.annotation for one in parameters}
+    text = inspect.cleandoc(function.__doc__ or "")
+    call.__doc__ = re.sub(r"(?<=\S)\n(?: {8,}|(?=\S))", " ", text)  # paragraphs in one line, for any width
+    return call
+
+
+def _named(path: str) -> type:
+    module, _, name = path.partition(":")
+    found: type = getattr(import_module(module), name)
+    return found
+
+
+def _options_of(settings: type, chosen: Fields) -> Iterable[inspect.Parameter]:
+    """Yield the options of some fields of a dataclass."""
+    hints, described = get_type_hints(settings, include_extras=True), descriptions(settings)
+    known: Mapping[str, Field[Any]] = {field.name: field for field in fields(settings)}
+    for name, option in chosen.options.items():
+        default, factory = chosen.defaults.get(name, known[name].default), known[name].default_factory
+        if default is MISSING and callable(factory):
+            default = factory()
+        required = default is MISSING
+        usual = "" if required or default is None or default == () else _text(default)
+        how = Parameter(name=f"--{option.replace('_', '-')}", help=described[name], show_default=False)
+        if chosen.group:
+            how = Parameter.combine(how, Parameter(group=chosen.group))
+        if usual and not isinstance(default, bool):
+            how = Parameter.combine(how, Parameter(show_default=partial(_constant, usual)))
+        hint = _option(hints[name], MISSING if required else default, how)
+        empty = inspect.Parameter.empty if required else None if chosen.of else default
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=empty, annotation=hint)
+
+
+def _constant(text: str, _: Any) -> str:
+    return text
+
+
+def descriptions(settings: type) -> dict[str, str]:
+    """Return the docstring of each field of a class, in one line that begins with a small letter."""
+    (node,) = ast.parse(textwrap.dedent(inspect.getsource(settings))).body
+    assert isinstance(node, ast.ClassDef)
+    found = {}
+    for field, text in zip(node.body, node.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+            assert isinstance(text.value, ast.Constant)
+            line = " ".join(str(text.value.value).replace("`", "").split()).removesuffix(".")
+            found[field.target.id] = line[0].lower() + line[1:] if line[1:2].islower() else line
+    return found
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def _option(hint: Any, default: Any, how: Parameter | None = None) -> Any:
+    """Return a type with what cyclopts needs to read and to show it."""
+    own = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Parameter)]
+    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    inner = next((one for one in get_args(plain) if one is not NoneType), plain) if _is_optional(plain) else plain
+    usual = Parameter(show_default=False if default in ((), "") else None, negative=None if inner is bool else ())
+    if inner is bool:
+        usual = Parameter(negative=() if default is False else None, show_default=False)
+    elif inner is float:
+        usual = Parameter(converter=_decimal, metavar="X")
+    elif inner == tuple[int, int]:
+        usual = Parameter(converter=_size, n_tokens=1, metavar="WxH", negative=())
+    elif inner == tuple[Path, ...]:
+        usual = Parameter(consume_multiple=True, metavar="FILE", negative=(), show_default=False)
+    elif get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
+        usual = Parameter.combine(usual, Parameter(converter=_listed, n_tokens=1, metavar="NAMES"))
+    elif get_origin(inner) is Literal and any("_" in str(choice) for choice in get_args(inner)):
+        choices = [str(choice).replace("_", "-") for choice in get_args(inner)]
+        usual = Parameter(converter=lambda _, tokens: tokens[0].value.replace("-", "_"), choices=choices)
+    return Annotated[plain, Parameter.combine(usual, how, *own)]
+
+
+def _is_optional(hint: Any) -> bool:
+    return NoneType in get_args(hint) and len(get_args(hint)) == 2
+
+
+def _decimal(_: Any, tokens: Sequence[Token]) -> float:
+    text = tokens[0].value
+    try:
+        return float(text.replace(",", "."))
+    except ValueError as error:
+        raise ValueError(f"{text!r} is not a number, such as 1.72 (without its unit)") from error
+
+
+def _listed(hint: Any, tokens: Sequence[Token]) -> tuple[Any, ...]:
+    """Return the parts of texts that are separated by commas, each once; 'none' is an empty list."""
+    texts = [part.strip() for token in tokens for part in token.value.split(",")]
+    kind = get_args(next((one for one in (hint, *get_args(hint)) if get_origin(one) is tuple), hint))[0]
+    return tuple(dict.fromkeys(convert(kind, [text]) for text in texts if text and text != "none"))
+
+
+def _size(_: Any, tokens: Sequence[Token]) -> tuple[int, int]:
+    text = tokens[0].value
+    width, cross, height = text.lower().partition("x")
+    if not (cross and width.isdigit() and height.isdigit()):
+        raise ValueError(f"{text!r} is not width x height, such as 1920x1080")
+    return int(width), int(height)
+
+
+# --- options of several commands: each has one name and one meaning -----------------------------------------------
+
+Output = Annotated[Path, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write")]
+File = Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="file to write")]
+Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote there")]
+Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")]
+Model = Annotated[
+    Path | None,
+    Parameter(
+        metavar="FILE",
+        help="lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the "
+        "default), perfect",
+    ),
+]
+ModelDir = Annotated[
+    Path | None,
+    Parameter(
+        metavar="DIR",
+        help="folder of .onnx files (RTMPose or RTMO, and YOLOX or RTMDet to find people), or with MediaPipe's .task; "
+        "default: what is at hand, downloaded models, else MediaPipe",
+    ),
+]
+FetchModels = Annotated[
+    Literal["rtmpose", "mediapipe"] | None,
+    Parameter(
+        help="agree to download the detector's models once: rtmpose (26 points, 158 MB) or mediapipe (33 points, "
+        "10 MB); prints licence and checksums"
+    ),
+]
+Seconds = Annotated[float | None, Parameter(metavar="S", help="use as many seconds at most")]
+Seed = Annotated[int, Parameter(help="of everything drawn at random; the same seed, the same numbers")]
+Workers = Annotated[int | None, Parameter(metavar="N", help="processes; one per core if not given")]
+Threads = Annotated[
+    int | None,
+    Parameter(
+        metavar="N",
+        help="threads of numerical libraries (BLAS, OpenMP, torch); more than a few gain nothing, since matrices are "
+        f"small; default: OMP_NUM_THREADS, else {USUAL}",
+    ),
+]
+Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
+SOLVER: Final = Fields("frames", "space", "backend", "guards", "lift_with_sensors", group="Solver")
+"""Fields of `ReconstructionSettings` that are options."""
+Start = Annotated[float | None, Parameter(metavar="S", help="begin at this time")]
+Stop = Annotated[float | None, Parameter(metavar="S", help="end at this time")]
+Fps = Annotated[float, Parameter(metavar="HZ", help="poses per second of what is written or sent, at most")]
+Browser = Annotated[bool, Parameter(help="open the browser")]

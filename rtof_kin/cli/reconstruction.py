@@ -1,0 +1,150 @@
+"""The command reconstruct: a recording to a motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from rtof_kin.cli.options import SOLVER, Fields, Overwrite, Paper, Threads, command
+from rtof_kin.cli.terminal import (
+    out,
+    print_calibration,
+    print_headline,
+    print_scores,
+    print_sections,
+    print_summary,
+    progress,
+    warnings_in_summary,
+    with_zero_motion,
+)
+from rtof_kin.core.environment import limit_threads
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.audit import audit, calibration_results
+from rtof_kin.reporting.audit_results import AuditResult, headline
+from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.setup.run import ReconstructionTask, reconstruct_folder
+from rtof_kin.solve.settings import CartesianSettings
+
+
+def solver_settings(
+    settings: ReconstructionSettings, paper: bool, mode: str | None = None, calibrate_only: bool = False
+) -> ReconstructionSettings:
+    """Return the settings that the options choose.
+
+    Raises:
+        InvalidInputError: options contradict each other.
+    """
+    if paper and settings.space == "joint":
+        raise InvalidInputError("--paper is an energy in cartesian space; leave out --space joint, or --paper")
+    if mode in ("lift", "sf2") and (paper or settings.space or settings.backend):
+        raise InvalidInputError(f"mode {mode} optimises nothing; leave out --space, --backend and --paper")
+    if (paper or settings.space == "cartesian") and (mode == "imu" or calibrate_only):
+        what = "calibration" if calibrate_only else "mode imu"
+        named = "--paper" if paper else "--space cartesian"
+        raise InvalidInputError(f"{what} is solved in joint space; leave out {named}")
+    return settings.with_fragment(CartesianSettings.paper(settings.backend or "ipopt")) if paper else settings
+
+
+@command
+def reconstruct(
+    recording: Path,
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; with --calibrate-only a file"),
+    ] = None,
+    task: Annotated[ReconstructionTask, Fields("mode", "model", "calibrate", "calibration", "figures")],
+    calibrate_only: bool = False,
+    calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
+    verbose: bool = False,
+    settings: Annotated[ReconstructionSettings, SOLVER],
+    paper: Paper = False,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Reconstruct the motion of a recording.
+
+    RECORDING is a folder with recording.toml, keypoints and (for sf2, rtof and imu) IMUs; docs/recording.md describes
+    it. OUT gets motion.h5, the URDF, a summary and, up to ten minutes, the trajectory as CSV and for ROS; of
+    recordings up to two minutes figures. Longer ones are reconstructed in parts, in bounded memory.
+
+    With --calibrate-only the delay of the video, the mounting of the sensors, bone lengths and landmark offsets of the
+    detector are estimated, without a pose of calibration: each quantity is printed with its standard deviation, and
+    OUT, by default calibration.toml, is a file for --calibration.
+
+    Args:
+        recording: folder of the recording
+        calibrate_only: estimate the calibration, write it, and stop
+        calibrated: with --calibrate-only: also write the calibrated recording to this folder
+        verbose: print every calibrated quantity too
+    """
+    limit_threads(threads)
+    settings = solver_settings(settings, paper, task.mode, calibrate_only)
+    if calibrate_only:
+        _calibrate(recording, output or Path("calibration.toml"), calibrated, task, settings, overwrite)
+        return
+    if output is None:
+        raise InvalidInputError("required: --output (rtof-kin reconstruct --help has all options)")
+    found = reconstruct_and_print(recording, output, task, settings, overwrite, verbose)
+    if found.stage_metrics:
+        print_scores((with_zero_motion(found.first.recording) if found.parts == 1 else {}) | found.stage_metrics)
+
+
+def reconstruct_and_print(
+    recording: Path | Recording,
+    output: Path,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    overwrite: bool,
+    verbose: bool = False,
+) -> ReconstructionStatistics:
+    """Reconstruct, export and print the summary."""
+    with progress() as update, warnings_in_summary():
+        found = reconstruct_folder(recording, output, overwrite, task=task, settings=settings, progress=update)
+    verdict = headline(audit(found))
+    print_summary(found, verdict, output)
+    print_sections(verdict)
+    shares = {k: v for k, v in found.provenance_shares.items() if v > 0}
+    by = ", ".join(f"{k.replace('_', ' ').replace('imu', 'IMU')} {100 * v:.1f} %" for k, v in shares.items())
+    out.print(f"joints observed by: {by}", soft_wrap=True)
+    calibration = found.first.calibration
+    if calibration is not None and verbose:
+        print_calibration(calibration)
+    elif calibration is not None:
+        count = len(calibration.quantities)
+        out.print(f"self-calibration: {count} quantities; --verbose prints them", soft_wrap=True)
+    return found
+
+
+def _calibrate(
+    folder: Path,
+    output: Path,
+    calibrated: Path | None,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    overwrite: bool,
+) -> None:
+    from rtof_kin.calibration.result import write_self_calibration_toml
+    from rtof_kin.reconstruction.self_calibration import calibrate_recording, consistency_warnings
+    from rtof_kin.recording.index import INDEX
+
+    if calibrated is not None:
+        check_replaceable(calibrated, INDEX, overwrite)
+    check_new_file(output, overwrite)
+    recording = Recording.load(folder)
+    with progress() as update:
+        found = calibrate_recording(recording, lifter=task.lifter(), settings=settings, progress=update)
+    doubts = (AuditResult.warning("calibration", "recording", s) for s in consistency_warnings(recording, found))
+    print_headline(headline((*doubts, *calibration_results(found))))
+    print_calibration(found)
+    write_self_calibration_toml(output, found, overwrite)
+    out.print(f"wrote {output}", soft_wrap=True)
+    if calibrated is not None:
+        found.apply(recording).save(calibrated, overwrite)
+        out.print(f"wrote {calibrated}", soft_wrap=True)

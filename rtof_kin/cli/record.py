@@ -1,0 +1,359 @@
+"""Commands that record: run, detect, simulate."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from rtof_kin.cli.options import (
+    SOLVER,
+    FetchModels,
+    Fields,
+    File,
+    ModelDir,
+    Output,
+    Overwrite,
+    Paper,
+    Seconds,
+    Seed,
+    Threads,
+    command,
+)
+from rtof_kin.cli.reconstruction import reconstruct_and_print, solver_settings
+from rtof_kin.cli.terminal import (
+    accuracy,
+    err,
+    line,
+    out,
+    print_scores,
+    progress,
+    warnings_in_summary,
+    with_zero_motion,
+)
+from rtof_kin.core.environment import limit_threads
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.reporting.analysis import AnalysisSettings
+from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
+from rtof_kin.setup.run import ReconstructionTask, Run, SecondCamera
+from rtof_kin.setup.run import run as run_steps
+
+if TYPE_CHECKING:
+    from rtof_kin.vision.detections import Detections
+    from rtof_kin.vision.person_detector import PersonDetector
+
+_KINDS = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
+_OF_KEYPOINTS = "rtof_kin.recording.cameras"
+"""Logger of how the person was followed, which the findings say."""
+
+
+@command
+def run(
+    files: list[Path] | None = None,
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=("--output", "-o"), metavar="OUT", help="folder for recording, motion, angles and report"),
+    ] = None,
+    only: Literal["recording", "files"] | None = None,
+    demo: bool = False,
+    setup: Annotated[
+        SetupSettings,
+        Fields(
+            "height",
+            "pose",
+            "person",
+            "camera_name",
+            "phone_log",
+            "keep_video",
+            "model_dir",
+            rate_hz="rate",
+            size_px="size",
+            group="Recording",
+        ),
+    ],
+    fetch_models: FetchModels = None,
+    second: Annotated[
+        SecondCamera, Fields("second", "second_person", "second_camera", "synchronised", group="Second camera")
+    ],
+    task: Annotated[ReconstructionTask, Fields("model", "calibration", "figures", group="Motion")],
+    calibrate: Annotated[bool | None, Parameter(group="Motion")] = None,
+    analysis: Annotated[
+        AnalysisSettings, Fields("sex", "repetitions", "from_standing", weight_kg="weight", group="Analysis")
+    ],
+    settings: Annotated[ReconstructionSettings, SOLVER],
+    paper: Paper = False,
+    seconds: Seconds = None,
+    threads: Threads = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """From a video and sensors to a report, in one command.
+
+    Detects the person, makes the recording, reconstructs the motion, analyses it and writes OUT/report.html. What is
+    not given is found from the motion or assumed, and said. A step is not done again while its inputs are the same,
+    so that a run that was stopped goes on, and OUT/recording/recording.toml may be corrected. Nothing leaves this
+    machine.
+
+    Args:
+        files: a video, a detector's keypoints or both; files or folders of sensors, also alone; a calibration of the
+            camera and a map of sensors: each is recognised
+        only: recording: write the folder that reconstruct takes into OUT, and stop; files: of the demo, what a phone
+            and sensors would have written, to practise on
+        demo: reconstruct the recording that travels with the package, and print the error of each stage
+        calibrate: calibrate the recording from its own motion first (the default, but for the demo); otherwise
+            mounting, headings and bones are used as they were found
+        seconds: of the demo, use as many seconds at most
+    """
+    limit_threads(threads)
+    settings = solver_settings(settings, paper)
+    task = replace(task, calibrate=not demo if calibrate is None else calibrate)
+    if demo:
+        _demo(output or Path("out/demo"), only == "files", task, settings, seconds, overwrite)
+        return
+    if not files or output is None:
+        raise InvalidInputError("run: give the FILEs of a take and a folder to write, -o OUT; or --demo")
+    detect = detection(setup.model_dir, fetch_models)
+    began = time.monotonic()
+    how: Any = {"detect": detect, "overwrite": overwrite, "kept": _kept}
+    if only:
+        with progress() as update, warnings_in_summary(_OF_KEYPOINTS):
+            name = output.resolve().name
+            found = make_recording(files, output, setup, name=name, made_with=task.model, progress=update, **how)
+        _print_findings(found)
+        out.print(f"wrote {output}: correct recording.toml where it says so, then", soft_wrap=True)
+        out.print(f"  rtof-kin reconstruct {output} -o OUT", soft_wrap=True)
+        return
+    with progress() as update, warnings_in_summary(), warnings_in_summary(_OF_KEYPOINTS):
+        done = run_steps(
+            files, output, setup, settings, task=task, second=second, analysis=analysis, progress=update, **how
+        )
+    _print_run(done, time.monotonic() - began)
+
+
+def _demo(
+    output: Path,
+    files: bool,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    seconds: float | None,
+    overwrite: bool,
+) -> None:
+    """Reconstruct the demo, with and without sensors, or write its files to practise on."""
+    from rtof_kin.core.resources import model_path
+    from rtof_kin.reconstruction.pipeline import reconstruct
+    from rtof_kin.recording.recording import Recording
+    from rtof_kin.simulation.simulate import write_raw_files
+
+    recording = Recording.load(model_path("demo"))
+    if files or seconds is not None:
+        first = recording.times[0]
+        recording = recording.between(first, first + (60.0 if seconds is None else seconds))
+    if files:
+        write_raw_files(recording, output, overwrite)
+        out.print(f"wrote {output}: what a phone and sensors would have written of the demo. Next:")
+        names = f"{output}/keypoints.csv {output}/dots {output}/places.csv"
+        height = recording.skeleton.height
+        out.print(f"  rtof-kin run {names} --size 1920x1080 --height {height:.2f} -o OUT", soft_wrap=True)
+        return
+    result = reconstruct_and_print(recording, output, replace(task, mode="rtof"), settings, overwrite)
+    with progress() as update, warnings_in_summary():
+        image_only = reconstruct(recording, mode="rto", lifter=task.lifter(), settings=settings, progress=update)
+    vision = {f"{name} (image)": score for name, score in image_only.stage_metrics.items()}
+    print_scores(with_zero_motion(recording) | vision | result.stage_metrics)
+    out.print(f"The demo: {recording.notes} {recording.acknowledgement}", style="dim", soft_wrap=True)
+
+
+def _kept(step: str) -> None:
+    err.print(f"{step}: its inputs are the same; kept", soft_wrap=True)
+
+
+def _print_findings(found: Findings) -> None:
+    for kind, style in _KINDS.items():
+        for number, sentence in enumerate(getattr(found, kind)):
+            line("" if number else kind, sentence, style)
+
+
+def _print_run(done: Run, seconds: float) -> None:
+    from rtof_kin.reporting.audit_results import headline
+
+    _print_findings(done.findings)
+    for note in done.joined:
+        kind, _, sentence = note.partition(": ")
+        line(kind, sentence, _KINDS.get(kind, ""))
+    rows = (done.summary.inputs.get("camera_estimate") or {}).get("rows", [])
+    found = [f"{name}: {now} by the motion, {was} assumed" for name, was, now, *_, said in rows if said == "found"]
+    for number, sentence in enumerate(found):
+        line("" if number else "camera", sentence)
+    mode = done.summary.mode
+    line("accuracy", accuracy(None, done.summary.mean_sigmas, mode))
+    line("caution", headline(done.summary.results or ()).line)
+    line("report", f"{done.page} ({seconds:.0f} s); open it in a browser")
+    film = "" if mode == "imu" else f"; rtof-kin overlay {done.folder} VIDEO -o FILE.mp4"
+    line("next", f"rtof-kin view {done.folder} (in 3D){film}")
+
+
+def detector_of(model_dir: Path | None, fetch: str | None) -> PersonDetector:
+    """Return the detector that the options ask for; downloads models where they say so.
+
+    Raises:
+        RtofError: no detector is at hand, or the download failed.
+    """
+    from rtof_kin.vision.model_download import fetch_models, model_set
+    from rtof_kin.vision.person_detector import choose_detector
+
+    if model_dir is not None and fetch is not None:
+        raise InvalidInputError("--model-dir, --fetch-models: give one of them")
+    if fetch is not None:
+        wanted = model_set(fetch)
+        out.print(f"{wanted.title}. Licence: {wanted.licence}", soft_wrap=True)
+        with progress() as update:
+            model_dir = fetch_models(wanted, update)
+        for file in wanted.files:
+            out.print(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published", soft_wrap=True)
+    detector = choose_detector(model_dir)
+    out.print(f"detector: {detector.name}", soft_wrap=True)
+    return detector
+
+
+def detection(model_dir: Path | None, fetch: str | None) -> Detect:
+    """Return what detects the people in a video by the detector that the options ask for."""
+
+    def detect(video: Path) -> Detections:
+        from rtof_kin.vision.video import detect_video
+
+        detector = detector_of(model_dir, fetch)
+        with progress() as update:
+            return detect_video(video, detector, progress=update)
+
+    return detect
+
+
+@command
+def detect(
+    video: str,
+    /,
+    *,
+    output: File = Path("keypoints.npz"),
+    model_dir: ModelDir = None,
+    fetch_models: FetchModels = None,
+    seconds: Seconds = None,
+    camera_motion: Annotated[Path | None, Parameter(metavar="NPZ")] = None,
+    phone_log: Annotated[Path | None, Parameter(metavar="LOG")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Detect keypoints of people in a video or webcam.
+
+    Runs a detector on this machine: models of yours, downloaded ones, or MediaPipe's if installed; needs the extra:
+    pip install 'rtof-kin[video]'. Images are neither kept nor sent. OUT can be a recording's keypoints.
+
+    Args:
+        video: video file, or the number of a webcam
+        camera_motion: estimate how the camera turned from the background, and write it
+        phone_log: gyroscope and accelerometer of the phone that filmed by hand: adds the tilt to --camera-motion
+    """
+    from rtof_kin.vision.landmark_regression import recognise
+    from rtof_kin.vision.video import detect_video, write_detections
+
+    if output.suffix.lower() != ".npz":
+        raise FileFormatError(output, "give the file to write a name that ends in .npz")
+    check_new_file(output, overwrite)
+    if camera_motion is not None:
+        if video.isdigit():
+            raise InvalidInputError("--camera-motion needs a video file, not a webcam")
+        check_new_file(camera_motion, overwrite)
+    detector = detector_of(model_dir, fetch_models)
+    with progress() as update:
+        found = detect_video(int(video) if video.isdigit() else video, detector, seconds=seconds, progress=update)
+    write_detections(output, found, overwrite)
+    present = found.present
+    out.print(
+        f"wrote {output}: {len(found)} frames of up to {present.shape[1]} people, "
+        f"{int(present.any(axis=1).sum())} frames with at least one",
+        soft_wrap=True,
+    )
+    if camera_motion is not None:
+        _write_camera_motion(video, found, camera_motion, phone_log, overwrite)
+    try:
+        layout = recognise(found.uv_px, found.confidence).layout
+    except InvalidInputError as error:
+        out.print(f"their layout is not recognised: {error}", soft_wrap=True)
+        return
+    text = f'[keypoints]\nfile = "{output.name}"\nlayout = "{layout.name}"'
+    out.print(f"{layout.title}; in recording.toml:\n{text}", soft_wrap=True)
+
+
+def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
+    from rtof_kin.formats.camera_motion_npz import write_camera_motion
+    from rtof_kin.setup.camera import assumed_camera, turning_of_video
+    from rtof_kin.setup.recording_text import Field
+    from rtof_kin.vision.video_metadata import lens_prior, read_video_metadata
+
+    metadata = read_video_metadata(video)
+    size = metadata.width_px, metadata.height_px
+    lens = lens_prior(*size, metadata)
+    camera = assumed_camera(*size, lens, Field(None)).camera
+    with progress() as update:
+        turned = turning_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
+    write_camera_motion(target, turned.motion, overwrite)
+    out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
+    if turned.turning().passed:
+        out.print("it stood still: [camera.motion] is not needed")
+    else:
+        focal = f"focal_px = {turned.camera.K[0, 0]:.0f}"
+        out.print(f'in recording.toml, with {focal}:\n[camera.motion]\nfile = "{target.name}"', soft_wrap=True)
+
+
+@command
+def simulate(
+    motion: Path,
+    /,
+    *,
+    output: Output,
+    noise: Literal["perfect", "white", "independent", "realistic"] = "realistic",
+    sensors: tuple[str, ...] | None = None,
+    viewpoint: Literal["0", "1", "2", "3"] | None = None,
+    rate: Annotated[float | None, Parameter(metavar="HZ")] = None,
+    seed: Seed = 0,
+    acknowledgement: str = "",
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a recording from motion capture.
+
+    A virtual camera and virtual IMUs observe the motion of a BVH or ASF/AMC file, which is kept as the truth.
+
+    Args:
+        motion: .bvh or .amc file
+        noise: errors of the 2D: none; white noise of 5 px; of each joint by itself; those of a real detector
+        sensors: IMUs, separated by commas (e.g. Pelvis,L_LowArm), or none; default: the eight limb sensors
+        viewpoint: of the camera, one of four around the motion; default: the one that sees most of it
+        rate: true frame rate of the file
+        acknowledgement: acknowledgement that the data's owner asks for
+    """
+    from rtof_kin.recording.index import INDEX
+    from rtof_kin.simulation.simulate import SimulationSettings, simulate_file
+
+    check_replaceable(output, INDEX, overwrite)
+    settings: SimulationSettings = getattr(SimulationSettings, noise)()
+    if sensors is not None:
+        settings = replace(settings, sensors=sensors)
+    recording = simulate_file(
+        motion,
+        settings=settings,
+        seed=seed,
+        camera=None if viewpoint is None else int(viewpoint),
+        rate_hz=rate,
+        acknowledgement=acknowledgement,
+    )
+    recording.save(output, overwrite=overwrite)
+    times, seen = recording.video.times, recording.video.seen.any(axis=1).mean()
+    out.print(
+        f"wrote {output}: {len(times)} frames, {times[-1] - times[0]:.1f} s, the person is visible "
+        f"in {100 * seen:.0f} % of them",
+        soft_wrap=True,
+    )

@@ -1,0 +1,569 @@
+"""A motion analysis as a document; each column and field has its unit in its name.
+
+==============================  ==================================================================
+angles.csv, angles.json         angles over time, degrees, and their standard deviations if the motion has
+                                a confidence; the table of their names and signs
+angles_provenance.csv           observation source of each value (`Provenance` by number)
+angles_trusted.csv              1 where a value is reliable (`decomposition`), else 0
+range_of_motion.csv             minimum, maximum and mean reliable value, peak velocity of each angle;
+                                standard deviations of both ends and of the range; 1 for a heading; 95 %
+                                intervals with the unreliable samples, their seconds and furthest value
+                                beyond either end; 1 for a range that may be compared with others
+gait.json                       whether the motion is gait; events, strides, mean and standard deviation by
+                                side, symmetry
+travel.json                     way and turning of the pelvis
+gait_cycles.csv                 mean and standard deviation of each angle over the gait cycle
+repetitions.json                depth and tempo, on request
+torques.csv, torques.json       joint torques and the external wrench, with a body mass only
+ground_reaction.csv, .json      force of the floor and centre of pressure, with a body mass only
+notes.json                      what could not be determined, and why
+==============================  ==================================================================
+
+An empty cell is an unobserved value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.motion_file import motion_path
+from rtof_kin.clinical.analysis import MotionAnalysis, analyse
+from rtof_kin.clinical.angle_table import SIDES
+from rtof_kin.clinical.angles import ClinicalAngles
+from rtof_kin.clinical.gait import PHASES, CycleCurves, GaitAnalysis
+from rtof_kin.clinical.ground_reaction import STATUS, Contact, GroundReaction
+from rtof_kin.clinical.range_of_motion import RangeOfMotion
+from rtof_kin.clinical.repetitions import Kind, RepetitionAnalysis
+from rtof_kin.clinical.torques import JointTorques
+from rtof_kin.clinical.travel import Travel
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.files.folder import check_replaceable, new_folder
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.data.poses import Provenance
+from rtof_kin.reporting.angle_names import SIDE_COLORS, side_and_name
+from rtof_kin.reporting.document import Cell, Document, Figure, Table, fixed, number, write_files
+from rtof_kin.reporting.plot_data import envelope_frames, interval_times, widest_bands
+from rtof_kin.reporting.summary_file import SUMMARY, read_summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Plot
+
+MARKER: Final = "angles.csv"
+_BLOCK: Final = 3600
+"""Rows of a table that are formatted at once."""
+_DIGITS: Final = 9  # after the point, of what is written
+_ALL: Final = 17  # significant digits: a number as it is
+WRENCH_COLUMNS: Final = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
+_ANGLES_JSON: Final = {
+    "file": MARKER,
+    "units": "time s; angles degrees, as in the column names",
+    "frames": "segment frames x forward, y up, z right (ISB); sequences intrinsic, in these axes; "
+    "'mirrored': the rotation is reflected in the sagittal plane before it is decomposed",
+    "sign": "a leading '-' of an OpenSim name: its sign is the opposite of the column's",
+    "gaps": "an empty cell: the angle was not observed",
+    "continuity": "continuous between gaps; whole turns are chosen so that each stretch lies in range_deg",
+    "sigma": "columns ..._sigma_deg: standard deviations; 95 % of errors lie within 1.96 of them",
+    "provenance": {str(int(p)): p.name.lower() for p in Provenance},
+}
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Rows of a time and numbers, computed a block at a time, so that an hour is never text at once."""
+
+    times: Array
+    """(T,) s."""
+    values: Callable[[slice], NDArray[Any]]
+    """Frames -> numbers (N, ...)."""
+    words: Callable[[int], str] | None = None
+    """Frame -> a text behind the time."""
+
+    def __iter__(self) -> Iterator[list[Cell]]:
+        for start in range(0, len(self.times), _BLOCK):
+            frames = slice(start, start + _BLOCK)
+            values = np.asarray(self.values(frames), dtype=float).tolist()
+            for t, (time, row) in enumerate(zip(self.times[frames].tolist(), values, strict=True), start):
+                yield [time, *([] if self.words is None else [self.words(t)]), *_rounded(row)]
+
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """What is analysed."""
+
+    weight_kg: float | None = None
+    """Body mass, kg, for joint torques; default: that of the recording."""
+    sex: Literal["male", "female"] | None = None
+    """Sex of the subject, of the tables of body mass."""
+    height: float | None = None
+    """Standing height, m, that the size of the skeleton is checked with."""
+    repetitions: Kind | None = None
+    """Movement that is counted."""
+    from_standing: bool = False
+    """Angles of trunk and legs relative to half a second or more of the person's quiet standing."""
+
+
+def write_analysis(
+    motion: str | Path,
+    folder: str | Path,
+    settings: AnalysisSettings,
+    figures: bool = True,
+    overwrite: bool = False,
+    inputs: Mapping[str, str] | None = None,
+    documents: Sequence[Document] = (),
+) -> Document:
+    """Analyse the motion of an output folder, and write the analysis into a folder.
+
+    Args:
+        overwrite: replace an earlier analysis there. inputs: fingerprints for the folder's manifest.
+        documents: of the same motion, such as its gait scores, which get folders of their own in it.
+
+    Raises:
+        OutputExistsError: the folder may not be replaced. Errors of `analyse`.
+    """
+    check_replaceable(folder, MARKER, overwrite)
+    summary = motion_path(motion).parent / SUMMARY
+    subject = read_summary(summary).subject if summary.exists() else {}
+    weight_kg = settings.weight_kg if settings.weight_kg is not None else subject.get("mass_kg")
+    sex = settings.sex or (subject.get("sex") if weight_kg is not None else None)
+    made = document(analyse(motion, **asdict(replace(settings, weight_kg=weight_kg, sex=sex))))
+    with new_folder(folder, MARKER, overwrite, inputs) as new:
+        for one, inner in ((made, new), *((other, new / other.name) for other in documents)):
+            inner.mkdir(exist_ok=True)
+            write_files(one if figures else replace(one, figures=()), inner)
+    return made
+
+
+def document(analysis: MotionAnalysis) -> Document:
+    """Return an analysis as a document."""
+    angles, gait = analysis.angles, analysis.gait
+    series = [angles.values] if angles.sigma is None else [angles.values, angles.sigma]
+    columns = [f"{name}{kind}_deg" for kind in ("", "_sigma")[: len(series)] for name in angles.names]
+
+    def in_degrees(frames: slice) -> Array:
+        return np.degrees(np.hstack([one[frames] for one in series]))
+
+    tables = {
+        MARKER: Table(("time", *columns), _Series(angles.times, in_degrees)),
+        "angles_provenance.csv": Table(
+            ("time", *angles.names), _Series(angles.times, lambda frames: angles.provenance[frames])
+        ),
+        "angles_trusted.csv": Table(("time", *angles.names), _Series(angles.times, angles.is_trusted)),
+        "range_of_motion.csv": _ranges(analysis.ranges),
+    }
+    data = {
+        "angles.json": _ANGLES_JSON | {"angles": analysis.table.sidecar()},
+        "gait.json": _gait_facts(gait),
+        "travel.json": _travel_facts(analysis.travel),
+        "notes.json": {part: list(notes) for part, notes in analysis.notes.items()},
+    }
+    figures = [
+        Figure("figures/angles", "Joint angles over time with their 95 % bands", lambda: angles_over_time(analysis))
+    ]
+    if analysis.curves:
+        tables["gait_cycles.csv"] = _cycles(analysis.curves)
+        if gait.is_gait:
+            alt = "Mean and standard deviation of angles over the gait cycle"
+            figures.append(Figure("figures/gait_cycles", alt, lambda: gait_cycles(analysis)))
+    if analysis.repetitions is not None:
+        data["repetitions.json"] = _repetition_facts(analysis.repetitions)
+    if (torques := analysis.torques) is not None:
+        tables["torques.csv"], data["torques.json"] = _torques(torques)
+    if (reaction := analysis.ground_reaction) is not None:
+        tables["ground_reaction.csv"], data["ground_reaction.json"] = _reaction(reaction)
+        if np.isfinite(reaction.force).any():
+            alt = "Vertical force, that of each foot, and centre of pressure over time"
+            figures.append(Figure("figures/ground_reaction", alt, lambda: ground_reaction_over_time(reaction)))
+    return Document(
+        "analysis",
+        "Analysis of a motion",
+        f"pelvis: {analysis.travel.text}",
+        printed=_printed(analysis),
+        figures=figures,
+        tables=tables,
+        facts=None,
+        data=data,
+    )
+
+
+# --- what the terminal shows ---------------------------------------------------------------------
+
+
+def _printed(analysis: MotionAnalysis) -> list[Table | str]:
+    gait, shown = analysis.gait, [row for row in analysis.ranges if row.known_share > 0 and not row.about_vertical]
+    out: list[Table | str] = [
+        _printed_ranges(shown),
+        *(f"{row.name}: {row.text}" for row in shown if row.is_uncertain),
+        *([_printed_gait(gait), f"gait: from {gait.rests_on}"] if gait.is_gait else [f"gait: {gait.why_not}"]),
+    ]
+    if (found := analysis.repetitions) is not None:
+        columns = ("down [s]", "below [s]", "up [s]", "depth [m]", "right knee [deg]", "left knee [deg]")
+        rows = [
+            (
+                str(n),
+                *(fixed(value, 2) for value in (r.descent_time, r.bottom_time, r.ascent_time, r.depth)),
+                *(fixed(math.degrees(r.knee_flexion[side]), 0) for side in SIDES),
+            )
+            for n, r in enumerate(found.repetitions, start=1)
+        ]
+        out.append(Table((found.kind.replace("_", " "), *columns), rows))
+    return [*out, *(f"{part}: {note}" for part, notes in analysis.notes.items() for note in notes)]
+
+
+def _printed_ranges(shown: Sequence[RangeOfMotion]) -> Table:
+    rows = []
+    for row in shown:
+        half = math.nan if row.is_uncertain else BAND_95 * row.range_sigma
+        cells = [fixed(math.degrees(v), 0) for v in (row.low, row.high, row.range, half, row.peak_velocity)]
+        cells[2] = f">= {cells[2]}" if row.is_uncertain else cells[2]
+        rows.append((row.name, *cells, f"{100 * row.known_share * row.trusted_share:.0f} %"))
+    return Table(("angle [deg]", "low", "high", "range", "\u00b1 95 %", "deg/s", "trusted"), rows)
+
+
+def _printed_gait(gait: GaitAnalysis) -> Table:
+    units = {"stride_time": "s", "cadence": "steps/min", "stride_length": "m", "speed": "m/s"}
+    rows = []
+    for name in next(iter(gait.summary.values())):
+        cells = []
+        for measures in gait.summary.values():
+            mean, spread, strides = measures[name]
+            cells.append(f"{mean:.3g}" + (f" \u00b1 {spread:.2g}" if strides > 1 else "") + f" ({strides})")
+        symmetry = f"{100 * gait.symmetry[name]:+.1f} %" if name in gait.symmetry else ""
+        rows.append((f"{name.replace('_', ' ')} {units.get(name, '')}", *cells, symmetry))
+    return Table(("gait", *gait.summary, "symmetry"), rows)
+
+
+# --- what the files have -------------------------------------------------------------------------
+
+
+def _gait_facts(gait: GaitAnalysis) -> dict[str, Any]:
+    """Events, strides and gait parameters as plain data."""
+    units = {"stride_time": "_s", "cadence": "_steps_per_min", "stride_length": "_m", "speed": "_m_per_s"}
+    return {
+        "is_gait": gait.is_gait,
+        "why_not": gait.why_not,
+        "rests_on": gait.rests_on,
+        "walking_strides": len(gait.verdict.walking),
+        "on_the_spot": gait.verdict.on_the_spot,
+        "events_s": {
+            side: {"heel_strikes": foot.strikes.tolist(), "toe_offs": foot.offs.tolist()}
+            for side, foot in gait.events.feet.items()
+        },
+        "strides": [
+            {
+                "side": s.side,
+                "start_s": s.start,
+                "toe_off_s": s.toe_off,
+                "stop_s": s.stop,
+                "stride_length_m": s.stride_length,
+            }
+            for s in gait.strides
+        ],
+        "summary": {
+            side: {
+                name + units.get(name, ""): {"mean": _known(mean), "sd": _known(sd), "strides": n}
+                for name, (mean, sd, n) in measures.items()
+            }
+            for side, measures in gait.summary.items()
+        },
+        "symmetry": {name: _known(value) for name, value in gait.symmetry.items()},
+        "symmetry_is": "(right - left) / mean of both",
+    }
+
+
+def _travel_facts(travel: Travel) -> dict[str, Any]:
+    """Way and turning as plain data."""
+    return {
+        "path_length_m": _known(travel.path_length),
+        "displacement_m": _known(travel.displacement),
+        "direction_deg": _degrees(travel.direction),
+        "direction_is": "from world x, counterclockwise seen from above",
+        "direction_from_facing_deg": _degrees(travel.relative_direction),
+        "turned_left_deg": _degrees(travel.turned_left),
+        "turned_right_deg": _degrees(travel.turned_right),
+        "turned_left_sigma_deg": _degrees(travel.turned_left_sigma),
+        "turned_right_sigma_deg": _degrees(travel.turned_right_sigma),
+        "turns_within_their_error": travel.unsure_turns,
+        "walking_share": travel.walking_share,
+        "observed_share": travel.observed_share,
+        "notes": list(travel.notes),
+    }
+
+
+def _repetition_facts(found: RepetitionAnalysis) -> dict[str, Any]:
+    """Repetitions as plain data."""
+    return {
+        "kind": found.kind,
+        "count": len(found.repetitions),
+        "total_time_s": _known(found.total_time),
+        "repetitions": [
+            {
+                "descent_s": r.descent,
+                "ascent_s": r.ascent,
+                "descent_time_s": _known(r.descent_time),
+                "bottom_time_s": _known(r.bottom_time),
+                "ascent_time_s": _known(r.ascent_time),
+                "depth_m": r.depth,
+                "depth_share_of_leg": r.depth_share,
+                "knee_flexion_deg": {k: _degrees(v) for k, v in r.knee_flexion.items()},
+            }
+            for r in found.repetitions
+        ],
+    }
+
+
+def _ranges(ranges: Sequence[RangeOfMotion]) -> Table:
+    rows: list[list[Cell]] = []
+    for r in ranges:
+        angles = {"low": r.low, "high": r.high, "range": r.range, "mean": r.mean}
+        sigmas = {"low": r.low_sigma, "high": r.high_sigma, "range": r.range_sigma}
+        intervals = {"low": r.low_interval, "high": r.high_interval, "range": r.range_interval}
+        values = (
+            {f"{name}_deg": np.degrees(value) for name, value in angles.items()}
+            | {"time_low_s": r.time_low, "time_high_s": r.time_high}
+            | {"peak_velocity_deg_per_s": np.degrees(r.peak_velocity)}
+            | {"known_share": r.known_share, "singular_share": r.singular_share, "trusted_share": r.trusted_share}
+            | {f"{name}_sigma_deg": np.degrees(value) for name, value in sigmas.items()}
+            | {"about_vertical": r.about_vertical}
+        )
+        for name, ends in intervals.items():
+            values |= {
+                f"{name}_interval_{end}_deg": np.degrees(x) for end, x in zip(("low", "high"), ends, strict=True)
+            }
+        for name, end in (("low", r.uncertain_low), ("high", r.uncertain_high)):
+            values[f"uncertain_{name}_s"] = 0.0 if end is None else end.seconds
+            values[f"uncertain_{name}_deg"] = math.nan if end is None else np.degrees(end.value)
+        values["comparable"] = r.is_comparable
+        rows.append([r.name, *_rounded(values.values())])
+    return Table(("angle", *values), rows)
+
+
+def _cycles(curves: Sequence[CycleCurves]) -> Table:
+    """A row for each per cent of the cycle; a pair of columns for each angle and side."""
+    names, columns = ["cycle_percent"], [100 * PHASES]
+    for curve in curves:
+        name = curve.name if curve.name.startswith(curve.side) else f"{curve.name}_{curve.side}_cycle"
+        names += [f"{name}_mean_deg", f"{name}_sd_deg"]
+        columns += [np.degrees(curve.mean), np.degrees(curve.sd)]
+    return Table(names, list(map(_rounded, np.stack(columns, axis=-1))))
+
+
+def _torques(torques: JointTorques) -> tuple[Table, dict[str, Any]]:
+    wrenches = [f"{kind}_{c}" for kind in ("outer", "unexplained") for c in WRENCH_COLUMNS]
+    series = (torques.torques, torques.root_wrench, torques.unexplained, *torques.sigma_parts)
+    sigmas = [f"{name}_sigma_{part}_Nm" for part in ("motion", "masses") for name in torques.dof_names]
+    columns = [*(f"{name}_Nm" for name in torques.dof_names), *wrenches, *sigmas]
+    rows = _Series(torques.times, lambda frames: np.hstack([one[frames] for one in series]))
+    return (
+        Table(("time", *columns), rows),
+        {
+            "file": "torques.csv",
+            "weight_kg": torques.weight_kg,
+            "torques": "about the URDF's revolutes of that name, positive along their axes",
+            "outer": "external force and moment about the root that the motion requires, world axes",
+            "unexplained": "the part of it that is assigned to no foot; not a measurement",
+            "sigma": "columns ..._sigma_motion_Nm, ..._sigma_masses_Nm: standard deviations by the errors of "
+            "the motion and of the masses of segments; the whole is the root of the sum of their squares",
+            "notes": list(torques.notes),
+        },
+    )
+
+
+def _reaction(reaction: GroundReaction) -> tuple[Table, dict[str, Any]]:
+    axes = ("x", "y", "z")
+    columns = [
+        "status",
+        *(f"force_{c}_N" for c in axes),
+        *(f"force_{c}_sigma_N" for c in axes),
+        "pressure_x_m",
+        "pressure_y_m",
+        "pressure_x_sigma_m",
+        "pressure_y_sigma_m",
+        "outside_soles_m",
+        *(f"{side}_vertical_{end}_N" for side in SIDES for end in ("least", "most")),
+    ]
+    series = (
+        reaction.force,
+        reaction.force_sigma,
+        reaction.pressure,
+        reaction.pressure_sigma,
+        reaction.outside[:, None],
+        reaction.vertical.reshape(-1, 4),
+    )
+    rows = _Series(
+        reaction.times,
+        lambda frames: np.hstack([one[frames] for one in series]),
+        lambda t: STATUS[Contact(reaction.state[t])],
+    )
+    return (
+        Table(("time", *columns), rows),
+        {
+            "file": "ground_reaction.csv",
+            "weight_kg": reaction.weight_kg,
+            "floor_m": _known(reaction.floor),
+            "status": {contact.name.lower(): words for contact, words in STATUS.items()},
+            "force": "of all external contacts together, world axes, with standard deviations",
+            "pressure": "centre of pressure of both feet together on the floor, world; standard deviations "
+            "relative to the feet",
+            "outside_soles": "distance of the centre of pressure from the soles on the floor; 0 inside",
+            "vertical": "least and most vertical force on each foot; equal where one foot bears all, an "
+            "interval where two share it",
+            "notes": list(reaction.notes),
+        },
+    )
+
+
+def _rounded(values: Iterable[Any]) -> list[float]:
+    return [round(float(value), _DIGITS) for value in values]
+
+
+def _known(value: Any) -> float | None:
+    return number(value, _ALL)
+
+
+def _degrees(radians: float) -> float | None:
+    return _known(np.degrees(radians))
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+MOST_DRAWN: Final = 10_000
+"""Largest number of samples of a curve; a picture has fewer columns of pixels."""
+SHOWN: Final = (
+    "pelvis_tilt",
+    "pelvis_list",
+    "spine_flexion",
+    "hip_flexion",
+    "hip_adduction",
+    "hip_internal_rotation",
+    "knee_flexion",
+    "ankle_dorsiflexion",
+    "ankle_inversion",
+    "shoulder_elevation",
+    "elbow_flexion",
+    "elbow_pronation",
+)
+"""Angles that are plotted, without their side."""
+
+
+def ground_reaction_over_time(found: GroundReaction) -> Plot:
+    """Plot the vertical force with its band and the interval of each foot, and the centre of pressure."""
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=(10.0, 7.5), layout="constrained")
+    force, each, sole = figure.subplots(3, 1, sharex=True)
+    step = max(1, math.ceil(len(found.times) / MOST_DRAWN))
+    times, weight = found.times[::step], found.body_weight
+    total, band = found.force[::step, 2], BAND_95 * found.force_sigma[::step, 2]
+    force.fill_between(times, total - band, total + band, color="0.8", lw=0, label="95 % band")
+    force.plot(times, total, color="0.2", lw=1.0, label="both feet together")
+    force.axhline(weight, color="0.5", lw=0.7, ls="--", label="body weight")
+    force.set_ylabel("vertical force [N]")
+    right = force.secondary_yaxis("right", functions=(lambda n: 100 * n / weight, lambda w: w * weight / 100))
+    right.set_ylabel("% of body weight")
+    for side, interval in zip(SIDES, np.moveaxis(found.vertical[::step], 1, 0), strict=True):
+        colour = SIDE_COLORS[side]
+        each.fill_between(times, *interval.T, color=colour, alpha=0.3, lw=0)
+        alone = np.where(interval[:, 0] == interval[:, 1], interval[:, 0], np.nan)
+        each.plot(times, alone, color=colour, lw=1.2, label=f"{side} foot; area: not identifiable")
+    each.set_ylabel("vertical force\non each foot [N]")
+    for axis, name, style in ((0, "x", "-"), (1, "y", ":")):
+        at, spread = found.pressure[::step, axis], BAND_95 * found.pressure_sigma[::step, axis]
+        sole.fill_between(times, at - spread, at + spread, color="0.85", lw=0)
+        sole.plot(times, at, style, color="0.2", lw=1.0, label=f"{name}, world")
+    sole.set_ylabel("centre of pressure [m]")
+    sole.set_xlabel("time [s]")
+    for ax in (force, each, sole):
+        ax.legend(fontsize=8, loc="upper right")
+        ax.grid(alpha=0.3)
+    return figure
+
+
+def gait_cycles(analysis: MotionAnalysis) -> Plot:
+    """Plot mean and standard deviation of angles from heel strike to heel strike of each side."""
+    figure, axes = _panels("gait cycle of the same side, from heel strike [%]")
+    for curve in analysis.curves:
+        if (shown := curve.name.removeprefix(f"{curve.side}_")) in axes:
+            strides = f"{len(curve.curves)} stride" + "s" * (len(curve.curves) != 1)
+            mean, sd = np.degrees(curve.mean), np.degrees(curve.sd)
+            _plot(axes[shown], 100 * PHASES, mean, sd, curve.side, f"{curve.side}, {strides}")
+    _finish(axes)
+    for side, measures in analysis.gait.summary.items():
+        for ax in axes.values():
+            ax.axvline(100 * measures["stance_share"][0], color=SIDE_COLORS[side], lw=0.8, ls="--")
+    figure.suptitle("Angles over the gait cycle: mean and standard deviation; dashed: toe off")
+    return figure
+
+
+def angles_over_time(analysis: MotionAnalysis) -> Plot:
+    """Plot the same angles over time, with their 95 % bands."""
+    figure, axes = _panels("time [s]")
+    angles = analysis.angles
+    for a, name in enumerate(angles.names):
+        side, shown = side_and_name(name)
+        if shown in axes and np.isfinite(angles.values[:, a]).any():
+            _plot(axes[shown], *_curve(angles, a), side, side or None)
+    _finish(axes)
+    bands = "" if angles.sigma is None else "; bands: 95 %"
+    figure.suptitle(f"Joint angles{bands}; gaps: not observed")
+    return figure
+
+
+def _curve(angles: ClinicalAngles, a: int) -> tuple[Array, Array, Array | None]:
+    """Times, values and half widths of the band of an angle, deg.
+
+    Of a long motion they are the lowest and the highest value of equal intervals, with the widest band.
+    """
+    times, values = angles.times, np.degrees(angles.values[:, a])
+    half = None if angles.sigma is None else BAND_95 * np.degrees(angles.sigma[:, a])
+    if len(times) <= MOST_DRAWN:
+        return times, values, half
+    step = math.ceil(2 * len(times) / MOST_DRAWN)
+    if half is not None:
+        half = widest_bands(half, values, step)
+    return interval_times(times, step), values[envelope_frames(values, step)], half
+
+
+def _plot(ax: Any, x: Any, y: Any, half: Any, side: str, label: str | None) -> None:
+    color = SIDE_COLORS[side]
+    ax.plot(x, y, color=color, lw=1.2, label=label)
+    if half is not None:
+        ax.fill_between(x, y - half, y + half, color=color, alpha=0.2, lw=0)
+
+
+def _panels(label: str) -> tuple[Plot, dict[str, Any]]:
+    from matplotlib.figure import Figure as Plot
+
+    figure = Plot(figsize=(12, 11), layout="constrained")
+    grid = figure.subplots(4, 3, sharex=True)
+    for ax in grid[-1]:
+        ax.set_xlabel(label, fontsize=8)
+    return figure, dict(zip(SHOWN, grid.ravel(), strict=True))
+
+
+def _finish(axes: dict[str, Any]) -> None:
+    """Add titles, with the legend beside them so that it hides no curve, and mark unobserved angles."""
+    for name, ax in axes.items():
+        ax.set_title(name.replace("_", " "), fontsize=9, loc="left")
+        ax.set_ylabel("[deg]", fontsize=8)
+        ax.grid(alpha=0.3)
+        if ax.get_legend_handles_labels()[0]:
+            ax.legend(
+                fontsize=7,
+                loc="lower right",
+                bbox_to_anchor=(1, 1),
+                ncols=2,
+                frameon=False,
+                borderaxespad=0,
+                handlelength=1,
+                columnspacing=1,
+            )
+        elif not ax.lines:
+            ax.text(0.5, 0.5, "not observed", transform=ax.transAxes, ha="center", color="0.5")
+            ax.set_yticks([])

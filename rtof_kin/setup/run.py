@@ -1,0 +1,258 @@
+"""From a video (or keypoints) and sensors to a report: `run`, step by step.
+
+A step is not done again while its inputs are the same, so that a run that was stopped goes on, and the recording's
+``recording.toml`` may be corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rtof_kin.calibration.result import read_self_calibration_toml
+from rtof_kin.core.choices import Mode
+from rtof_kin.core.environment import environment
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.files.folder import check_replaceable
+from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
+from rtof_kin.core.files.text import write_text
+from rtof_kin.core.resources import lifter_path
+from rtof_kin.reconstruction.lift import LifterLike
+from rtof_kin.reconstruction.parts import is_long, reconstruct_in_parts
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.prepare import Progress
+from rtof_kin.reconstruction.settings import ReconstructionSettings
+from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.reader import RecordingReader, RecordingSlices
+from rtof_kin.recording.recording import Recording
+from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
+from rtof_kin.reporting.export import MARKER, export_parts
+from rtof_kin.reporting.page import PAGE, report
+from rtof_kin.reporting.statistics import ReconstructionStatistics
+from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
+from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
+from rtof_kin.setup.join import ABOUT, join_recordings
+
+RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
+"""Folders that `run` writes, beside the report; the second and third where there are two cameras."""
+
+
+@dataclass(frozen=True)
+class ReconstructionTask:
+    """How the recording of a folder is reconstructed, beside the settings of its stages."""
+
+    mode: Mode | None = None
+    """lift: network only; sf2: + IMU orientations, frame by frame; rto: optimised, vision only; rtof: everything;
+    imu: sensors only, without a camera; default: the one that uses all that was recorded."""
+    model: Path | None = None
+    """Lifter and pose prior: a file written by rtof-kin train, or a shipped one by name: detections (the default),
+    perfect."""
+    calibrate: bool = False
+    """Calibrate the recording from its own motion first, against gross errors of delay, mounting and bones."""
+    calibration: Path | None = None
+    """Calibration of another recording of the same person: bones, ankles and landmark offsets are taken from it; with
+    calibrate delay, mounting and biases are estimated for this one."""
+    figures: bool = True
+    """Draw figures, where matplotlib is installed."""
+
+    def lifter(self) -> LifterLike | None:
+        """Load the model that is named; None for the shipped one."""
+        if self.model is None:
+            return None
+        from lifting.predict import Lifter
+
+        return Lifter.load(self.model)
+
+
+@dataclass(frozen=True)
+class SecondCamera:
+    """Files of a second camera that saw the same."""
+
+    second: tuple[Path, ...] = ()
+    """Video or keypoints of a second camera (or both) that saw the same; its location is found."""
+    second_person: int | None = None
+    """Number of the person in second/frames.png."""
+    second_camera: str | None = None
+    """Name of the second camera, in the calibration among the files."""
+    synchronised: bool = False
+    """Both cameras have one clock; default: it is found."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What `run` did."""
+
+    folder: Path
+    findings: Findings
+    """What was given, found, assumed and is in doubt of the recording."""
+    joined: tuple[str, ...]
+    """What was found of the second camera, 'kind: sentence'."""
+    summary: Summary
+    """Of the motion."""
+
+    @property
+    def page(self) -> Path:
+        """The report."""
+        return self.folder / PAGE
+
+
+def run(
+    files: Iterable[str | Path],
+    folder: str | Path,
+    setup: SetupSettings,
+    settings: ReconstructionSettings | None = None,
+    *,
+    task: ReconstructionTask | None = None,
+    second: SecondCamera | None = None,
+    analysis: AnalysisSettings | None = None,
+    detect: Detect | None = None,
+    overwrite: bool = False,
+    kept: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Go from a video (or keypoints) and sensors to a report, in one folder.
+
+    Detects the person, makes the recording, reconstructs the motion, analyses it and writes the report. What is not
+    given is found from the motion or assumed, and said. A step is not done again while its inputs are the same.
+
+    >>> from rtof_kin.setup.init import SetupSettings
+    >>> from rtof_kin.setup.run import ReconstructionTask
+    >>> files = ["files/keypoints.csv", "files/dots", "files/places.csv"]
+    >>> done = run(files, "out", SetupSettings(height=1.78, size_px=(1920, 1080)), task=ReconstructionTask("sf2"))
+    >>> done.page.name, done.summary.mode
+    ('report.html', 'sf2')
+
+    Args:
+        files: see `make_recording`. setup: of the recording; the height is needed.
+        settings: of the reconstruction's stages. task: mode, model and calibration; default: the recording is
+            calibrated from its own motion.
+        detect: detects the people in a video; default: the detector of `setup`.
+        overwrite: replace results of other files. kept: called with the name of each step that is kept.
+
+    Raises:
+        InvalidInputError: no height. OutputExistsError: see `make_recording`. Errors of the steps.
+    """
+    import lifting  # noqa: F401  # says before the work if torch is missing
+
+    second = second or SecondCamera()
+    folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
+    settings, analysis = settings or ReconstructionSettings(), analysis or AnalysisSettings()
+    if setup.height is None:
+        raise InvalidInputError(
+            "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
+        )
+    how: dict[str, Any] = {"detect": detect, "made_with": task.model, "overwrite": overwrite, "kept": kept}
+    name, own, setup = folder.resolve().name, folder / RECORDING, replace(setup, lifter=task.lifter())
+    findings = make_recording(files, own, setup, name=name, progress=progress, **how)
+
+    def step(name: str, make: Callable[[Path, bool, Mapping[str, str]], object], *inputs: object) -> None:
+        """Make a folder, unless it is there and its inputs are the same."""
+        wanted, before = fingerprint(*inputs), made_from(folder / name)
+        if before.get(name) == wanted:
+            kept(name)
+        else:
+            make(folder / name, overwrite or name in before, {name: wanted})
+
+    def join(output: Path, overwrite: bool, inputs: Mapping[str, str]) -> None:
+        check_replaceable(output, INDEX, overwrite)
+        first, other = Recording.load(folder / RECORDING), Recording.load(folder / SECOND)
+        joined = join_recordings(first, other, setup.lifter, synchronised=second.synchronised)
+        joined.recording.save(output, overwrite, inputs)
+
+    if second.second:
+        others = replace(setup, person=second.second_person, camera_name=second.second_camera, phone_log=None)
+        title = f"{name}, second camera"
+        make_recording(second.second, folder / SECOND, others, name=title, progress=progress, **how)
+        step(JOINED, join, own, folder / SECOND, str(task.model), second.synchronised)
+        own = folder / JOINED
+    recording = Recording.load(own)
+    task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
+    del recording  # a long one is read in parts
+    solved = partial(reconstruct_folder, own, task=task, settings=settings, progress=progress)
+    step(MOTION, lambda *made: solved(*made), own, str(task), str(settings))
+    step(
+        ANGLES,
+        lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),
+        folder / MOTION,
+        str(analysis),
+        task.figures,
+    )
+    _write_page(folder, analysis, kept)
+    said = tuple(note for note in notes.splitlines() if note.partition(": ")[2].startswith(ABOUT))
+    return Run(folder, findings, said, read_summary(folder / MOTION / SUMMARY))
+
+
+def reconstruct_folder(
+    recording: str | Path | Recording,
+    output: str | Path,
+    overwrite: bool = False,
+    inputs: Mapping[str, str] | None = None,
+    *,
+    task: ReconstructionTask,
+    settings: ReconstructionSettings,
+    progress: Progress | None = None,
+) -> ReconstructionStatistics:
+    """Reconstruct the recording of a folder, a long one in parts, and export the motion.
+
+    Args:
+        output: folder to write; one that may not be replaced is refused before the work.
+        inputs: fingerprints for its manifest.
+    """
+    check_replaceable(output, MARKER, overwrite)
+    with ExitStack() as stack:
+        source: RecordingSlices
+        if isinstance(recording, Recording):
+            source = recording
+        else:
+            reader = stack.enter_context(RecordingReader.open(recording))
+            source = reader if is_long(reader) else reader.whole()
+        mode, known = task.mode or source.usual_mode, task.calibration
+        record = {
+            "options": {"mode": mode, "calibrate": task.calibrate} | settings_record(settings),
+            "recording_sha256": source.digest(),
+            "model_sha256": file_digest(lifter_path(task.model)),
+            "calibration_sha256": None if known is None else file_digest(known),
+        }
+        how: Any = {
+            "mode": mode,
+            "lifter": task.lifter(),
+            "settings": settings,
+            "calibrate": task.calibrate,
+            "known": None if known is None else read_self_calibration_toml(known),
+            "progress": progress,
+        }
+        whole = source if isinstance(source, Recording) else None
+        parts = reconstruct_in_parts(source, **how) if whole is None else [reconstruct(whole, **how)]
+        return export_parts(
+            parts, output, overwrite, task.figures, inputs=inputs, run=lambda: record | {"environment": environment()}
+        )
+
+
+def settings_record(settings: ReconstructionSettings) -> dict[str, Any]:
+    """Return the choices that numbers depend on, for ``summary.json``."""
+    fragment = settings.fragment
+    return {
+        "frames": settings.frames,
+        "space": settings.space,
+        "backend": settings.backend if fragment is None else fragment.backend,
+        "paper": fragment is not None,
+        "guards": settings.guards,
+        "lift_with_sensors": settings.lift_with_sensors,
+    }
+
+
+def _write_page(folder: Path, analysis: AnalysisSettings, kept: Callable[[str], None]) -> None:
+    """Write the report into the folder of `run`, whose manifest has nothing else."""
+    page, inputs = folder / PAGE, {PAGE: fingerprint(folder / MOTION, analysis.weight_kg, analysis.sex)}
+    if made_from(folder) == inputs:
+        kept(PAGE)
+        return
+    own = page in read_contents(folder).own
+    if page.exists() and not own:
+        raise OutputExistsError(f"{page}: this package did not write it, or it was changed; move it elsewhere")
+    write_text(page, report(folder / MOTION, None, analysis.weight_kg, analysis.sex), overwrite=own)
+    write_manifest(folder, PAGE, inputs, [page])
