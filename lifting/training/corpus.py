@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from lifting.body import Body
 from rtof_kin.body import kinematics
 from rtof_kin.body.kinematics import shared_frames, to_shared
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -24,7 +23,6 @@ from rtof_kin.core.files.arrays import read_npz_as_saved, write_npz
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets import human36m, total_capture
 from rtof_kin.simulation import mocap, mocap_families
 from rtof_kin.simulation.mocap import ANKLE_HEIGHT, MocapClip
 
@@ -385,6 +383,9 @@ def total_capture_corpus(
     Raises:
         FileFormatError: the folder is not the dataset, or no take to train on could be read.
     """
+    from rtof_kin.body.skeleton import SkeletonModel
+    from rtof_kin.datasets import total_capture
+
     data = total_capture.TotalCapture(root)
 
     def pieces(subject: str, name: str) -> list[MocapClip]:
@@ -411,6 +412,8 @@ def human36m_corpus(
     Raises:
         FileFormatError: the archive cannot be read, or has nothing to train on.
     """
+    from rtof_kin.datasets import human36m
+
     data = human36m.Human36M(root)
     parents, names = data.skeleton.parents, data.skeleton.names
 

@@ -28,7 +28,7 @@ class Loaded:
         self.name = "own" if models is None else models.name
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No detector loads, there is an empty cache, and every connection fails the test."""
 
@@ -53,6 +53,7 @@ def cached(monkeypatch: pytest.MonkeyPatch) -> ModelSet:
     return tiny
 
 
+@pytest.mark.usefixtures("offline")
 def test_given_models_are_used_before_all_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cached(monkeypatch)
     (tmp_path / "pose.task").touch()
@@ -65,6 +66,7 @@ def test_given_models_are_used_before_all_others(tmp_path: Path, monkeypatch: py
     assert choose_detector(tmp_path).name == tmp_path.name
 
 
+@pytest.mark.usefixtures("offline")
 def test_downloaded_models_are_used_before_mediapipes_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(person_detector, "contained_models", lambda: {})
     assert choose_detector().name == "own"
@@ -76,6 +78,7 @@ def test_downloaded_models_are_used_before_mediapipes_own(monkeypatch: pytest.Mo
     assert tiny.name not in [each.name for each in model_sets()]
 
 
+@pytest.mark.usefixtures("offline")
 def test_a_changed_model_in_the_cache_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = cached(monkeypatch)
     (models_folder(tiny) / "a.onnx").write_bytes(b"y")
@@ -83,6 +86,7 @@ def test_a_changed_model_in_the_cache_is_refused(monkeypatch: pytest.MonkeyPatch
         choose_detector()
 
 
+@pytest.mark.usefixtures("offline")
 def test_without_a_detector_one_message_has_every_way_to_one(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(RtofError) as caught:
         choose_detector()
