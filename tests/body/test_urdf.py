@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -22,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import SkeletonTable, inertia, read_skeleton_table
 from rtof_kin.body.urdf import LIGHT_MASS_KG, to_urdf
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 
 Array = NDArray[np.float64]
@@ -225,19 +223,3 @@ def test_visuals_extend_from_joint_to_end(table: SkeletonTable) -> None:
         np.testing.assert_allclose(spheres, [np.zeros(3), joint.end], atol=1e-11)
     light = set(drawn) - set(table.names)
     assert all(drawn[name].find("visual") is None for name in light)
-
-
-def test_forward_kinematics_equals_yourdfpy(viewed: tuple[Any, SkeletonModel]) -> None:
-    robot, skeleton = viewed
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        q = skeleton.t_pose()
-        q[7:] = rng.uniform(skeleton.limits[:, 0], skeleton.limits[:, 1])
-        robot.update_cfg(dict(zip(skeleton.dof_names, q[7:], strict=True)))
-        p, R = skeleton.forward_kinematics(q[None])
-        for j, name in enumerate(skeleton.names):
-            T_root_bone = robot.get_transform(name, skeleton.root)
-            np.testing.assert_allclose(T_root_bone[:3, 3], p[0, j], atol=1e-9)
-            np.testing.assert_allclose(T_root_bone[:3, :3], R[0, j], atol=1e-9)
-    assert not np.allclose(R[0], np.eye(3))
-    assert so3.is_rotation(R)
