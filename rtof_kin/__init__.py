@@ -22,14 +22,12 @@ if TYPE_CHECKING:
     from rtof_kin.live.estimator import OnlineEstimator
     from rtof_kin.live.online_settings import OnlineSettings
     from rtof_kin.live.samples import FrameSample, ImuSample
-    from rtof_kin.reconstruction.parts import reconstruct_in_parts
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.reconstruction.self_calibration import calibrate_recording
     from rtof_kin.reconstruction.settings import ReconstructionSettings
-    from rtof_kin.recording.reader import RecordingReader
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.export import export, export_parts
+    from rtof_kin.reporting.export import export
     from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
     from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
     from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
@@ -47,14 +45,12 @@ _MODULES = {
     "live.estimator": ("OnlineEstimator",),
     "live.online_settings": ("OnlineSettings",),
     "live.samples": ("FrameSample", "ImuSample"),
-    "reconstruction.parts": ("reconstruct_in_parts",),
     "reconstruction.pipeline": ("reconstruct",),
     "reconstruction.result": ("Reconstruction",),
     "reconstruction.settings": ("ReconstructionSettings",),
     "reconstruction.self_calibration": ("calibrate_recording",),
-    "recording.reader": ("RecordingReader",),
     "recording.recording": ("Recording",),
-    "reporting.export": ("export", "export_parts"),
+    "reporting.export": ("export",),
     "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
     "solve.initial_guess": ("InertialGuidedIK", "InertialGuidedIKSettings"),
     "solve.settings": ("CartesianSettings", "JointSpaceSettings"),
@@ -85,7 +81,6 @@ __all__ = [
     "Reconstruction",
     "ReconstructionSettings",
     "Recording",
-    "RecordingReader",
     "RtofError",
     "SelfCalibration",
     "SkeletonModel",
@@ -93,9 +88,7 @@ __all__ = [
     "calibrate_recording",
     "evaluate",
     "export",
-    "export_parts",
     "reconstruct",
-    "reconstruct_in_parts",
 ]
 
 

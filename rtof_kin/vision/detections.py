@@ -16,7 +16,7 @@ from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.formats.channels import POINT_ENDINGS, point_part
-from rtof_kin.formats.trc import read_trc
+from rtof_kin.formats.markers import read_trc
 from rtof_kin.vision.layouts import detector_table
 
 Ints = NDArray[np.int64]
