@@ -55,6 +55,12 @@ def export(
 ) -> Path:
     """Write a reconstruction; after an error there is no folder.
 
+    >>> from rtof_kin import Recording, export, reconstruct
+    >>> result = reconstruct(Recording.load("recording"), mode="sf2")
+    >>> folder = export(result, "out/motion", figures=False)
+    >>> (folder / "skeleton.urdf").exists()
+    True
+
     Args:
         result: of `reconstruct`. overwrite: replace an earlier export there.
         formats: of the motion's files beside motion.h5, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
