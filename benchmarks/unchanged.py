@@ -70,7 +70,9 @@ INTERPRETED = ("bare/rtof", "bare/rto", "bare/paper")
 """Steps that run a second time without compilation."""
 KINDS = {".npz", ".h5", ".json", ".csv", ".mot", ".sto", ".trc", ".bvh", ".urdf", ".osim", ".c3d", ".parquet"}
 """Files that are compared."""
-IGNORED = re.compile(r"(^|/)(elapsed|duration|solve_s|wall|cpu|version|created|date|sha256|digest|rtof_kin|threads)")
+IGNORED = re.compile(
+    r"(^|/)(elapsed|duration|seconds$|frames_per_second|solve_s|wall|cpu|version|created|date|sha256|digest|rtof_kin|threads)"
+)
 """Keys of JSON that are not results."""
 
 
@@ -152,7 +154,7 @@ def numbers(path: Path) -> dict[str, Any]:
     kind = path.suffix
     if kind == ".npz":
         with np.load(path) as file:
-            return dict(file)
+            return {name: file[name] for name in file if name != "header"}
     if kind == ".h5":
         found: dict[str, Any] = {}
         with h5py.File(path) as file:

@@ -10,11 +10,10 @@ import numpy as np
 
 from rtof_kin import Recording
 from rtof_kin.core.resources import model_path
-from rtof_kin.live.estimation.estimator import OnlineEstimator
-from rtof_kin.live.estimation.online_settings import OnlineSettings
-from rtof_kin.live.session.session import LiveSession
-from rtof_kin.live.sources.replay import Faults, RecordingReplay
-from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.live.estimator import OnlineEstimator
+from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
+from rtof_kin.live.session import LiveSession
 
 recording = Recording.load(sys.argv[1] if len(sys.argv) > 1 else model_path("demo"))
 seconds = float(sys.argv[2]) if len(sys.argv) > 2 else 5.0

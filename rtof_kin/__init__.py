@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rtof_kin.data.imu import ImuCalibration, ImuSequence
     from rtof_kin.data.keypoints import KeypointSequence
     from rtof_kin.data.poses import PoseSequence
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
+    from rtof_kin.live.estimator import OnlineEstimator
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.reconstruction.result import Reconstruction
     from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -41,7 +41,7 @@ _HOME = {
     "InvalidInputError": "core.errors",
     "KeypointSequence": "data.keypoints",
     "Motion": "body.skeleton",
-    "OnlineEstimator": "live.estimation.estimator",
+    "OnlineEstimator": "live.estimator",
     "PoseSequence": "data.poses",
     "Reconstruction": "reconstruction.result",
     "ReconstructionSettings": "reconstruction.settings",

@@ -27,8 +27,8 @@ from rtof_kin.body.metrics import at_times, comparable, evaluate
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.sources.replay import Faults
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.replay import Faults
 from rtof_kin.protocols.tables import Table
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording

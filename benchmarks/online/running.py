@@ -14,8 +14,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.data import confidence as confidences
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.live.replay import Faults
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.live.sources.replay import Faults
 from rtof_kin.recording.recording import Recording
 
 MakeEstimator = Callable[..., Any]

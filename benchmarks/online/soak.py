@@ -25,10 +25,10 @@ from benchmarks.online.speed import Spent, Work, in_own_process, memory_table, r
 from benchmarks.online.streams import Interval, frozen, replayed, setup_of
 from rtof_kin.body.metrics import at_times
 from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.replay import Faults
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.session.session import LiveSession
-from rtof_kin.live.sources.replay import Faults
+from rtof_kin.live.session import LiveSession
 from rtof_kin.protocols.tables import Table
 from rtof_kin.recording.recording import Recording
 

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from rtof_kin.core.array_types import Array
+from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Sample
-from rtof_kin.live.sources.replay import Faults, RecordingReplay
-from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.recording.recording import Recording
 
 Interval = tuple[float, float]

@@ -10,8 +10,8 @@ from pathlib import Path
 from PIL import Image
 
 from docs.pictures.studio import DOCS, Studio, save
-from rtof_kin.view.scene.local_server import address, local_server
-from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
+from rtof_kin.view.local_server import address, local_server
+from rtof_kin.view.viewer import MotionFiles, MotionViewer
 
 sys.path.append(str(DOCS.parent / "tests" / "support"))
 SIZE = 1400, 800

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.files.compact import short_floats
+from rtof_kin.core.files.hdf5 import short_floats
 from rtof_kin.data.confidence import valid_covariances
 
 SPACING: Final = 16

@@ -46,8 +46,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
-from rtof_kin.core.files.compact import multiples, rotation_vectors
-from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer
+from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 

@@ -25,16 +25,15 @@ from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
-from rtof_kin.live.estimation.online_settings import OnlineSettings
+from rtof_kin.live.online_settings import OnlineSettings
 from rtof_kin.live.samples import OnlineEstimate
 
 if TYPE_CHECKING:
     from rtof_kin.calibration.result import SelfCalibration
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+    from rtof_kin.live.open_sources import Streams
     from rtof_kin.live.samples import Sink, Source
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.session.session_summary import SessionSummary
-    from rtof_kin.live.sources.open_sources import Streams
+    from rtof_kin.live.session import LiveSession, SessionSummary
+    from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
 
 CALIBRATION: Final = "calibration.toml"
@@ -111,7 +110,7 @@ def live(
     if (setup is None) == (finish is None):
         raise InvalidInputError("name the folder of the recording that was set up, or --finish FOLDER")
     if finish is not None:
-        from rtof_kin.live.session.recorded_session import finish as finished
+        from rtof_kin.live.recorded_session import finish as finished
 
         for note in finished(finish):
             line("note", note)
@@ -120,11 +119,11 @@ def live(
     assert setup is not None
     from rtof_kin.calibration.result import read_self_calibration_toml
     from rtof_kin.core.files.folder import check_replaceable
-    from rtof_kin.live.estimation.estimator import OnlineEstimator
-    from rtof_kin.live.estimation.refinement import refinement_priors
-    from rtof_kin.live.session.recorder import Recorder
-    from rtof_kin.live.session.session import LiveSession
-    from rtof_kin.live.sources.open_sources import open_sinks, open_sources
+    from rtof_kin.live.estimator import OnlineEstimator
+    from rtof_kin.live.open_sources import open_sinks, open_sources
+    from rtof_kin.live.recorder import Recorder
+    from rtof_kin.live.refinement import refinement_priors
+    from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
     from rtof_kin.setup.run import ReconstructionTask
@@ -212,7 +211,7 @@ def _start(sources: Sequence[Source]) -> None:
 
 def _latency(camera: Source) -> float:
     """Return the age, s, up to which images are expected when they were examined; 0 where unknown."""
-    from rtof_kin.live.sources.video_source import VideoSource
+    from rtof_kin.live.video import VideoSource
 
     if not isinstance(camera, VideoSource):
         return 0.0
@@ -225,7 +224,7 @@ def _latency(camera: Source) -> float:
 
 def _served(sinks: list[Sink], setup: Recording, browser: bool) -> list[WebSocketServer]:
     """Return the servers among the outputs and print their addresses; with `browser` there is one."""
-    from rtof_kin.live.outputs.websocket_server import WebSocketServer
+    from rtof_kin.live.websocket_server import WebSocketServer
 
     servers = [sink for sink in sinks if isinstance(sink, WebSocketServer)]
     if browser and not servers:
@@ -352,7 +351,7 @@ class LiveDisplay:
         """Show the present state.
 
         Args:
-            status: of the streams, see `rtof_kin.live.session.monitor.Monitor.status`.
+            status: of the streams, see `rtof_kin.live.monitor.Monitor.status`.
         """
         self._shown = self._now()
         if self._live is None:

@@ -289,7 +289,7 @@ def detect(
 
 
 def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
-    from rtof_kin.formats.camera_motion_npz import write_camera_motion
+    from rtof_kin.formats.camera_motion import write_camera_motion
     from rtof_kin.setup.camera import assumed_camera, turning_of_video
     from rtof_kin.setup.recording_text import Field
     from rtof_kin.vision.lens_prior import lens_prior

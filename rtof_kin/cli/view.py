@@ -15,10 +15,10 @@ from cyclopts import Parameter
 from rtof_kin.cli.options import Browser, Fields, File, Fps, Overwrite, Start, Stop, command
 from rtof_kin.cli.terminal import STYLES, err, line, out, progress
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.view.overlay.settings import OverlaySettings
+from rtof_kin.view.overlay_settings import OverlaySettings
 
 if TYPE_CHECKING:
-    from rtof_kin.view.scene.viewer import Opened
+    from rtof_kin.view.viewer import Opened
 
 _OTHERS = (
     "only the tracked person's face is made unrecognisable, not those of other people, nor clothes, gait or the place"
@@ -69,9 +69,9 @@ def view(
     if html is not None and video:
         raise InvalidInputError("--html: the file has no video; leave out --video")
     from rtof_kin.core.files.folder import check_new_file
-    from rtof_kin.view.scene.local_server import local_server
-    from rtof_kin.view.scene.static_page import write_static_page
-    from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.static_page import write_static_page
+    from rtof_kin.view.viewer import MotionFiles, MotionViewer
 
     with ExitStack() as stack:
         if html is not None:
@@ -106,9 +106,9 @@ def view(
 
 
 def _live(address: str, port: int, browser: bool) -> None:
-    from rtof_kin.view.scene.live_client import LiveClient, live_address
-    from rtof_kin.view.scene.live_viewer import LiveViewer
-    from rtof_kin.view.scene.local_server import local_server
+    from rtof_kin.view.live_client import LiveClient, live_address
+    from rtof_kin.view.local_server import local_server
+    from rtof_kin.view.viewer import LiveViewer
 
     url = live_address(address)
     with LiveClient(url) as client, local_server(port, "rtof_kin live") as server:
@@ -138,7 +138,7 @@ def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
 
 def _open(server: Any, browser: bool) -> None:
     """Print the address and open the browser."""
-    from rtof_kin.view.scene.local_server import address
+    from rtof_kin.view.local_server import address
 
     line("address", f"{address(server)} (this machine only, to who has this address; Ctrl-C ends)")
     if browser:
@@ -199,7 +199,7 @@ def overlay(
         no_video: plain background in place of the video, for privacy
         view: camera of VIDEO, the first is 1
     """
-    from rtof_kin.view.overlay.film import write_overlay
+    from rtof_kin.view.film import write_overlay
 
     if (video is None) != no_video:
         raise InvalidInputError("overlay: name the VIDEO of this motion, or give --no-video")

@@ -137,11 +137,7 @@ def check_camera(name: str, camera: Camera) -> list[Check]:
 
 
 def check_reprojection(keypoints: KeypointSequence, p_world: Array, names: Sequence[str]) -> Check:
-    """Check the median reprojection error of known positions.
-
-    Args:
-        p_world: (T, J, 3) m, at their times.
-    """
+    """Check the median reprojection error of known positions; p_world: (T, J, 3) m, at their times."""
     name, where = "median reprojection error", "truth in the camera"
     common = [joint for joint in keypoints.names if joint in names]
     index = [list(names).index(joint) for joint in common]

@@ -29,20 +29,20 @@ from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
 from rtof_kin.formats.imu_calibration_toml import calibration_table
-from rtof_kin.formats.video_arrays import VIDEO_CONSTANTS
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.session import Session
-from rtof_kin.recording.streams import ALL, InMemory, Part, Stream, Streams, TimeAxis, naming, rows_between
+from rtof_kin.recording.streams import ALL, InMemory, Part, RecordingSource, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
 
 
 @dataclass(frozen=True)
-class Recording(TimeAxis):
+class Recording(RecordingSource):
     """All inputs of one take: what the pipeline starts from."""
 
     name: str
@@ -210,6 +210,10 @@ class Recording(TimeAxis):
 
         views = tuple(InMemory().keep(view) for view in self.views)
         return Streams(stream(self.keypoints), views, stream(self.imus), stream(self.truth))
+
+    def whole(self) -> Self:
+        """Return the recording itself."""
+        return self
 
     def between(self, start_s: float, stop_s: float) -> Self:
         """Return what was recorded in a closed interval; samples at its ends belong to it.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,15 +15,16 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnitError, UnknownNameError
-from rtof_kin.core.files.arrays import csv_blocks, npz_shapes, read_csv, read_npz
+from rtof_kin.core.files.arrays import ScratchArrays, csv_blocks, npz_rows, npz_shapes, read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
-from rtof_kin.core.files.npz_blocks import NpzBlocks
-from rtof_kin.core.files.scratch import ScratchArrays
 from rtof_kin.data.imu import ImuSequence, UnitCheck
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.tables import ImusTable, KeypointsTable
+
+if TYPE_CHECKING:
+    from rtof_kin.recording.recording import Recording
 
 Part = TypeVar("Part", KeypointSequence, ImuSequence, PoseSequence)
 ALL: Final = slice(None)
@@ -108,8 +109,14 @@ class Streams:
                 )
 
 
-class TimeAxis(ABC):
-    """The common time axis of a recording: the frames of its first camera, or the samples of its sensors."""
+class RecordingSource(ABC):
+    """A recording of which any span of time can be had: a `Recording` in memory, or a `RecordingReader` of its folder.
+
+    Its time axis is that of the frames of its first camera, or of the samples of its sensors.
+    """
+
+    name: str
+    """Title in reports."""
 
     @property
     @abstractmethod
@@ -125,6 +132,18 @@ class TimeAxis(ABC):
     @abstractmethod
     def has_sensors(self) -> bool:
         """Whether there are IMUs."""
+
+    @abstractmethod
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """Return what was recorded in a closed interval; see `Recording.between`."""
+
+    @abstractmethod
+    def whole(self) -> Recording:
+        """Return all of it in memory."""
+
+    @abstractmethod
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from; see `Recording.digest`."""
 
     @property
     def usual_mode(self) -> Mode:
@@ -151,8 +170,6 @@ class TimeAxis(ABC):
 
 Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Array]]]
 """From a .csv file and its columns to names and arrays."""
-_SPACING: Final = 3 * 2**20
-"""[bytes] Distance of the places from which rows of an .npz file are read."""
 
 
 class Table(Protocol):
@@ -246,7 +263,7 @@ class _Loaded:
 
 
 class OnDisk:
-    """Reads rows of .npz files when they are asked for, and all else once into temporary files."""
+    """Reads files once, block by block, into temporary files of which rows are read when they are asked for."""
 
     def __init__(self, closing: ExitStack):
         """Take what closes the files."""
@@ -257,10 +274,13 @@ class OnDisk:
         shapes = npz_shapes(path)
         _check_names(path, shapes, (*axes, *constants))
         with_rows = _with_rows(shapes, axes)
-        whole = read_npz(path, names=[name for name in shapes if name not in with_rows or axes[name] == 1])
-        blocks = NpzBlocks(path, [name for name in with_rows if axes[name] > 1], _SPACING)
-        self._closing.callback(blocks.close)
-        return _Packed(shapes, axes, whole, blocks)
+        long = [name for name in with_rows if axes[name] > 1]
+        whole = read_npz(path, names=[name for name in shapes if name not in long])
+        arrays = self._scratch()
+        for name in long:
+            for rows in npz_rows(path, name, BLOCK):
+                arrays.append({name: rows})
+        return _Kept(arrays, whole, frozenset(with_rows))
 
     def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
         """See `Source`."""
@@ -273,7 +293,7 @@ class OnDisk:
     def keep(self, whole: Part) -> Stream[Part]:
         """See `Source`."""
         arrays = self._scratch()
-        own = {field.name: getattr(whole, field.name) for field in fields(whole)}
+        own = {one.name: getattr(whole, one.name) for one in fields(whole)}
         arrays.append({name: own[name] for name in own if isinstance(own[name], np.ndarray)})
         first, kept = whole[:1], _Kept(arrays)  # nothing here holds the whole
 
@@ -302,40 +322,26 @@ class OnDisk:
 
 
 @dataclass(frozen=True)
-class _Packed:
-    """Arrays of an .npz file, of which rows are decompressed when they are asked for."""
-
-    shapes: dict[str, tuple[int, ...]]
-    axes: Mapping[str, int]
-    whole: dict[str, Array]
-    blocks: NpzBlocks
-
-    def column(self, name: str) -> Array | None:
-        return self.whole.get(name)
-
-    def rows(self, rows: slice) -> dict[str, Array]:
-        start, stop, _ = rows.indices(self.blocks.length)
-        given = {name: self.whole[name] for name in self.whole}
-        given |= {name: given[name][rows] for name in _with_rows(self.shapes, self.axes) if name in given}
-        self.blocks.scan(until=stop)
-        read = {name: self.blocks.rows(name, start, stop) for name in self.shapes if name in self.blocks}
-        return given | {name: array.astype(np.float64) for name, array in read.items()}
-
-
-@dataclass(frozen=True)
 class _Kept:
+    """Arrays in temporary files, and some in memory."""
+
     arrays: ScratchArrays
+    whole: Mapping[str, Array] = field(default_factory=dict)
+    with_rows: frozenset[str] = frozenset()
+    """Those in memory that have one row for each sample, among others."""
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        return self.arrays.shapes
+        return {name: array.shape for name, array in self.whole.items()} | self.arrays.shapes
 
     def column(self, name: str) -> Array | None:
-        return self.arrays.rows(name, 0, self.arrays.length) if name in self.shapes else None
+        if name in self.whole:
+            return self.whole[name]
+        return self.arrays.rows(name, ALL) if name in self.arrays.shapes else None
 
     def rows(self, rows: slice) -> dict[str, Array]:
-        start, stop, _ = rows.indices(self.arrays.length)
-        return {name: self.arrays.rows(name, start, stop) for name in self.shapes}
+        short = {name: array[rows] if name in self.with_rows else array for name, array in self.whole.items()}
+        return short | {name: self.arrays.rows(name, rows) for name in self.arrays.shapes}
 
 
 # --- what all readers share ----------------------------------------------------------------------

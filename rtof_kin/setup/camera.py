@@ -19,7 +19,7 @@ from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.formats.cameras import read_camera
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.formats.sensors.phone import phone_files, read_phone
+from rtof_kin.formats.sensors.tables import phone_files, read_phone
 from rtof_kin.inertial.orientation import match_to_image, with_gravity
 from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.pipeline import calibrate_camera

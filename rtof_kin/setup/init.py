@@ -23,7 +23,7 @@ from rtof_kin.core.files.text import load_json, write_text
 from rtof_kin.core.packages import can_draw
 from rtof_kin.data.camera_motion import stabilised
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.reconstruction.lift import LifterLike, lift
 from rtof_kin.reconstruction.prepare import Progress, evenly_spaced

@@ -43,11 +43,7 @@ def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory:
 
 
 def smoothed(values: Array, width: float) -> Array:
-    """Return values (T, ...) under a moving normal window.
-
-    Args:
-        values: (T, ...).
-    """
+    """Return values (T, ...) under a moving normal window; values: (T, ...)."""
     return np.asarray(gaussian_filter1d(values, width, axis=0, mode="nearest"))
 
 

@@ -108,11 +108,7 @@ class SimulationSettings:
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
-        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs.
-
-        Args:
-            sigma_px: standard deviation, px.
-        """
+        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs; sigma_px: standard deviation, px."""
         return replace(cls.perfect(), keypoints=KeypointNoise.white(sigma_px))
 
     @classmethod

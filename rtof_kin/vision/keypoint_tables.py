@@ -19,7 +19,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv
 from rtof_kin.formats.channels import POINT_ENDINGS, point_part
-from rtof_kin.formats.trc import read_trc
+from rtof_kin.formats.markers import read_trc
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.layouts import detector_table
 

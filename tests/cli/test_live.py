@@ -24,9 +24,9 @@ from rtof_kin.calibration.result import (
 )
 from rtof_kin.cli.live import LiveDisplay
 from rtof_kin.core.resources import model_path
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.recorder import Recorder
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.detections import Person
 
@@ -64,7 +64,7 @@ def estimator(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         fake.calibration = calibration
         return fake
 
-    monkeypatch.setattr("rtof_kin.live.estimation.estimator.OnlineEstimator", make)
+    monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", make)
     return made
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from scene_support import measured, walking, written
 
-from rtof_kin.live.outputs.websocket_server import WebSocketServer
+from rtof_kin.live.websocket_server import WebSocketServer
 
 pytest.importorskip("viser")
 Cli = Callable[..., Any]

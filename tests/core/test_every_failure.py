@@ -20,9 +20,9 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli import main
 from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.jobs import InThisProcess
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.recorded_session import LIVE, SETUP, finish
-from rtof_kin.live.session.recorder import Recorder
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.recorded_session import LIVE, SETUP, finish
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings

@@ -18,7 +18,7 @@ def test_a_replayed_recording_prints_lag_and_what_was_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", [EXAMPLE.name, str(model_path("demo")), "1.2"])
-    monkeypatch.setattr("rtof_kin.live.estimation.estimator.OnlineEstimator", lambda *_: FakeEstimator())
+    monkeypatch.setattr("rtof_kin.live.estimator.OnlineEstimator", lambda *_: FakeEstimator())
     runpy.run_path(str(EXAMPLE))
     printed = capsys.readouterr().out
     assert "lag 0 ms" in printed

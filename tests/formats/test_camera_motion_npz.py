@@ -10,7 +10,7 @@ import pytest
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, OutputExistsError
 from rtof_kin.data.camera_motion import CameraMotion
-from rtof_kin.formats.camera_motion_npz import read_camera_motion, write_camera_motion
+from rtof_kin.formats.camera_motion import read_camera_motion, write_camera_motion
 
 TIMES = np.arange(5) / 30
 R = so3.exp(np.linspace(0, 0.3, 15).reshape(5, 3))

@@ -12,8 +12,7 @@ from gait_support import ABOUT, MEAN, means_only, people_curves, reference_of
 
 from rtof_kin.core.errors import FileFormatError, OutputExistsError, RtofError, UnknownNameError
 from rtof_kin.data.gait_reference import NAMES, PERCENT
-from rtof_kin.formats.gait_reference_json import read_gait_reference, write_gait_reference
-from rtof_kin.formats.gait_reference_table import read_gait_reference_table
+from rtof_kin.formats.gait_reference import read_gait_reference, read_gait_reference_table, write_gait_reference
 
 
 def test_round_trip_with_and_without_people(tmp_path: Path) -> None:

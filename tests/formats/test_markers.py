@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError
-from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
-from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.trc import read_trc, write_trc
+from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
 from rtof_kin.formats.world_axes import UP
 from rtof_kin.vision.keypoint_files import read_detector_file
 

@@ -23,8 +23,8 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
+from rtof_kin.formats.markers import read_c3d
 from rtof_kin.formats.motion_files import DEFAULT, FORMATS, write_motion_files
 from rtof_kin.simulation.mocap import read_mocap
 

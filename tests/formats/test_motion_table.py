@@ -8,7 +8,7 @@ import pytest
 
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import OutputExistsError
-from rtof_kin.formats.motion_table import motion_columns, write_motion_csv, write_motion_parquet
+from rtof_kin.formats.motion_files import motion_columns, write_motion_csv, write_motion_parquet
 
 
 def test_columns_have_different_names_and_a_row_per_frame(motion: Motion) -> None:

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from rtof_kin import Recording
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError
 from rtof_kin.data.camera import Camera
-from rtof_kin.formats.cameras import read_camera
-from rtof_kin.formats.opencap import read_opencap
+from rtof_kin.formats.cameras import read_camera, read_opencap
 
 CAMERA = planted.camera()
 BOARDS = {  # axis of the board that points up -> R_board_world of a board placed so

@@ -15,8 +15,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.formats.cameras import read_camera
-from rtof_kin.formats.opencv_yaml import read_opencv_yaml
+from rtof_kin.formats.cameras import read_camera, read_opencv_yaml
 from rtof_kin.recording.recording import Recording
 
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)

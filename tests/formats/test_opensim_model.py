@@ -12,8 +12,7 @@ from opensim_support import read_by_opensim
 
 from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.formats.opensim_model import to_osim, write_osim
-from rtof_kin.formats.opensim_mot import coordinates, write_mot
+from rtof_kin.formats.opensim import coordinates, to_osim, write_mot, write_osim
 
 R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
 

@@ -12,7 +12,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.opensim_mot import coordinate_values, coordinates, write_mot, write_sto
+from rtof_kin.formats.opensim import coordinate_values, coordinates, write_mot, write_sto
 
 
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 
 GOOD = "Coordinates\nversion=1\nnRows=2\nnColumns=3\ninDegrees=yes\nendheader\ntime\tknee_angle_r\tpelvis_tx\n"
 ROWS = "0.0\t10.0\t1.0\n0.1\t20.0\t1.1\n"

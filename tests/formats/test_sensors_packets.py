@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.sensors.packets import WRAP_16, WRAP_32, Packets, aligned, in_order, lost
+from rtof_kin.formats.sensors.readings import WRAP_16, WRAP_32, Packets, aligned, in_order, lost
 
 PATH = Path("walk.txt")
 

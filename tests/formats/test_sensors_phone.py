@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.formats.sensors.phone import phone_files, read_phone
+from rtof_kin.formats.sensors.tables import phone_files, read_phone
 
 TIMES = np.arange(50) / 100
 W = np.random.default_rng(0).normal(size=(50, 3)).round(6)

@@ -15,9 +15,8 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.formats.sensors import imu_mat
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.formats.sensors.imu_csv import read_imu_csv
 from rtof_kin.formats.sensors.imu_mat import read_imu_mat
-from rtof_kin.formats.sensors.opensense_sto import read_opensense_sto, write_opensense_sto
+from rtof_kin.formats.sensors.tables import read_imu_csv, read_opensense_sto, write_opensense_sto
 from rtof_kin.formats.total_capture import read_sensor_log as read_total_capture_sensors
 
 TRUTHS = [truth(1), truth(2)]

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from rtof_kin.live.clock_map import VIDEO, ClockMap, SessionClock, with_time
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
-from rtof_kin.live.session.clock_map import VIDEO, ClockMap, SessionClock, with_time
 
 OFFSET = 1234.5
 

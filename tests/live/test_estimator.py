@@ -15,8 +15,8 @@ from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, ShapeError
 from rtof_kin.data.poses import Provenance
-from rtof_kin.live.estimation.estimator import OnlineEstimator
-from rtof_kin.live.estimation.online_settings import OnlineSettings
+from rtof_kin.live.estimator import OnlineEstimator
+from rtof_kin.live.online_settings import OnlineSettings
 from rtof_kin.live.samples import FrameSample, ImuSample, OnlineEstimate, Sample
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording

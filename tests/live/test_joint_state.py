@@ -13,8 +13,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import RtofError
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.joint_trajectory import joint_velocities
-from rtof_kin.live.outputs.joint_state import JointStates
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.websocket_server import JointStates
 
 BODY = SkeletonModel.default().with_height(1.6)
 MOTION = planted.human(BODY, 30)

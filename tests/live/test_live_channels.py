@@ -8,7 +8,7 @@ import pytest
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import SourceError
 from rtof_kin.data.imu_stream import Declaration
-from rtof_kin.live.sources.channels import FrameChannels, ImuChannels
+from rtof_kin.live.lsl import FrameChannels, ImuChannels
 
 ONE = ["qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z"]
 

@@ -17,8 +17,8 @@ from report_support import BROWSER
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.poses import Provenance
-from rtof_kin.live.outputs.websocket_server import WebSocketServer
 from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.live.websocket_server import WebSocketServer
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no headless browser here")
 BODY = SkeletonModel.default()

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from rtof_kin.live.sources.lsl_clock import LslClock
+from rtof_kin.live.lsl import LslClock
 
 RATE_HZ = 50.0
 

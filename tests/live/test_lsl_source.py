@@ -14,9 +14,9 @@ from lsl_support import Sender, unique, until
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import MissingPackageError, SourceError
 from rtof_kin.data.imu_stream import Declaration
+from rtof_kin.live import lsl
+from rtof_kin.live.lsl import LslFrameSource, LslImuSource
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
-from rtof_kin.live.sources import lsl_inlet
-from rtof_kin.live.sources.lsl_source import LslFrameSource, LslImuSource
 
 ONE = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")
 LABELS = [f"{sensor}_{label}" for sensor in ("pelvis", "head") for label in ONE]
@@ -27,7 +27,7 @@ REST = [1.0, 0, 0, 0, 0, 0, 1.0] * 2
 @pytest.fixture
 def _no_twin(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the wait for another stream of the name."""
-    monkeypatch.setattr(lsl_inlet, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(lsl, "_SETTLE_S", 0.0)
 
 
 def planted(frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

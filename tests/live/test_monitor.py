@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from live_support import FakeEstimator, demo, frame_samples, imu_samples
 
+from rtof_kin.live.clock_map import VIDEO, Arrived
+from rtof_kin.live.monitor import Change, Monitor, Recent, State
 from rtof_kin.live.samples import FrameSample, ImuSample, Sample
-from rtof_kin.live.session.clock_map import VIDEO, Arrived
-from rtof_kin.live.session.monitor import Change, Monitor, State
-from rtof_kin.live.session.stream_quality import Recent
 
 STEP = 1 / 60
 

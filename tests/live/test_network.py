@@ -14,14 +14,13 @@ import pytest
 from live_support import demo
 
 from rtof_kin.core import rotations as so3
-from rtof_kin.live.estimation.estimator import OnlineEstimator
-from rtof_kin.live.estimation.online_settings import OnlineSettings
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.estimator import OnlineEstimator
+from rtof_kin.live.online_settings import OnlineSettings
+from rtof_kin.live.recorder import Recorder
+from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import FrameSample, OnlineEstimate, Sample, Source
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.session.recorder import Recorder
-from rtof_kin.live.session.session import LiveSession
-from rtof_kin.live.sources.replay import Faults, RecordingReplay
-from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.live.session import LiveSession
 from rtof_kin.recording.recording import Recording
 
 SECONDS = 4.5
@@ -128,10 +127,10 @@ def run(sources: list[Source], send: Callable[[Sample], None], folder: Path) -> 
 def test_a_session_over_lsl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lsl_support import Sender, unique
 
-    from rtof_kin.live.sources import lsl_inlet
-    from rtof_kin.live.sources.lsl_source import LslFrameSource, LslImuSource
+    from rtof_kin.live import lsl
+    from rtof_kin.live.lsl import LslFrameSource, LslImuSource
 
-    monkeypatch.setattr(lsl_inlet, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(lsl, "_SETTLE_S", 0.0)
     imus, video = demo().imus, demo().video
     assert imus is not None
     channels = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")

@@ -14,10 +14,10 @@ from detector_support import points_px, walking, watching
 
 from rtof_kin.core.errors import CalibrationError, RtofError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
+from rtof_kin.live.open_sources import open_sinks, open_sources
+from rtof_kin.live.replay import RecordingReplay
 from rtof_kin.live.samples import Clock
-from rtof_kin.live.sources.open_sources import open_sinks, open_sources
-from rtof_kin.live.sources.replay import RecordingReplay
-from rtof_kin.live.sources.video_source import VideoSource
+from rtof_kin.live.video import VideoSource
 from rtof_kin.recording.recording import Recording
 
 DEMO = str(model_path("demo"))

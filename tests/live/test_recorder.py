@@ -17,19 +17,19 @@ from live_support import FakeEstimator, FakeSource, count, demo, drive, frame_sa
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.recorded_session import LIVE, finish
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import Clock, ImuSample, Sample
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.recorded_session import LIVE, finish
-from rtof_kin.live.session.recorder import Recorder
-from rtof_kin.live.session.session import LiveSession
+from rtof_kin.live.session import LiveSession
 from rtof_kin.recording.recording import Recording
 
 SUPPORT = Path(__file__).parent.parent / "support"
 KILLED = """
 import sys, time
 from live_support import demo, frame_samples, imu_samples
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.recorder import Recorder
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.recorder import Recorder
 recorder = Recorder(sys.argv[1], demo(), chunk_s=0.5)
 recorder.landmarks(demo().video.names)
 for sample in sorted(imu_samples(2.2) + frame_samples(2.2), key=lambda sample: sample.time):
@@ -191,7 +191,7 @@ def test_files_of_the_user_survive_the_finish(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written_is_tried_again_and_nothing_is_lost(
     tmp_path: Path, in_background: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rtof_kin.live.session.recorder._AGAIN", 0.02)
+    monkeypatch.setattr("rtof_kin.live.recorder._AGAIN", 0.02)
     source = FakeSource("imus", [(s.time, s) for s in imu_samples(2.0)])
     recorder = Recorder(tmp_path / "walk", demo(), chunk_s=0.5, in_background=in_background)
     session = LiveSession(demo(), [source], FakeEstimator(), recorder=recorder, in_background=False)
@@ -212,7 +212,7 @@ def test_a_file_that_cannot_be_written_is_tried_again_and_nothing_is_lost(
 def test_what_a_full_disk_cost_is_told_and_the_rest_can_be_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rtof_kin.live.session.recorder._PENDING", 2)
+    monkeypatch.setattr("rtof_kin.live.recorder._PENDING", 2)
     source = FakeSource("imus", [(s.time, s) for s in imu_samples(3.0)])
     recorder = Recorder(tmp_path / "walk", demo(), chunk_s=0.25, in_background=False)
     session = LiveSession(demo(), [source], FakeEstimator(), recorder=recorder, in_background=False)

@@ -11,10 +11,9 @@ import pytest
 
 from rtof_kin.core.errors import InvalidInputError, SourceError, UnknownNameError
 from rtof_kin.core.resources import model_path
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample, Source
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.sources.replay import Faults, RecordingReplay
-from rtof_kin.live.sources.replay_clock import ReplayClock
 from rtof_kin.recording.recording import Recording
 
 INF = float("inf")

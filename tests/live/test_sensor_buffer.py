@@ -12,7 +12,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.live.estimation.sensor_buffer import SensorBuffer
+from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.recording.recording import Recording
 
 Array = NDArray[np.float64]

@@ -25,12 +25,11 @@ from live_support import (
 
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.recorder import Recorder
+from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.session.recorder import Recorder
-from rtof_kin.live.session.session import LiveSession
-from rtof_kin.live.sources.replay import Faults, RecordingReplay
-from rtof_kin.live.sources.replay_clock import ReplayClock
+from rtof_kin.live.session import LiveSession
 from rtof_kin.recording.recording import Recording
 
 LANDMARKS = demo().video.names

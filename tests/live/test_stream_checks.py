@@ -10,9 +10,9 @@ from live_support import demo, frame_samples, imu_samples
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import GRAVITY_WORLD
+from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.samples import FrameSample, ImuSample
-from rtof_kin.live.session.clock_map import Arrived
-from rtof_kin.live.session.stream_checks import (
+from rtof_kin.live.stream_checks import (
     FirstSeconds,
     landmark_sentences,
     number_faults,

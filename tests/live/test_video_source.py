@@ -15,10 +15,10 @@ from detector_support import points_px, walking, watching
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import RtofError, SourceError
+from rtof_kin.live import webcam
+from rtof_kin.live.replay import ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample
-from rtof_kin.live.sources import webcam
-from rtof_kin.live.sources.replay_clock import ReplayClock
-from rtof_kin.live.sources.video_source import VideoSource
+from rtof_kin.live.video import VideoSource
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.keypoints import keypoints_from_detections
 

@@ -20,8 +20,8 @@ from websockets.sync.client import connect
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
-from rtof_kin.live.outputs.websocket_server import WebSocketServer
 from rtof_kin.live.samples import OnlineEstimate, Sink
+from rtof_kin.live.websocket_server import WebSocketServer
 
 BODY = SkeletonModel.default()
 POSES = planted.moving(BODY, 40).poses

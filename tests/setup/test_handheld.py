@@ -15,7 +15,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
-from rtof_kin.formats.camera_motion_npz import read_camera_motion
+from rtof_kin.formats.camera_motion import read_camera_motion
 from rtof_kin.inertial.orientation import HELD
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.camera import assumed_camera, filming_camera, turning_of_video

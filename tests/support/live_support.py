@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from rtof_kin.core.errors import SourceError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, OnlineEstimate, Sample
-from rtof_kin.live.session.clock_map import VIDEO
-from rtof_kin.live.session.session import LiveSession
+from rtof_kin.live.session import LiveSession
 from rtof_kin.recording.recording import Recording
 
 

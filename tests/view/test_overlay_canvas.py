@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtof_kin.view.overlay.canvas import Box, Canvas, Stroke
-from rtof_kin.view.overlay.lettering import Lettering
+from rtof_kin.view.canvas import Box, Canvas, Lettering, Stroke
 
 WHITE, RED, BLUE = (255, 255, 255), (255, 0, 0), (0, 0, 255)
 

@@ -11,9 +11,9 @@ from overlay_support import motion_with, upright_camera
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
-from rtof_kin.view.overlay.canvas import Box
-from rtof_kin.view.overlay.face import FaceFinder, FaceRegion, pixelate
-from rtof_kin.view.overlay.projected_motion import Moment, ProjectedMotion
+from rtof_kin.view.canvas import Box
+from rtof_kin.view.face import FaceFinder, FaceRegion, pixelate
+from rtof_kin.view.projected_motion import Moment, ProjectedMotion
 
 CAMERA = upright_camera(640, 480)
 HEAD = ("Head", "HeadTop", "Nose", "LeftEar", "RightEar")

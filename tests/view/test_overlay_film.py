@@ -23,10 +23,10 @@ from rtof_kin.data.camera import Camera  # noqa: E402
 from rtof_kin.data.imu_stream import FaultKind, StreamFault  # noqa: E402
 from rtof_kin.data.poses import Provenance  # noqa: E402
 from rtof_kin.formats.measurements_file import read_measurements  # noqa: E402
-from rtof_kin.view.overlay import film_writer  # noqa: E402
-from rtof_kin.view.overlay.film import write_overlay  # noqa: E402
-from rtof_kin.view.overlay.settings import OverlaySettings  # noqa: E402
-from rtof_kin.view.provenance_colours import COLOURS  # noqa: E402
+from rtof_kin.view import film_files  # noqa: E402
+from rtof_kin.view.film import write_overlay  # noqa: E402
+from rtof_kin.view.legend import COLOURS  # noqa: E402
+from rtof_kin.view.overlay_settings import OverlaySettings  # noqa: E402
 from rtof_kin.vision.video import read_video  # noqa: E402
 
 FRAMES = 30
@@ -298,7 +298,7 @@ def test_gif_is_small_slow_and_in_time(out: Path, video: Path, tmp_path: Path) -
 
 
 def test_a_long_gif_is_refused(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(film_writer, "MOST_OF_GIF", 500_000)
+    monkeypatch.setattr(film_files, "MOST_OF_GIF", 500_000)
     with pytest.raises(InvalidInputError, match=r"--from and --to, a smaller --width, or write an \.mp4"):
         write_overlay(out, tmp_path / "o.gif", settings=NO_LABELS)
     assert not list(tmp_path.iterdir())
@@ -405,7 +405,7 @@ def test_nothing_is_replaced_and_nothing_half_is_left(
     def failing(*_: object) -> None:
         raise OSError("disk is full")
 
-    monkeypatch.setattr(film_writer.Mp4Writer, "write", failing)
+    monkeypatch.setattr(film_files.Mp4Writer, "write", failing)
     with pytest.raises(Exception, match="disk is full"):
         write_overlay(out, tmp_path / "p.mp4", video, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["o.mp4"]
@@ -416,13 +416,13 @@ def test_nothing_is_replaced_and_nothing_half_is_left(
 def test_without_h264_another_encoder_is_used_and_named(
     out: Path, video: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(film_writer, "_ENCODERS", {"no_such_encoder": {}, "mpeg4": {}})
+    monkeypatch.setattr(film_files, "_ENCODERS", {"no_such_encoder": {}, "mpeg4": {}})
     result = write_overlay(out, tmp_path / "o.mp4", video, settings=NO_LABELS)
     assert result.encoder == "mpeg4"
     images, stamps = read_film(tmp_path / "o.mp4")
     np.testing.assert_allclose(stamps, np.array(TIMES_MS) / 1000, atol=1e-4)
     assert [number_of(image) for image in images] == list(range(len(TIMES_MS)))
     assert all(later > sooner for sooner, later in pairwise(stamps))
-    monkeypatch.setattr(film_writer, "_ENCODERS", {"no_such_encoder": {}})
+    monkeypatch.setattr(film_files, "_ENCODERS", {"no_such_encoder": {}})
     with pytest.raises(RtofError, match="no_such_encoder"):
         write_overlay(out, tmp_path / "p.mp4", video, settings=NO_LABELS)

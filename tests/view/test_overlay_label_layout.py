@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rtof_kin.view.overlay.canvas import Box
-from rtof_kin.view.overlay.label_layout import Label, LabelLayout
+from rtof_kin.view.canvas import Box, Label, LabelLayout
 
 PICTURE = Box(0, 40, 640, 400)
 place = st.tuples(st.floats(0, 639), st.floats(40, 439), st.integers(40, 160), st.booleans())

@@ -13,8 +13,14 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera, CameraTurning
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
-from rtof_kin.view.overlay.picture_view import ScaledView, virtual_view
-from rtof_kin.view.overlay.projected_motion import Moment, ProjectedMotion, limb_ends, shown_provenance
+from rtof_kin.view.projected_motion import (
+    Moment,
+    ProjectedMotion,
+    ScaledView,
+    limb_ends,
+    shown_provenance,
+    virtual_view,
+)
 
 
 def view_of(motion: Motion, camera: Camera, offset: float = 0.0) -> KeypointSequence:

@@ -10,9 +10,18 @@ from scene_support import SIGMA, walking, with_provenance
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.view.provenance_colours import COLOURS
-from rtof_kin.view.scene.block_content import LARGEST_SEMI_AXIS, block_content, ellipsoids, segment_provenance
-from rtof_kin.view.scene.solids import Mesh, barrel, box, segment_solids, sphere
+from rtof_kin.view.block_content import (
+    LARGEST_SEMI_AXIS,
+    Mesh,
+    barrel,
+    block_content,
+    box,
+    ellipsoids,
+    segment_provenance,
+    segment_solids,
+    sphere,
+)
+from rtof_kin.view.legend import COLOURS
 
 FRAMES = 8
 

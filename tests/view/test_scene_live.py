@@ -17,14 +17,13 @@ from scene_support import walking
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.data.poses import Provenance
-from rtof_kin.live.outputs.joint_state import JointStates
-from rtof_kin.live.outputs.websocket_server import WebSocketServer
 from rtof_kin.live.samples import OnlineEstimate
-from rtof_kin.view.provenance_colours import COLOURS
-from rtof_kin.view.scene.layers import solid_colours
-from rtof_kin.view.scene.live_client import LiveClient, live_address
-from rtof_kin.view.scene.live_viewer import LiveViewer
-from rtof_kin.view.scene.local_server import local_server
+from rtof_kin.live.websocket_server import JointStates, WebSocketServer
+from rtof_kin.view.layers import solid_colours
+from rtof_kin.view.legend import COLOURS
+from rtof_kin.view.live_client import LiveClient, live_address
+from rtof_kin.view.local_server import local_server
+from rtof_kin.view.viewer import LiveViewer
 
 pytest.importorskip("viser")
 FRAMES = 30

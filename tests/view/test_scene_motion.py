@@ -18,15 +18,14 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.poses import Provenance
-from rtof_kin.view.provenance_colours import COLOURS, Rgb
-from rtof_kin.view.scene.angle_blocks import AngleBlocks
-from rtof_kin.view.scene.camera_layer import camera_block
-from rtof_kin.view.scene.curves import Curves
-from rtof_kin.view.scene.layers import solid_colours
-from rtof_kin.view.scene.local_server import local_server
-from rtof_kin.view.scene.motion_blocks import MotionBlocks
-from rtof_kin.view.scene.motion_scene import Layer, MotionScene
-from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer, Opened
+from rtof_kin.view.blocks import MotionBlocks
+from rtof_kin.view.camera_layer import camera_block
+from rtof_kin.view.curves import AngleBlocks, Curves
+from rtof_kin.view.layers import solid_colours
+from rtof_kin.view.legend import COLOURS, Rgb
+from rtof_kin.view.local_server import local_server
+from rtof_kin.view.motion_scene import Layer, MotionScene
+from rtof_kin.view.viewer import MotionFiles, MotionViewer, Opened
 
 pytest.importorskip("viser")
 FRAMES = 120
@@ -219,9 +218,9 @@ def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_mov
     p, R = motion.skeleton.forward_kinematics(q)
     motion = replace(motion, q=q, poses=replace(motion.poses, p_world_joint=p, R_world_bone=R))
     whole = clinical_angles(motion)
-    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks.WHOLE_S", 1.0)
-    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._PART_S", 2.0)
-    monkeypatch.setattr("rtof_kin.view.scene.angle_blocks._MARGIN_S", 0.2)
+    monkeypatch.setattr("rtof_kin.view.curves.WHOLE_S", 1.0)
+    monkeypatch.setattr("rtof_kin.view.curves._PART_S", 2.0)
+    monkeypatch.setattr("rtof_kin.view.curves._MARGIN_S", 0.2)
     with MotionBlocks(written(tmp_path, motion) / "motion.h5") as blocks:
         angles = AngleBlocks(blocks)
         assert angles.in_parts

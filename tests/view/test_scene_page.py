@@ -13,9 +13,9 @@ from report_support import BROWSER
 from scene_support import measured, walking, written
 
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
-from rtof_kin.view.scene.local_server import address, local_server
-from rtof_kin.view.scene.static_page import write_static_page
-from rtof_kin.view.scene.viewer import MotionFiles, MotionViewer
+from rtof_kin.view.local_server import address, local_server
+from rtof_kin.view.static_page import write_static_page
+from rtof_kin.view.viewer import MotionFiles, MotionViewer
 
 pytest.importorskip("viser")
 INSIDE = ("data:", "blob:")

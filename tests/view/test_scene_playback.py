@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import InvalidInputError, RtofError
-from rtof_kin.view.scene.block_cache import BlockCache
-from rtof_kin.view.scene.playback import Playback
-from rtof_kin.view.scene.static_page import frames_of_page
+from rtof_kin.view.blocks import BlockCache
+from rtof_kin.view.controls import Playback
+from rtof_kin.view.static_page import frames_of_page
 
 
 def test_speed_pause_and_scrubbing() -> None:

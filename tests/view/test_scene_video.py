@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.view.scene.video_frames import HEIGHT, Image, VideoFrames
+from rtof_kin.view.camera_layer import HEIGHT, Image, VideoFrames
 
 av = pytest.importorskip("av")
 RATE, FRAMES, SIZE = 25, 200, (320, 180)

@@ -1,1 +1,0 @@
-"""Online estimation: window, sensors' samples, the estimator and its refinement."""

@@ -1,1 +1,0 @@
-"""Outputs of estimates: LSL, WebSocket, page."""

@@ -1,0 +1,392 @@
+"""Recordings and sensor files as live streams: at their speed, faster, or as fast as they are read.
+
+Sources of one session share a `ReplayClock`, so that they stay together. Faults may be added on purpose: lost
+and late samples, dead sensors, a picture that freezes, a video that is late.
+"""
+
+from __future__ import annotations
+
+import threading
+import time as system
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.imu_stream import SensorLog, SensorStream
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.formats.sensors.files import read_sensor_log
+from rtof_kin.inertial.orientation import OrientationSettings, log_with_orientation
+from rtof_kin.live.clock_map import VIDEO
+from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
+from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.keypoints import read_detector_keypoints
+
+_STEP: Final = 1 / 60
+_LONGEST_WAIT: Final = 0.05
+"""[s] after which a thread that waits looks whether it should stop."""
+
+
+class ReplayClock:
+    """Time that all replays of a session have reached.
+
+    Args:
+        speed: times real time; inf: every round of polls is one step later, however long it took.
+        step: that of a round, s. now: seconds of the system.
+
+    Raises:
+        InvalidInputError: the speed or the step is not positive.
+    """
+
+    def __init__(self, speed: float = 1.0, step: float = _STEP, now: Callable[[], float] = system.monotonic) -> None:
+        if not speed > 0:
+            raise InvalidInputError(f"speed of a replay: {speed:g} is not positive")
+        if not 0 < step < np.inf:
+            raise InvalidInputError(f"step of a replay: {step:g} s is not positive")
+        self._speed, self._step, self._system = speed, step, now
+        self._spans: dict[str, tuple[float, float]] = {}
+        self._begun: float | None = None
+        self._round, self._read = 0, set[int]()
+        self._lock = threading.Lock()
+
+    @property
+    def speed(self) -> float:
+        """Times real time."""
+        return self._speed
+
+    @property
+    def paced(self) -> bool:
+        """Whether time passes by itself; else by polls."""
+        return bool(np.isfinite(self._speed))
+
+    @property
+    def first(self) -> float:
+        """Earliest time of any source, s."""
+        return min((start for start, _ in self._spans.values()), default=0.0)
+
+    @property
+    def time(self) -> float:
+        """Time that was reached, s; asking does not move it on."""
+        with self._lock:
+            if self.paced:
+                return self.first if self._begun is None else self._paced(self._begun)
+            return self.first + self._round * self._step
+
+    def cover(self, name: str, first: float, last: float) -> None:
+        """Take part: the replay begins at the earliest time of all sources.
+
+        Args:
+            first, last: its times, s.
+
+        Raises:
+            SourceError: no time is common with another source, so their clocks differ.
+        """
+        for other, (start, stop) in self._spans.items():
+            if last < start or stop < first:
+                raise SourceError(
+                    f"{name}: its times run from {first:.3f} to {last:.3f} s, those of {other} from "
+                    f"{start:.3f} to {stop:.3f} s, so their clocks differ; make a recording of them first "
+                    "(rtof-kin run --only recording) and replay that"
+                )
+        self._spans[name] = first, last
+
+    def now(self, reader: object) -> float:
+        """Return the time that was reached, s; it begins with the first call.
+
+        Args:
+            reader: the source that asks. Without pace, its second question begins a new round.
+        """
+        with self._lock:
+            if self._begun is None:
+                self._begun = self._system()
+            if self.paced:
+                return self._paced(self._begun)
+            if id(reader) in self._read:
+                self._round += 1
+                self._read.clear()
+            self._read.add(id(reader))
+            return self.first + self._round * self._step
+
+    def _paced(self, begun: float) -> float:
+        return self.first + self._speed * (self._system() - begun)
+
+    def age(self, time: float) -> float:
+        """Return how long ago a time was reached, in seconds of the system; 0 without pace.
+
+        Args:
+            time: s.
+        """
+        if not self.paced or self._begun is None:
+            return 0.0
+        return max(self._paced(self._begun) - time, 0.0) / self._speed
+
+    def wait(self, until: float, stop: threading.Event) -> bool:
+        """Wait for a time; return False where `stop` was set before.
+
+        Args:
+            until: s; without pace there is nothing to wait for.
+        """
+        while not stop.is_set():
+            if not self.paced:
+                return True
+            if self._begun is None:
+                stop.wait(_LONGEST_WAIT / 10)
+                continue
+            left = (until - self._paced(self._begun)) / self._speed
+            if left <= 0:
+                return True
+            stop.wait(min(left, _LONGEST_WAIT))
+        return False
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults that a replay adds; the same seed gives the same ones."""
+
+    loss: float = 0.0
+    """Fraction of the samples that never arrive."""
+    jitter_s: float = 0.0
+    """Largest delay of an arrival, s; stamps stay as they are, the order does not."""
+    dead: tuple[tuple[str, float, float], ...] = ()
+    """Sensor (or `VIDEO`), start and stop, s: none of its samples arrives."""
+    frozen: tuple[float, float] | None = None
+    """Start and stop, s: the picture repeats, with new stamps."""
+    video_delay_s: float = 0.0
+    """By how much frames arrive and are stamped late, s."""
+    seed: int = 0
+    """Of losses and delays."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dead", tuple((str(n), float(a), float(b)) for n, a, b in self.dead))
+        if not (0 <= self.loss <= 1 and 0 <= self.jitter_s < np.inf and np.isfinite(self.video_delay_s)):
+            raise InvalidInputError(
+                f"faults: loss {self.loss:g}, jitter {self.jitter_s:g} s and video delay "
+                f"{self.video_delay_s:g} s; give a fraction, a positive time and a time"
+            )
+
+
+_NO_FAULTS: Final = Faults()
+
+
+class RecordingReplay:
+    """Source of the frames, the sensors or both of a recording, or of the sensors of a file.
+
+    Args:
+        streams: sensors with orientation, at their own times on one clock.
+
+    Raises:
+        InvalidInputError: neither sensors nor frames. UnknownNameError: a fault of an unknown sensor.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        streams: Sequence[SensorStream] = (),
+        keypoints: KeypointSequence | None = None,
+        replay: ReplayClock | None = None,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ):
+        if not streams and keypoints is None:
+            raise InvalidInputError(f"replay of {name}: there is nothing to replay")
+        names = [stream.name for stream in streams] + ([VIDEO] if keypoints is not None else [])
+        if unknown := [who for who, _, _ in faults.dead if who not in names]:
+            raise UnknownNameError("sensor of the faults", unknown, names)
+        self._name, self._clock, self._replay = name, clock, replay or ReplayClock()
+        self._streams, self._frames = tuple(streams), keypoints
+        self._faults, self._notices = faults, list[str]()
+        self._arrival, self._stream, self._row = self._arrivals(names)
+        self._next = 0
+        self._closed = False
+
+    @classmethod
+    def of_recording(
+        cls,
+        recording: Recording,
+        replay: ReplayClock | None = None,
+        *,
+        video: bool = True,
+        sensors: bool = True,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay a recording.
+
+        Raises:
+            SourceError: it has none of them.
+        """
+        keypoints = recording.keypoints if video else None
+        imus = recording.imus if sensors else None
+        if keypoints is None and imus is None:
+            lacking = "keypoints" if video else "samples of sensors"
+            raise SourceError(f"recording {recording.name}: has no {lacking} to replay")
+        parts = [VIDEO] * (keypoints is not None) + ["sensors"] * (imus is not None)
+        streams = () if imus is None else SensorLog.of_imus(imus, recording.name).streams
+        name = f"{recording.name} ({' and '.join(parts)})"
+        own = cls(name, streams, keypoints, replay, clock, faults)
+        if video and recording.views:
+            own._notices.append(f"{name}: only its first camera is replayed")
+        return own
+
+    @classmethod
+    def of_sensor_file(
+        cls,
+        path: str | Path,
+        replay: ReplayClock | None = None,
+        *,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay sensor files; orientations that they lack are estimated by the causal filter.
+
+        Args:
+            path: file or folder that `read_sensor_log` reads.
+
+        Raises:
+            SourceError: not read, or a sensor has neither an orientation nor what gives one.
+        """
+        try:
+            log = log_with_orientation(read_sensor_log(path), settings=OrientationSettings(causal=True))
+        except RtofError as error:
+            raise SourceError(f"{error}") from error
+        own = cls(f"{Path(path).name} (sensors)", log.streams, None, replay, clock, faults)
+        remarks: dict[str, list[str]] = {note: [] for note in log.file_notes}
+        for stream in log.streams:
+            for note in stream.notes:
+                remarks.setdefault(note, []).append(stream.name)
+        for note, sensors in remarks.items():
+            own._notices.append(": ".join(filter(None, (own.name, ", ".join(sensors), note))))
+        return own
+
+    @classmethod
+    def of_keypoint_file(
+        cls,
+        path: str | Path,
+        camera: Camera,
+        replay: ReplayClock | None = None,
+        *,
+        clock: Clock = Clock.COMMON,
+        faults: Faults = _NO_FAULTS,
+    ) -> Self:
+        """Replay the points that a detector wrote, of the person who is most prominent in the whole file.
+
+        Args:
+            path: file with times that `read_detector_keypoints` reads.
+
+        Raises:
+            SourceError: not read, or without times.
+        """
+        try:
+            found = read_detector_keypoints(path, camera)
+        except RtofError as error:
+            raise SourceError(f"{error}") from error
+        own = cls(f"{Path(path).name} ({VIDEO})", (), found.keypoints, replay, clock, faults)
+        own._notices.append(f"{own.name}: {found.summary}")
+        return own
+
+    def _arrivals(self, names: Sequence[str]) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return arrival (N,) s, index of the stream (N,) and row (N,) of all samples, in order."""
+        faults = self._faults
+        kept: list[tuple[Array, int, NDArray[np.int64]]] = []
+        for s, name in enumerate(names):
+            times, here = self._times(s)
+            for who, start, stop in faults.dead:
+                if who == name:
+                    here = here & ~((start <= times) & (times < stop))
+            rows = np.flatnonzero(here)
+            kept.append((times[rows] + (faults.video_delay_s if name == VIDEO else 0.0), s, rows))
+        arrival = np.concatenate([times for times, _, _ in kept])
+        stream = np.concatenate([np.full(len(rows), s) for _, s, rows in kept])
+        row = np.concatenate([rows for _, _, rows in kept])
+        rng = np.random.default_rng(faults.seed)
+        arrives = rng.random(len(arrival)) >= faults.loss
+        arrival = arrival + faults.jitter_s * rng.random(len(arrival))
+        order = np.argsort(np.where(arrives, arrival, np.inf), kind="stable")[: int(arrives.sum())]
+        return arrival[order], stream[order], row[order]
+
+    def _times(self, s: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the times (T,) of a stream, s, and which of its rows hold a sample."""
+        if s == len(self._streams):
+            assert self._frames is not None
+            return self._frames.times, np.ones(len(self._frames), dtype=np.bool_)
+        stream = self._streams[s]
+        assert stream.R_inertial_sensor is not None
+        here = np.isfinite(stream.R_inertial_sensor).all(axis=(1, 2))
+        if stream.f_sensor is not None:
+            here |= np.isfinite(stream.f_sensor).all(axis=1)
+        return stream.times, np.asarray(here)
+
+    @property
+    def name(self) -> str:
+        """Name of the recording or of the file."""
+        return self._name
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the stamps."""
+        return self._clock
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(stream.name for stream in self._streams)
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the points of a frame."""
+        return () if self._frames is None else self._frames.names
+
+    @property
+    def finished(self) -> bool:
+        """Whether every sample was polled."""
+        return self._closed or self._next == len(self._arrival)
+
+    def start(self) -> None:
+        """Join the shared clock.
+
+        Raises:
+            SourceError: the times are those of another clock than another replay's.
+        """
+        times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
+        self._closed = False
+        self._replay.cover(self._name, min(t[0] for t in times), max(t[-1] for t in times))
+
+    def poll(self) -> list[Sample]:
+        """Return the samples that arrived up to the shared clock's time."""
+        if self.finished:
+            return []
+        begin = self._next
+        self._next += int(np.searchsorted(self._arrival[begin:], self._replay.now(self), side="right"))
+        return [self._sample(i) for i in range(begin, self._next)]
+
+    def _sample(self, i: int) -> Sample:
+        s, row = int(self._stream[i]), int(self._row[i])
+        if s == len(self._streams):
+            return self._frame(row)
+        stream = self._streams[s]
+        assert stream.R_inertial_sensor is not None
+        f = np.full(3, np.nan) if stream.f_sensor is None else stream.f_sensor[row]
+        return ImuSample(stream.name, float(stream.times[row]), stream.R_inertial_sensor[row], f)
+
+    def _frame(self, row: int) -> FrameSample:
+        frames, faults = self._frames, self._faults
+        assert frames is not None
+        time = float(frames.times[row])
+        if faults.frozen is not None and faults.frozen[0] <= time < faults.frozen[1]:
+            row = max(int(np.searchsorted(frames.times, faults.frozen[0])) - 1, 0)
+        return FrameSample(time + faults.video_delay_s, frames.uv_px[row], frames.confidence[row])
+
+    def notices(self) -> list[str]:
+        """Return remarks on the file, once."""
+        told, self._notices = self._notices, []
+        return told
+
+    def close(self) -> None:
+        """Stop."""
+        self._closed = True

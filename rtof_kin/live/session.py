@@ -1,0 +1,471 @@
+"""`LiveSession`: sources to estimates to sinks, with every disturbance told and none of them fatal."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from rtof_kin.core.checks import checked_names
+from rtof_kin.core.errors import RtofError
+from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of, with_time
+from rtof_kin.live.feed import Feed, SinkGroup
+from rtof_kin.live.monitor import Monitor, State
+from rtof_kin.live.recorder import Recorder
+from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
+from rtof_kin.live.stream_checks import (
+    FirstSeconds,
+    landmark_sentences,
+    number_faults,
+    sensor_sentence,
+    shape_faults,
+    unknown_sensors,
+)
+from rtof_kin.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class StreamSummary:
+    """Samples of one stream in the whole session."""
+
+    received: int
+    """With a usable time."""
+    lost: int
+    """That did not come, by the stream's own rate."""
+    late: int
+    """That came after newer ones of other streams."""
+    too_late: int
+    """That came too late for the estimate."""
+    left_out: int
+    """Not used for their numbers, because they repeated, or for their time."""
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """What happened in a session."""
+
+    frames: int
+    """Number of estimates."""
+    seconds: float
+    """From the first to the last sample, s."""
+    frame_ms_p50: float
+    """[ms] Median time for a frame, all included; NaN without frames."""
+    frame_ms_p99: float
+    """[ms] 99th percentile of it."""
+    streams: Mapping[str, StreamSummary]
+    """By sensor, and ``video``."""
+    sentences: tuple[str, ...]
+    """What was told, with the time; at most 1000."""
+    folder: Path | None
+    """Recording of the session; None where none was made."""
+
+
+_LEAST: Final = 1e-5  # [s]
+_WIDTH: Final = math.log(1.02)
+_BINS: Final = 800
+
+
+class FrameTimes:
+    """Counts frame times in bins of 2 % width."""
+
+    def __init__(self) -> None:
+        """Begin without any frame."""
+        self._counts = np.zeros(_BINS, dtype=np.int64)
+
+    def add(self, seconds: float, frames: int = 1) -> None:
+        """Take frames.
+
+        Args:
+            seconds: of each.
+        """
+        place = int(math.log(max(seconds, _LEAST) / _LEAST) / _WIDTH)
+        self._counts[min(place, _BINS - 1)] += frames
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return int(self._counts.sum())
+
+    def percentile(self, percent: float) -> float:
+        """Return a percentile, s; NaN without frames.
+
+        Args:
+            percent: 0 to 100.
+        """
+        if not self.frames:
+            return float("nan")
+        place = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.frames))
+        return _LEAST * math.exp((place + 0.5) * _WIDTH)
+
+
+_AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
+_ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
+_MOST_SENTENCES: Final = 1000
+_HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
+
+
+class Estimator(Protocol):
+    """Poses from samples, such as `rtof_kin.live.estimator.OnlineEstimator`."""
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Samples that came too late, by sensor or `VIDEO`."""
+
+    def push(self, sample: Sample) -> None:
+        """Take a sample, in any order."""
+
+    @property
+    def hurried(self) -> int:
+        """Frames that were only predicted, to catch up."""
+
+    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
+        """Return the frames that are due at a time, s; in a hurry with less work for many of them."""
+
+    def finish(self) -> list[OnlineEstimate]:
+        """Return the frames that remain."""
+
+
+class LiveSession:
+    """Runs sources, an estimator and sinks; `run` in real time, `step` for one instant.
+
+    A source that fails is told and tried again, a sink that fails is dropped.
+    """
+
+    def __init__(
+        self,
+        setup: Recording,
+        sources: Sequence[Source],
+        estimator: Estimator,
+        *,
+        sinks: Sequence[Sink] = (),
+        recorder: Recorder | None = None,
+        video_delay_s: float = 0.0,
+        patience_s: float = 3.0,
+        in_background: bool = True,
+    ):
+        """Put a session together; nothing is started yet.
+
+        Args:
+            recorder: of everything; None for none. video_delay_s: by how much the video's stamps are late.
+            patience_s: for streams that do not start.
+            in_background: start sources and check first seconds in threads; without, `step` is deterministic.
+
+        Raises:
+            InvalidInputError: two sources of one name.
+        """
+        checked_names("live sources", [source.name for source in sources])
+        self._setup, self._estimator, self._recorder = setup, estimator, recorder
+        self._feeds = [Feed(source, in_background) for source in sources]
+        self._clock = SessionClock({source.name: source.clock for source in sources})
+        self._sinks = SinkGroup(sinks)
+        known = setup.calibration.sensors if setup.calibration is not None else ()
+        self.monitor = Monitor(known, patience_s=patience_s)
+        """State of all streams."""
+        self._patience, self._video_delay = patience_s, video_delay_s
+        self._first = FirstSeconds()
+        self._checker = ThreadPoolExecutor(1, "checks") if in_background else None
+        self._checking: Future[list[str]] | None = None
+        self._began = math.nan
+        self._heard: set[str] = set()  # sources
+        self._newest: dict[str, tuple[float, float]] = {}  # by stream: time, arrival
+        self._said: set[tuple[str, str]] = set()
+        self._owners: dict[str, str] = {}  # by stream: its source
+        self._landmarks: tuple[str, ...] = ()
+        self._left_out: dict[str, int] = {}
+        self._sentences: list[str] = []
+        self._times, self._spent = FrameTimes(), 0.0
+        self._summary: SessionSummary | None = None
+
+    # --- one step --------------------------------------------------------------------------------
+
+    def step(self, arrival: float) -> list[OnlineEstimate]:
+        """Take what has arrived and return the estimates that are due.
+
+        Args:
+            arrival: now, s on a clock that never goes back, such as `time.monotonic`.
+        """
+        began = time.perf_counter()
+        self._began = arrival if math.isnan(self._began) else self._began
+        arrived = self._arrived(arrival)
+        for one in arrived:
+            self.monitor.update(one)
+            self._first.add(one)
+            if self._recorder is not None:
+                self._recorder.add(one)
+        self._look(arrived, arrival)
+        now = self._now(arrival)
+        for one in arrived:
+            self._push(one, now, arrival)
+        estimates = self._advance(now, arrival)
+        self._spent += time.perf_counter() - began
+        if estimates:
+            seconds = self._spent / len(estimates)
+            self._times.add(seconds, len(estimates))
+            self._spent = 0.0
+            for estimate in estimates:
+                self.monitor.estimated(estimate, seconds)
+        return estimates
+
+    def _arrived(self, arrival: float) -> list[Arrived]:
+        """Return what has come; samples whose numbers are of no use have no time."""
+        polled = list(self._polled(arrival))
+        landmarks = [len(feed.source.landmarks) for feed, _ in polled]
+        faults = shape_faults([sample for _, sample in polled], landmarks)
+        shaped = [pair for pair, fault in zip(polled, faults, strict=True) if not fault]
+        arrived = [self._clock.arrived(feed.name, sample, arrival) for feed, sample in shaped]
+        wrong = number_faults([sample for _, sample in shaped])
+        for (_, sample), fault in zip(polled, faults, strict=True):
+            if fault:
+                stream = stream_of(sample)
+                self._left_out[stream] = self._left_out.get(stream, 0) + 1
+                self._fault(stream, fault, arrival)
+        for i, fault in enumerate(wrong):
+            if fault:
+                self._fault(arrived[i].stream, fault, arrival)
+                arrived[i] = replace(arrived[i], time=math.nan)
+        for sentence in self._clock.notices(arrival):
+            self._tell(sentence, arrival)
+        return arrived
+
+    def _polled(self, arrival: float) -> Iterator[tuple[Feed, Sample]]:
+        """Poll all sources; a stream is taken from the first source that gives it."""
+        for feed in self._feeds:
+            samples = feed.poll(arrival)
+            for sentence in feed.sentences():
+                self._tell(sentence, arrival)
+            if samples:
+                self._heard.add(feed.name)
+            for sample in samples:
+                stream = stream_of(sample)
+                owner = self._owners.setdefault(stream, feed.name)
+                if owner != feed.name:
+                    text = f"{feed.name}: {stream} comes from {owner} already, and is used from there alone"
+                    self._once(feed.name, stream, text, arrival)
+                    continue
+                if stream == VIDEO and feed.source.landmarks != self._landmarks:
+                    self._name(feed, arrival)
+                yield feed, sample
+
+    def _name(self, feed: Feed, arrival: float) -> None:
+        """Take the names of the points that a camera's source gives from now on."""
+        self._landmarks = feed.source.landmarks
+        for sentence in landmark_sentences(self._landmarks, self._setup):
+            self._tell(f"{feed.name}: {sentence}", arrival)
+        if self._recorder is not None:
+            self._recorder.landmarks(self._landmarks)
+
+    def _look(self, arrived: Sequence[Arrived], arrival: float) -> None:
+        """Tell what is new: states of streams, names, sources that do not start, broken laws."""
+        new = {one.stream for one in arrived if one.stream not in self._newest} - {VIDEO}
+        for one in arrived:
+            if not math.isnan(one.time) and not one.time <= self._newest.get(one.stream, (-math.inf, 0.0))[0]:
+                self._newest[one.stream] = one.time, arrival
+        unknown = unknown_sensors(sorted(new), self._setup)
+        if unknown:
+            self._tell(sensor_sentence(unknown, list(self._newest), self._setup), arrival)
+        for feed in self._feeds:
+            if feed.source.landmarks:
+                self.monitor.expect(VIDEO)
+        for change in self.monitor.check(arrival):
+            if change.state is not State.WAITING or self._partly_heard(change.streams):
+                self._tell(change.sentence, arrival)
+        if arrival - self._began >= self._patience:
+            for feed in self._feeds:
+                if feed.name not in self._heard and not feed.finished:
+                    text = f"nothing has come in {self._patience:g} s; the session goes on without it"
+                    self._once(feed.name, "waiting", f"{feed.name}: {text}", arrival)
+        self._check_first(arrival)
+
+    def _partly_heard(self, streams: Sequence[str]) -> bool:
+        """Return whether a source of such streams gives samples; else it is told by its name."""
+        if VIDEO in streams:
+            return any(feed.source.landmarks and feed.name in self._heard for feed in self._feeds)
+        return any(name != VIDEO for name in self._newest)
+
+    def _check_first(self, arrival: float) -> None:
+        """Check the first seconds of sensors, in a thread where there is one."""
+        if self._checking is not None:
+            if not self._checking.done():
+                return
+            sentences, self._checking = self._checking.result(), None
+        else:
+            due = self._first.due()
+            if due is None:
+                return
+            if self._checker is not None:
+                self._checking = self._checker.submit(due)
+                return
+            sentences = due()
+        for sentence in sentences:
+            self._tell(sentence, arrival)
+
+    def _now(self, arrival: float) -> float:
+        """Return the present: the newest time of the sensors, or of the video where there are none.
+
+        A stream that is a second ahead of all others has a wrong clock, which is told, and does not count.
+        """
+        alive = {n: t for n, (t, at) in self._newest.items() if arrival - at <= _ALIVE}
+        sensors = sorted((t, name) for name, t in alive.items() if name != VIDEO)
+        if not sensors:
+            return alive[VIDEO] - self._video_delay if VIDEO in alive else math.nan
+        if len(sensors) > 1 and sensors[-1][0] - sensors[-2][0] > _AHEAD:
+            ahead, name = sensors[-1][0] - sensors[-2][0], sensors[-1][1]
+            text = f"{name}: its clock is {ahead:.1f} s ahead of the others; it is left out"
+            self._once(name, "ahead", text, arrival)
+            return sensors[-2][0]
+        return sensors[-1][0]
+
+    def _push(self, one: Arrived, now: float, arrival: float) -> None:
+        """Give a sample to the estimator, if it is of use."""
+        stream = one.stream
+        useful = one.time <= now + _AHEAD and not self.monitor.frozen(stream)  # NaN is not
+        if not useful or unknown_sensors([stream] if stream != VIDEO else [], self._setup):
+            self._left_out[stream] = self._left_out.get(stream, 0) + 1
+            return
+        try:
+            self._estimator.push(with_time(one.sample, one.time))
+        except RtofError as error:
+            self._once(stream, str(error), f"{stream}: {error}", arrival)
+
+    def _advance(self, now: float, arrival: float) -> list[OnlineEstimate]:
+        if math.isnan(now):
+            return []
+        try:
+            estimates = self._estimator.advance(now, hurry=True)
+        except RtofError as error:
+            self._once("estimate", str(error), f"estimate: {error}", arrival)
+            return []
+        if self._estimator.hurried > _HURRIED:
+            text = (
+                "this machine is too slow for all frames: some are only predicted; choose a lower --rate, or "
+                "end other programs"
+            )
+            self._once("estimate", "slow", text, arrival)
+        self._send(estimates, arrival)
+        return estimates
+
+    # --- sinks and messages ----------------------------------------------------------------------
+
+    def _send(self, estimates: Sequence[OnlineEstimate], arrival: float) -> None:
+        for estimate in estimates:
+            if self._recorder is not None:
+                self._recorder.add_estimate(estimate, arrival)
+            for sentence in self._sinks.send(estimate):
+                self._tell(sentence, arrival)
+        self._tell_notices(arrival)
+
+    def _tell_notices(self, arrival: float) -> None:
+        for sentence in self._recorder.notices() if self._recorder is not None else ():
+            self._tell(sentence, arrival)
+
+    def _fault(self, stream: str, fault: str, arrival: float) -> None:
+        self._once(stream, fault, f"{stream}: {fault}; such samples are left out", arrival)
+
+    def _once(self, what: str, kind: str, sentence: str, arrival: float) -> None:
+        if (what, kind) not in self._said and len(self._said) < _MOST_SENTENCES:
+            self._said.add((what, kind))
+            self._tell(sentence, arrival)
+
+    def _tell(self, sentence: str, arrival: float) -> None:
+        text = f"{self.monitor.elapsed(arrival):.1f} s: {sentence}"
+        if len(self._sentences) < _MOST_SENTENCES:
+            self._sentences.append(text)
+        if self._recorder is not None:
+            self._recorder.tell(text, arrival)
+        for another in self._sinks.tell(text):
+            self._tell(another, arrival)
+
+    # --- whole sessions --------------------------------------------------------------------------
+
+    def run(
+        self,
+        stop: Callable[[], bool] | Event | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        period_s: float = 0.004,
+    ) -> SessionSummary:
+        """Run until told to stop, interrupted (Ctrl-C), or all sources have finished.
+
+        Args:
+            clock: of the arrivals, s. period_s: between two polls; 0 for a replay that need not keep pace.
+        """
+        stopped = stop.is_set if isinstance(stop, Event) else stop
+        try:
+            while not (stopped is not None and stopped()) and not self.finished:
+                arrival = clock()
+                self.step(arrival)
+                time.sleep(max(0.0, period_s - (clock() - arrival)))
+        except KeyboardInterrupt:
+            pass
+        finally:
+            summary = self.finish(clock())
+        return summary
+
+    @property
+    def finished(self) -> bool:
+        """Whether no further sample will come."""
+        return all(feed.finished for feed in self._feeds)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What was told so far, with the time; at most 1000."""
+        return tuple(self._sentences)
+
+    def status(self) -> dict[str, Any]:
+        """Return the state of all streams and the figures of the estimate; see `Monitor.status`."""
+        return self.monitor.status()
+
+    def finish(self, arrival: float) -> SessionSummary:
+        """Stop everything, make the recording and return what happened; may be called twice.
+
+        Args:
+            arrival: now, s on the clock of the arrivals.
+        """
+        if self._summary is not None:
+            return self._summary
+        with suppress(RtofError):
+            self._send(rest := self._estimator.finish(), arrival)
+            if rest and self._times.frames:
+                self._times.add(self._times.percentile(50), len(rest))
+        for feed in self._feeds:
+            feed.close()
+        if self._checker is not None:
+            self._checker.shutdown(wait=False, cancel_futures=True)
+        folder = self._finish_recording(arrival)
+        self._sinks.close()
+        self._summary = self._summed(self.monitor.elapsed(arrival), folder)
+        return self._summary
+
+    def _finish_recording(self, arrival: float) -> Path | None:
+        if self._recorder is None:
+            return None
+        try:
+            self._recorder.finish()
+            return self._recorder.folder
+        except RtofError as error:
+            self._tell(f"no recording was made: {error}", arrival)
+            return None
+        finally:
+            self._tell_notices(arrival)
+
+    def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
+        streams = {
+            name: StreamSummary(
+                count.received,
+                count.lost,
+                count.late,
+                self._estimator.dropped.get(name, 0),
+                self._left_out.get(name, 0),
+            )
+            for name, count in self.monitor.counts().items()
+        }
+        p50, p99 = (1000 * self._times.percentile(percent) for percent in (50, 99))
+        return SessionSummary(self._times.frames, seconds, p50, p99, streams, self.sentences, folder)

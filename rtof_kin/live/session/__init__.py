@@ -1,1 +1,0 @@
-"""The session: clocks, checks, monitoring, recording, the loop."""

@@ -1,1 +1,0 @@
-"""Sources of samples: cameras, LSL, replays."""

@@ -1,0 +1,269 @@
+"""Checks of live streams: every sample's numbers, names, and the physics of the first seconds.
+
+The laws are those of `rtof_kin.inertial.physics`. Nothing is changed: a sentence says what does not hold, and
+under which declaration it would. Only numbers that are of no use are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
+from rtof_kin.core.errors import RtofError
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
+from rtof_kin.inertial.physics import LAWS, check_log
+from rtof_kin.live.clock_map import Arrived
+from rtof_kin.live.samples import FrameSample, ImuSample, Sample
+from rtof_kin.recording.recording import Recording
+from rtof_kin.vision.layouts import is_detector_point
+
+FIRST_SECONDS: Final = 2.0
+"""[s] of a sensor after which it is checked."""
+_AGAIN: Final = 4.5  # [s]
+_ORTHONORMAL = 1e-2  # [-] largest deviation of a dot product of a rotation's rows
+_FASTEST_HZ: Final = 2000.0
+_NAMED: Final = 6
+_FOLLOWED: Final = ("rate", "jitter", "samples lost", "stuck")
+"""Beginnings of the names of checks whose subjects `Monitor` follows all the time."""
+
+
+# --- numbers of a sample -------------------------------------------------------------------------
+
+
+def shape_faults(samples: Sequence[Sample], landmarks: Sequence[int]) -> list[str]:
+    """Return for each sample why its arrays cannot even be kept; '' where they can.
+
+    Args:
+        samples: of any streams. landmarks: for each sample the number of points that its source names.
+    """
+    return [_shape_fault(sample, L) for sample, L in zip(samples, landmarks, strict=True)]
+
+
+def number_faults(samples: Sequence[Sample]) -> list[str]:
+    """Return for each sample why its numbers are of no use; '' where they are."""
+    out = [_frame_fault(s) if isinstance(s, FrameSample) else "" for s in samples]
+    imus = [(i, s) for i, s in enumerate(samples) if isinstance(s, ImuSample)]
+    if imus:
+        R = np.array([s.R_inertial_sensor for _, s in imus], dtype=float)
+        f = np.array([s.f_sensor for _, s in imus], dtype=float)
+        for (i, _), fault in zip(imus, _imu_faults(R, f), strict=True):
+            out[i] = fault
+    return out
+
+
+def _shape_fault(sample: Sample, landmarks: int) -> str:
+    if isinstance(sample, ImuSample):
+        R, f = np.shape(sample.R_inertial_sensor), np.shape(sample.f_sensor)
+        return "" if (R, f) == ((3, 3), (3,)) else f"has shapes {R} and {f}, not (3, 3) and (3,)"
+    if np.shape(sample.uv_px) != (landmarks, 2) or np.shape(sample.confidence) != (landmarks,):
+        return f"has {len(np.atleast_1d(sample.uv_px))} points where {landmarks} are named"
+    return ""
+
+
+def _frame_fault(sample: FrameSample) -> str:
+    if np.isinf(sample.uv_px).any():
+        return "has pixels that are infinite"
+    wrong = ~((sample.confidence >= 0) & (sample.confidence <= 1))
+    return "has a confidence outside 0 to 1" if wrong.any() else ""
+
+
+def _imu_faults(R: Array, f: Array) -> list[str]:
+    """Return the faults of orientations (n, 3, 3) and specific forces (n, 3)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = R @ np.swapaxes(R, -1, -2) - np.eye(3)
+        off = np.abs(products).max(axis=(-2, -1))
+        mirrored = np.linalg.det(R) < 0
+    missing = np.isnan(R).all(axis=(-2, -1))
+    infinite = np.isinf(f).any(axis=-1) | ~(missing | np.isfinite(R).all(axis=(-2, -1)))
+    out = np.full(len(R), "", dtype=object)
+    out[mirrored] = "has an orientation that is mirrored"
+    out[~missing & ~(off < _ORTHONORMAL)] = "has an orientation that is no rotation; quaternions have norm 1"
+    out[infinite] = "has numbers that are not finite"
+    return [str(fault) for fault in out]
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+def unknown_sensors(seen: Iterable[str], setup: Recording) -> list[str]:
+    """Return the sensors that the calibration of a setup does not have; none without a calibration."""
+    if setup.calibration is None:
+        return []
+    return [name for name in seen if name not in setup.calibration.sensors]
+
+
+def sensor_sentence(unknown: Sequence[str], seen: Sequence[str], setup: Recording) -> str:
+    """Return what to say about sensors without a calibration."""
+    known = setup.calibration.sensors if setup.calibration is not None else ()
+    free = [name for name in known if name not in seen]
+    text = f"{_some(unknown)}: not in the calibration, so recorded but not used"
+    return f"{text}{_closest(unknown, free)}. It has {', '.join(known)}"
+
+
+def unknown_landmarks(names: Sequence[str], setup: Recording) -> list[str]:
+    """Return the names that are neither landmarks of the skeleton nor points of a detector."""
+    known = setup.skeleton.landmarks
+    return [name for name in names if name not in known and not _of_detector(name)]
+
+
+def landmark_sentences(landmarks: Sequence[str], setup: Recording) -> list[str]:
+    """Return what to say about the points of a camera's stream: unknown names, and missing ones.
+
+    Args:
+        setup: with the skeleton, and the keypoints of the setup if any.
+    """
+    known = list(setup.skeleton.landmarks)
+    unknown = unknown_landmarks(landmarks, setup)
+    out = []
+    if unknown:
+        out.append(f"{_some(unknown)}: no landmarks of the skeleton, so not used{_closest(unknown, known)}")
+    usual = [name for name in setup.keypoints.names if name in known] if setup.keypoints is not None else []
+    missing = [name for name in usual if name not in landmarks]
+    if missing:
+        out.append(f"{_some(missing)}: in the setup's keypoints, but not in the camera's stream")
+    return out
+
+
+def _of_detector(name: str) -> bool:
+    try:
+        return is_detector_point(name)
+    except RtofError:
+        return False
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _closest(names: Sequence[str], known: Sequence[str]) -> str:
+    lower = {name.lower(): name for name in known}
+    near = [lower[hit] for name in names for hit in get_close_matches(name.lower(), list(lower), n=1)]
+    return f"; did you mean {', '.join(dict.fromkeys(near))}?" if near else ""
+
+
+# --- physics -------------------------------------------------------------------------------------
+
+
+@dataclass
+class _First:
+    """First samples of one sensor."""
+
+    source: str
+    times: list[float] = field(default_factory=list)
+    R: list[Array] = field(default_factory=list)
+    f: list[Array] = field(default_factory=list)
+    start: float = math.inf
+    stop: float = -math.inf
+    until: float = FIRST_SECONDS
+    told: set[str] = field(default_factory=set)  # names of checks, or "law"
+
+    def add(self, time: float, R: Array, f: Array) -> None:
+        self.times.append(time)
+        self.R.append(R)
+        self.f.append(f)
+        self.start, self.stop = min(self.start, time), max(self.stop, time)
+
+    @property
+    def seconds(self) -> float:
+        return self.stop - self.start
+
+    @property
+    def ready(self) -> bool:
+        """Whether it may be checked beside another sensor."""
+        return self.seconds >= 0.8 * self.until
+
+    def stream(self, name: str) -> SensorStream | None:
+        """Return the samples in the order of time; None where there are too few."""
+        times, first = np.unique(self.times, return_index=True)
+        if len(times) < 10:
+            return None
+        R, f = np.array(self.R)[first], np.array(self.f)[first]
+        R[~np.isfinite(R).all(axis=(-2, -1))] = np.nan
+        known = np.isfinite(R).all(axis=(-2, -1))
+        R[known] = so3.nearest_rotation(R[known])
+        return SensorStream(
+            name,
+            times,
+            f if np.isfinite(f).any() else None,
+            R if known.any() else None,
+            quaternion_norm=np.where(known, 1.0, np.nan),  # so that the order of components is in question
+        )
+
+
+class FirstSeconds:
+    """Collects the first seconds of every sensor and checks them by physics.
+
+    After two seconds, and again after 4.5 s: the direction of gravity takes so long where a sensor moves.
+    """
+
+    def __init__(self) -> None:
+        """Begin without any sample."""
+        self._first: dict[str, _First] = {}
+        self._done: set[str] = set()
+
+    def add(self, arrived: Arrived) -> None:
+        """Take a sample of a sensor; one that has been checked is ignored."""
+        sample = arrived.sample
+        if isinstance(sample, FrameSample) or sample.sensor in self._done or math.isnan(arrived.time):
+            return
+        first = self._first.get(sample.sensor)
+        if first is None:
+            first = self._first[sample.sensor] = _First(arrived.source)
+        first.add(arrived.time, sample.R_inertial_sensor, sample.f_sensor)
+        if len(first.times) > _AGAIN * _FASTEST_HZ:
+            self._finish(sample.sensor)
+
+    def due(self) -> Callable[[], list[str]] | None:
+        """Return a check that is due, as a function that returns sentences; None where none is.
+
+        The sensors of a source that have their first seconds are checked together, because they share
+        one declaration. A function must have returned before the next one is asked for.
+        """
+        ready = [name for name, first in self._first.items() if first.seconds >= first.until]
+        if not ready:
+            return None
+        source = self._first[ready[0]].source
+        near = [n for n, first in self._first.items() if first.source == source and first.ready]
+        streams = [(self._first[name].stream(name), self._first[name].told) for name in near]
+        for name in near:
+            if self._first[name].until == FIRST_SECONDS:
+                self._first[name].until = _AGAIN
+            else:
+                self._finish(name)
+        return lambda: _physics(source, [(stream, told) for stream, told in streams if stream is not None])
+
+    def _finish(self, name: str) -> None:
+        self._done.add(name)
+        del self._first[name]
+
+
+def _physics(source: str, streams: Sequence[tuple[SensorStream, set[str]]]) -> list[str]:
+    """Return sentences about laws that do not hold and were not told of these sensors before."""
+    log = SensorLog(Path(source), "live stream", tuple(stream for stream, _ in streams), Declaration())
+    told = {stream.name: names for stream, names in streams}
+    failed: dict[str, list[Check]] = {}
+    for check in check_log(log):
+        kind = "law" if check.name in LAWS else check.name  # of several broken laws the first one is told
+        if check.failed and not check.name.startswith(_FOLLOWED) and kind not in told[check.subject]:
+            told[check.subject].add(kind)
+            failed.setdefault(check.name, []).append(check)
+    return [_law_sentence(source, checks) for checks in failed.values()]
+
+
+def _law_sentence(source: str, checks: Sequence[Check]) -> str:
+    """Say which sensors break a law, with the figures of the worst and the likely declaration."""
+    worst = max(checks, key=lambda check: check.value)
+    if len(checks) == 1:
+        return f"{source}: {worst.message}"
+    names = ", ".join(check.subject for check in checks)
+    return f"{source}: {names} do not obey {worst.name}; the worst is {worst.message}"

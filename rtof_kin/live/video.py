@@ -1,0 +1,395 @@
+"""Points of a person in a webcam's or a video's images, as they come.
+
+Of a webcam the newest image is examined and those that came meanwhile are dropped and counted; of a video every image
+is. Stamps are the times at which images were taken, so that the time that detection takes shows as lag.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time as system
+from collections import deque
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import RtofError, SourceError
+from rtof_kin.live.person_points import PersonPoints
+from rtof_kin.live.replay import ReplayClock
+from rtof_kin.live.samples import Clock, FrameSample, Sample
+from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
+from rtof_kin.vision.person_detector import PersonDetector, choose_detector
+from rtof_kin.vision.video import read_video
+from rtof_kin.vision.video_file import upright_image
+from rtof_kin.vision.video_metadata import read_video_metadata
+
+_RECENT: Final = 30
+"""Frames of which times are the median."""
+_PATIENCE: Final = 2.0
+"""[s] to wait for a thread that ends."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image that waits for the detector."""
+
+    time: float
+    """[s] its stamp."""
+    pixels: NDArray[np.uint8]
+    """(height, width, 3), BGR, upright."""
+    taken: float
+    """[s] on this machine's clock."""
+
+
+Images = Generator[Image, None, None]
+
+
+class _Slot:
+    """Place of one image between two threads; `every`: a full one waits, else it is replaced."""
+
+    def __init__(self, every: bool):
+        self._every, self._ended = every, False
+        self._image: Image | None = None
+        self._changed = threading.Condition()
+        self.dropped = 0
+
+    def put(self, image: Image) -> bool:
+        """Return False where nobody takes images any more."""
+        with self._changed:
+            while self._every and self._image is not None and not self._ended:
+                self._changed.wait()
+            if self._ended:
+                return False
+            self.dropped += self._image is not None
+            self._image = image
+            self._changed.notify_all()
+            return True
+
+    def take(self) -> Image | None:
+        """Wait for an image; None where there will be no more."""
+        with self._changed:
+            while self._image is None and not self._ended:
+                self._changed.wait()
+            image, self._image = self._image, None
+            self._changed.notify_all()
+            return image
+
+    def end(self) -> None:
+        """Let the last image be taken, and no more come."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+
+class Examination:
+    """Threads that read the images of one camera or file and examine them.
+
+    Args:
+        images: of it; closed at the end.
+        replay: by which images are due; None for a webcam, of which the newest image is examined.
+        now: this machine's clock, s.
+    """
+
+    def __init__(
+        self,
+        images: Images,
+        first: Image,
+        detector: PersonDetector,
+        points: PersonPoints,
+        replay: ReplayClock | None,
+        now: Callable[[], float],
+    ):
+        self._replay, self._now = replay, now
+        self._slot = _Slot(every=replay is not None)
+        self._stop, self._changed = threading.Event(), threading.Condition()
+        self._ended = False
+        self._samples: deque[FrameSample] = deque()
+        self._latency: deque[float] = deque(maxlen=_RECENT)
+        self._detection: deque[float] = deque(maxlen=_RECENT)
+        self.problems: deque[str] = deque()
+        """What ended it, for people."""
+        self.points = points
+        self.examined = 0
+        """Number of images."""
+        self._threads = [
+            threading.Thread(target=target, args=args, daemon=True)
+            for target, args in ((self._read, (images, first)), (self._examine, (detector,)))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def ended(self) -> bool:
+        """Whether all was examined and taken."""
+        with self._changed:
+            return self._ended and not self._samples
+
+    @property
+    def dropped(self) -> int:
+        """Images that another one replaced."""
+        return self._slot.dropped
+
+    @property
+    def latency_s(self) -> float:
+        """Median time from the taking of an image to its points, s; NaN before the first."""
+        return float(np.median(list(self._latency) or [np.nan]))
+
+    @property
+    def detection_s(self) -> float:
+        """Median time that an image takes, s; NaN before the first."""
+        return float(np.median(list(self._detection) or [np.nan]))
+
+    def take(self, until: float = np.inf, wait: bool = False) -> list[FrameSample]:
+        """Return the frames that were examined, oldest first.
+
+        Args:
+            until: latest stamp, s. wait: until it is known that no other frame has such a stamp.
+        """
+        found: list[FrameSample] = []
+        with self._changed:
+            if wait:
+                self._changed.wait_for(lambda: self._ended or (self._samples and self._samples[-1].time > until))
+            while self._samples and self._samples[0].time <= until:
+                found.append(self._samples.popleft())
+        return found
+
+    def close(self) -> None:
+        """Stop the threads; may be called twice."""
+        self._stop.set()
+        self._slot.end()
+        self._end()
+        for thread in self._threads:
+            thread.join(_PATIENCE)
+
+    def _end(self) -> None:
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _read(self, images: Images, first: Image) -> None:
+        """Hand images to the detector when they are due."""
+        try:
+            with closing(images):
+                image: Image | None = first
+                while image is not None and not self._stop.is_set():
+                    if self._replay is not None:
+                        if not self._replay.wait(image.time, self._stop):
+                            break
+                        image = replace(image, taken=self._now() - self._replay.age(image.time))
+                    if not self._slot.put(image):
+                        break
+                    image = next(images, None)
+        except Exception as error:  # of a foreign library
+            self._problem("there are no further images", error)
+        finally:
+            self._slot.end()
+
+    def _examine(self, detector: PersonDetector) -> None:
+        """Detect the person in the images that are handed over."""
+        try:
+            with closing(detector):
+                while (image := self._slot.take()) is not None and not self._stop.is_set():
+                    self._one(image)
+        except Exception as error:  # of a foreign detector
+            self._problem("detection failed", error)
+        finally:
+            self._slot.end()
+            self._end()
+
+    def _one(self, image: Image) -> None:
+        begun = system.perf_counter()
+        uv, confidence = self.points.of(image.pixels, image.time)
+        self._detection.append(system.perf_counter() - begun)
+        self._latency.append(self._now() - image.taken)
+        self.examined += 1
+        with self._changed:
+            self._samples.append(FrameSample(image.time, uv, confidence))
+            self._changed.notify_all()
+
+    def _problem(self, what: str, error: Any) -> None:
+        self.problems.append(f"{what} ({error or type(error).__name__})")
+
+
+_SLOW: Final = 0.5
+"""[s] Latency of a video from which on it is told of; then twice as much, and so on."""
+_FIRST_TOLD: Final = 30
+"""Dropped images of a webcam that are told of first; then twice as many, and so on."""
+
+
+class VideoSource:
+    """Source of the points of one person in a webcam's or a video's images; it may be started again.
+
+    Args:
+        source: number or device of a webcam, or a video file.
+        detector: gives the detector; by default the one at hand.
+        camera_px: width and height of the calibrated image; None: those of the video.
+        layout: of the detector's points; None: by their number.
+        now: clock of a webcam's stamps, s; with LSL its `local_clock`.
+    """
+
+    def __init__(
+        self,
+        source: str | Path | int,
+        detector: Callable[[], PersonDetector] = choose_detector,
+        *,
+        camera_px: tuple[int, int] | None = None,
+        layout: str | None = None,
+        replay: ReplayClock | None = None,
+        clock: Clock = Clock.COMMON,
+        now: Callable[[], float] = system.monotonic,
+    ):
+        self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
+        self.live = is_webcam(source)
+        """Whether it is a webcam."""
+        self._replay, self._clock, self._now = replay or ReplayClock(), clock, now
+        self._run: Examination | None = None
+        self._closed = False
+        self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
+
+    # --- what it says of itself --------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """Name of the file, or number of the webcam."""
+        return f"camera {self._source}" if self.live else Path(str(self._source)).name
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the time stamps."""
+        return self._clock
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """None."""
+        return ()
+
+    @property
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the points: the skeleton's landmarks, then the detector's own; known from `start` on."""
+        return () if self._run is None else self._run.points.names
+
+    @property
+    def finished(self) -> bool:
+        """Whether the video ended and all was polled."""
+        return self._closed or (self._run is not None and not self.live and self._run.ended)
+
+    @property
+    def latency_s(self) -> float:
+        """Median time from the taking of an image to its points, s; NaN before the first."""
+        return math.nan if self._run is None else self._run.latency_s
+
+    @property
+    def detection_s(self) -> float:
+        """Median time that detection takes for an image, s; NaN before the first."""
+        return math.nan if self._run is None else self._run.detection_s
+
+    @property
+    def dropped(self) -> int:
+        """Images of a webcam that were not examined."""
+        return 0 if self._run is None else self._run.dropped
+
+    # --- source ------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Open camera and detector, and begin to read, unless that is done.
+
+        Raises:
+            SourceError: there is no such camera, it is in use or not allowed, the file is no video, there is
+                no detector, or the images are not those of the calibrated camera.
+        """
+        if self._run is not None and not self._closed:
+            return
+        with ExitStack() as opened:
+            try:
+                images = opened.enter_context(closing(self._webcam() if self.live else self._file()))
+                first = next(images, None)
+                if first is None:
+                    raise SourceError(f"{self.name}: gives no image; see whether another program shows one")
+                detector = opened.enter_context(closing(self._detector()))
+                size = (first.pixels.shape[1], first.pixels.shape[0])
+                points = PersonPoints(detector, size, self._camera_px, self._layout)
+            except SourceError:
+                raise
+            except RtofError as error:
+                raise SourceError(f"{error}") from error
+            opened.pop_all()  # from here on the threads release them
+        self._tell_dropped, self._tell_late, self._closed = _FIRST_TOLD, _SLOW, False
+        self._run = Examination(images, first, detector, points, None if self.live else self._replay, self._now)
+
+    def poll(self) -> list[Sample]:
+        """Return the frames that were examined; without pace it waits for those of the clock's time.
+
+        Raises:
+            SourceError: the webcam stopped; it may be started again.
+        """
+        run = self._run
+        if run is None or self._closed:
+            return []
+        if not self.live:
+            return list(run.take(self._replay.now(self), wait=not self._replay.paced))
+        found = run.take()
+        if run.ended and not found:
+            why = run.problems.popleft() if run.problems else "it gives no further images"
+            raise SourceError(f"{self.name}: stopped: {why}; see whether it is connected")
+        return list(found)
+
+    def notices(self) -> list[str]:
+        """Return what was dropped or doubtful since the last call."""
+        run, told = self._run, list[str]()
+        if run is None:
+            return []
+        for said in (run.points.notices, *([] if self.live else [run.problems])):
+            while said:
+                told.append(said.popleft())
+        took = f"detection takes {1000 * run.detection_s:.0f} ms an image"
+        if self.live and run.dropped >= self._tell_dropped:
+            self._tell_dropped = 2 * run.dropped
+            count = run.dropped + run.examined
+            told.append(f"{run.dropped} of {count} images were not examined, as {took}")
+        if not self.live and self._replay.paced and run.latency_s >= self._tell_late:
+            self._tell_late = 2 * run.latency_s
+            told.append(
+                f"its points are {run.latency_s:.1f} s late and will be later, as {took}; lower the speed, "
+                "or take a faster detector"
+            )
+        return [f"{self.name}: {sentence}" for sentence in told]
+
+    def close(self) -> None:
+        """Stop the threads and release camera and detector."""
+        self._closed = True
+        if self._run is not None:
+            self._run.close()
+
+    # --- images ------------------------------------------------------------------------------------
+
+    def _file(self) -> Images:
+        """Generate the images of the file."""
+        seconds = read_video_metadata(str(self._source)).seconds
+        self._replay.cover(self.name, 0.0, np.inf if seconds is None else seconds)
+        for frame in read_video(str(self._source)):
+            yield Image(frame.time, frame.image, self._now())
+
+    def _webcam(self) -> Images:
+        """Generate the images of the webcam with the times at which they were taken."""
+        assert not isinstance(self._source, Path)
+        container, stream = open_webcam(self._source, self._camera_px)
+        with closing(container):
+            times = CaptureTimes()
+            for frame in images_of(container, stream):
+                taken = times(frame.time, self._now())
+                yield Image(taken, upright_image(frame, stream), taken)
+
+
+def is_webcam(source: str | Path | int) -> bool:
+    """Return whether a source is a webcam: a number or a device.
+
+    Args:
+        source: of `VideoSource`.
+    """
+    return isinstance(source, int) or str(source).startswith("/dev/video")

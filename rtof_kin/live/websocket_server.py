@@ -1,0 +1,409 @@
+"""`WebSocketServer`: estimates, states and messages as JSON for programs, and the live page for a browser.
+
+Each WebSocket message is one JSON text, told apart by its keys:
+
+============ ========================================================================================
+``skeleton`` first, once: `JointStates.description`, and ``floor_m``, height of the floor or null
+``header``   an estimate, see `joint_state`
+``status``   states of the streams, see `Monitor.status`
+``message``  a sentence
+============ ========================================================================================
+
+A client that connects gets the last state and the last messages. One that reads too slowly misses estimates,
+never delays them. Only who knows the token in the address may read, see `rtof_kin.core.local_door`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError, SourceError
+from rtof_kin.core.local_door import LOOPBACK, Door, response
+from rtof_kin.core.packages import optional
+from rtof_kin.data.poses import Provenance
+from rtof_kin.formats.joint_trajectory import ros_header, ros_transform
+from rtof_kin.live.samples import OnlineEstimate
+from rtof_kin.reporting.html import asset, fill, source_hash
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+
+Data = dict[str, Any]
+_LONGEST_STEP_S: Final = 0.25
+"""Time between two poses above which their difference says nothing about the velocity."""
+_DIGITS: Final = 5
+"""Digits after the point of joint positions, m."""
+
+
+class JointStates:
+    """Messages of successive estimates of one skeleton."""
+
+    def __init__(self, skeleton: SkeletonModel):
+        """Take the skeleton whose poses come."""
+        self._skeleton = skeleton
+        joints = skeleton.table.joints[1:]
+        index = [[skeleton.dof_names.index(dof.urdf) for dof in joint.dofs] for joint in joints]
+        self._index = np.array(index).reshape(-1, 3)
+        self._middle = skeleton.limits.mean(axis=1)
+        self._last: tuple[float, Array] | None = None
+
+    def description(self) -> Data:
+        """Return what the messages refer to: joints and their parents; revolutes with the joint they are of,
+        clinical name and its sign relative to the revolute; the meaning of the numbers of `provenance`.
+        """
+        skeleton = self._skeleton
+        dofs = {dof.urdf: (joint.name, dof) for joint in skeleton.table.joints for dof in joint.dofs}
+        return {
+            "name": skeleton.name,
+            "height_m": skeleton.height,
+            "joints": list(skeleton.names),
+            "parents": [int(parent) for parent in skeleton.parents],
+            "angles": [
+                {
+                    "name": name,
+                    "joint": joint,
+                    "clinical": dof.clinical.lstrip("-"),
+                    "sign": -1 if dof.clinical.startswith("-") else 1,
+                }
+                for name, (joint, dof) in ((name, dofs[name]) for name in skeleton.dof_names)
+            ],
+            "provenance": [member.name.lower().replace("_", " ") for member in Provenance],
+        }
+
+    def message(self, estimate: OnlineEstimate) -> Data:
+        """Return the message of an estimate, see the module.
+
+        Raises:
+            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """
+        poses, skeleton = estimate.poses, self._skeleton
+        skeleton.check_joints(poses.names)
+        time = float(poses.times[-1])
+        p = poses.p_world_joint[-1]
+        q = skeleton.inverse_kinematics(p[None], poses.R_world_bone[-1:])[0]
+        known = bool(np.isfinite(q).all())
+        header = ros_header(time)
+        return {
+            "header": header,
+            "name": list(skeleton.dof_names),
+            "position": self._near(q[7:], self._middle).tolist() if known else [],
+            "velocity": self._velocity(time, q[7:]) if known else [],
+            "effort": [],
+            "root": {
+                "header": header,
+                "child_frame_id": skeleton.root,
+                "transform": ros_transform(q.tolist()) if known else None,
+            },
+            "joints": {
+                "position": [
+                    row if finite else None
+                    for row, finite in zip(p.round(_DIGITS).tolist(), np.isfinite(p).all(axis=1).tolist(), strict=True)
+                ],
+                "valid": poses.valid[-1].tolist(),
+                "provenance": poses.provenance[-1].tolist(),
+            },
+            "lag_s": float(estimate.lag_s),
+            "frame_s": float(estimate.seconds),
+        }
+
+    def _near(self, angles: Array, reference: Array) -> Array:
+        """Return the equivalent angles (D,) nearest to others, rad."""
+        out = np.empty_like(angles)
+        out[self._index] = so3.euler_near(angles[self._index], reference[self._index])
+        return out
+
+    def _velocity(self, time: float, angles: Array) -> list[float]:
+        last, self._last = self._last, (time, angles)
+        if last is None or not 0 < time - last[0] <= _LONGEST_STEP_S:
+            return []
+        rates: list[float] = ((self._near(angles, last[1]) - last[1]) / (time - last[0])).tolist()
+        return rates
+
+
+_ASSETS: Final = Path(__file__).parent / "assets"
+_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js")
+"""Shared with the report."""
+
+
+@cache
+def _sources() -> tuple[str, str]:
+    """Return style sheet and script of the page."""
+    style = asset("page.css") + _own("live.css")
+    return style, "".join(map(asset, _SCRIPTS)) + _own("live.js")
+
+
+def _own(name: str) -> str:
+    return (_ASSETS / name).read_text(encoding="utf-8")
+
+
+def live_page() -> str:
+    """Return the page; it holds no data, which come over a WebSocket of the same host and port."""
+    style, script = _sources()
+    return fill(_own("live.html"), {"style": style, "script": script})
+
+
+def page_headers(host: str) -> dict[str, str]:
+    """Return HTTP headers of the page: it may run its own script, and connect to its own server only.
+
+    Args:
+        host: of the server, ``HOST:PORT`` as the browser names it; checked by the caller.
+    """
+    style, script = map(source_hash, _sources())
+    policy = (
+        f"default-src 'none'; script-src '{script}'; style-src '{style}'; img-src data:; "
+        f"connect-src ws://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    return {
+        "Content-Type": "text/html; charset=utf-8",
+        "Content-Security-Policy": policy,
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Referrer-Policy": "no-referrer",
+        "X-Content-Type-Options": "nosniff",
+        "Cache-Control": "no-store",
+    }
+
+
+_MESSAGES: Final = 100
+"""Messages kept for a client that connects or is slow."""
+_SEND_BUFFER_BYTES: Final = 1 << 16
+"""Asked of the system for each client: more would make a slow client see old poses."""
+_LONGEST_REQUEST: Final = 4096
+"""[bytes] of what a client says."""
+_PATIENCE_S: Final = 1.0
+"""For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
+_LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
+_LOG.addHandler(logging.NullHandler())
+_LOG.propagate = False  # else a broken request, as of a browser's spare connection, is printed
+
+
+class _Outbox:
+    """What one client has yet to get; used in the server's thread only."""
+
+    def __init__(self, texts: list[str]):
+        self._first = deque(texts)
+        self._messages: deque[str] = deque(maxlen=_MESSAGES)
+        self._latest: dict[str, str] = {}
+        self._filled = asyncio.Event()
+        self._filled.set()
+
+    def put_latest(self, kind: str, text: str) -> bool:
+        """Put a text in the place of one of its kind; return whether there was one."""
+        replaced = kind in self._latest
+        self._latest[kind] = text
+        self._filled.set()
+        return replaced
+
+    def put_message(self, text: str) -> None:
+        self._messages.append(text)
+        self._filled.set()
+
+    async def next(self) -> str:
+        """Wait for a text: the first ones, then messages, then the latest of each kind."""
+        while True:
+            for waiting in (self._first, self._messages):
+                if waiting:
+                    return waiting.popleft()
+            for kind in self._latest:
+                return self._latest.pop(kind)
+            self._filled.clear()
+            await self._filled.wait()
+
+
+class WebSocketServer:
+    """Serves the page at `url`, and estimates over WebSocket at the same port; a `Sink`."""
+
+    def __init__(self, skeleton: SkeletonModel, port: int = 0, host: str = LOOPBACK, floor_height: float | None = None):
+        """Open the port and begin to serve.
+
+        Args:
+            port: TCP port; 0: a free one, see `url`. host: address to listen at, this machine's alone by default.
+            floor_height: for the page, m.
+
+        Raises:
+            SourceError: the port is taken, or the host is not an address of this machine.
+            RtofError: the extra is not installed.
+        """
+        self._websockets = optional("websockets.asyncio.server", "live")
+        self._closed = optional("websockets.exceptions", "live").ConnectionClosed
+        self._skeleton, self._states = skeleton, JointStates(skeleton)
+        self._hello = _text({"skeleton": self._states.description(), "floor_m": floor_height})
+        self._clients: set[_Outbox] = set()
+        self._messages: deque[str] = deque(maxlen=_MESSAGES)
+        self._status: list[str] = []
+        self._lock = threading.Lock()
+        self._waiting: OnlineEstimate | None = None
+        self._dropped = 0
+        self._door = Door(host)
+        self._socket = _listening(host, port)
+        address, self._port = self._socket.getsockname()[:2]
+        self._address = f"[{address}]" if ":" in address else address
+        self._loop, self._stop = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="live page", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with a secret token; for WebSocket clients it begins with ``ws:``."""
+        return f"http://{self._address}:{self._port}{self._door.path}"
+
+    @property
+    def url_once(self) -> str:
+        """Address that leads to the page once, to start a browser with."""
+        return f"http://{self._address}:{self._port}{self._door.ticket}"
+
+    @property
+    def clients(self) -> int:
+        """Number of connected clients."""
+        return len(self._clients)
+
+    @property
+    def dropped(self) -> int:
+        """Number of estimates not sent because a client read too slowly, summed over clients."""
+        return self._dropped
+
+    def send(self, estimate: OnlineEstimate) -> None:
+        """Send an estimate to all clients; without clients nothing is done.
+
+        Raises:
+            UnknownNameError, InvalidInputError: its joints are not those of the skeleton.
+        """
+        self._skeleton.check_joints(estimate.poses.names)
+        if not self._clients:
+            return
+        with self._lock:
+            replaced, self._waiting = self._waiting, estimate
+        if replaced is None:
+            self._call(self._put_estimate)
+        else:
+            self._dropped += self.clients
+
+    def tell(self, sentence: str) -> None:
+        """Send a message to all clients, and to those that connect later."""
+        self._call(self._put_message, _text({"message": sentence}))
+
+    def send_status(self, status: Mapping[str, Any]) -> None:
+        """Send the states of the streams to all clients; the last ones also to those that connect later.
+
+        Args:
+            status: `Monitor.status`: plain values; ``sensors`` is a list, ``camera`` one, with ``name``,
+                ``state`` and ``sentence``.
+
+        Raises:
+            InvalidInputError: it is not plain, or has NaN.
+        """
+        self._call(self._put_status, _text({"status": dict(status)}))
+
+    def close(self) -> None:
+        """Stop; may be called twice."""
+        self._call(self._stop.set)
+        self._thread.join(5.0)
+
+    def _call(self, function: Callable[..., object], *arguments: Any) -> None:
+        """Have the server's thread call a function; nothing if it has ended."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    # --- the server's thread ---------------------------------------------------------------------
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        patience = {"open_timeout": _PATIENCE_S, "close_timeout": _PATIENCE_S}
+        async with self._websockets.serve(
+            self._attend,
+            sock=self._socket,
+            process_request=self._answer,
+            compression=None,
+            logger=_LOG,
+            server_header=None,
+            max_size=_LONGEST_REQUEST,
+            **patience,
+        ):
+            await self._stop.wait()
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        """Serve one client until it leaves; what it says is not used."""
+        box = _Outbox([self._hello, *self._status, *self._messages])
+        self._clients.add(box)
+        sender = asyncio.create_task(self._deliver(connection, box))
+        try:
+            with suppress(self._closed):
+                async for _ in connection:
+                    pass
+        finally:
+            self._clients.discard(box)
+            sender.cancel()
+
+    async def _deliver(self, connection: ServerConnection, box: _Outbox) -> None:
+        with suppress(self._closed):
+            while True:
+                await connection.send(await box.next())
+
+    def _put_estimate(self) -> None:
+        with self._lock:
+            estimate, self._waiting = self._waiting, None
+        if estimate is not None:
+            text = _text(self._states.message(estimate))
+            self._dropped += sum(box.put_latest("estimate", text) for box in self._clients)
+
+    def _put_status(self, text: str) -> None:
+        self._status = [text]
+        for box in self._clients:
+            box.put_latest("status", text)
+
+    def _put_message(self, text: str) -> None:
+        self._messages.append(text)
+        for box in self._clients:
+            box.put_message(text)
+
+    def _answer(self, _: ServerConnection, request: Request) -> Response | None:
+        """Return the page or a refusal; None lets a WebSocket client in."""
+        if (refused := self._door.answer(request)) is not None:
+            return refused
+        if request.headers.get_all("Upgrade"):
+            return None
+        if request.path != "/":
+            return response(HTTPStatus.NOT_FOUND, "there is only the page")
+        return response(HTTPStatus.OK, live_page(), page_headers(request.headers["Host"]))
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens."""
+    try:
+        if not 0 <= port < 1 << 16:
+            raise OSError("a port is a number up to 65535")
+        (family, *_, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        opened = socket.create_server(address[:2], family=family)
+    except OSError as error:
+        raise SourceError(
+            f"{host}:{port}: cannot serve there ({error}); end the other program, or give another port"
+        ) from error
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    return opened
+
+
+def _text(data: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(data, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"cannot be sent as JSON ({error}); give plain values, None for NaN") from error

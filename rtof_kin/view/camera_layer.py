@@ -1,0 +1,321 @@
+"""A camera in the scene: its frustum, the image in it, detected points and reprojected joints.
+
+All of it lies in one plane at some depth before the camera, so that a line from the camera's centre through
+a point meets the joint. Pixels are placed as if the lens had no distortion, like those of the image.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.packages import optional
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.view.legend import DETECTED, REPROJECTED
+from rtof_kin.vision.video_file import open_video, upright_image
+from rtof_kin.vision.video_metadata import slow_motion
+
+HEIGHT: Final = 360
+"""[px] Largest height of the images."""
+_AHEAD: Final = 2.0
+"""[s] Up to which images are decoded one after the other instead of sought."""
+_ROUNDING: Final = 0.004
+"""[s] By which a stamp may be before that of its image."""
+Image = NDArray[np.uint8]
+
+
+class VideoFrames:
+    """Decodes the image that was asked for last."""
+
+    def __init__(self, path: str | Path, receive: Callable[[Image], None]):
+        """Open the video and start the thread; end it with `close`.
+
+        Args:
+            receive: called in the thread with (height, width, 3) RGB images.
+
+        Raises:
+            FileFormatError: not a readable video, or one without times. RtofError: the extra is missing.
+        """
+        self.path, self._receive = Path(path), receive
+        self._wanted: float | None = None
+        self._changed = threading.Condition()
+        self._ended = False
+        self.problem: RtofError | None = None
+        with open_video(self.path) as (container, stream):
+            frame = next(container.decode(stream), None)
+            if frame is None or frame.time is None:
+                raise FileFormatError(self.path, "has no times of its images; convert it first")
+            self._first, self._slowed = float(frame.time), slow_motion(container, stream)
+            self.size = upright_image(frame, stream).shape[1::-1]
+        self._thread = threading.Thread(target=self._run, name=f"images of {self.path.name}", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def request(self, time: float) -> None:
+        """Ask for the image at a time; an earlier request that waits is dropped.
+
+        Args:
+            time: s since the first frame, real time, as `KeypointSequence.video_times`.
+        """
+        with self._changed:
+            self._wanted = time
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Stop."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+        self._thread.join(10.0)
+
+    def _run(self) -> None:
+        try:
+            with open_video(self.path) as (container, stream):
+                stream.thread_type = "AUTO"
+                self._serve(_Decoder(container, stream), stream)
+        except RtofError as error:
+            self.problem = error
+
+    def _serve(self, decoder: _Decoder, stream: Any) -> None:
+        while True:
+            with self._changed:
+                while self._wanted is None and not self._ended:
+                    self._changed.wait()
+                if self._ended:
+                    return
+                wanted, self._wanted = self._wanted, None
+            assert wanted is not None
+            frame = decoder.at(self._first + wanted * self._slowed)
+            if frame is not None:
+                self._receive(_small(upright_image(frame, stream)))
+
+
+class _Decoder:
+    """The last frame at or before a stamp, and the frames after it."""
+
+    def __init__(self, container: Any, stream: Any):
+        self._container, self._stream = container, stream
+        self._frames = container.decode(stream)
+        self._held: Any = None
+        self._next: Any = None
+        self._shown: Any = None
+
+    def at(self, stamp: float) -> Any:
+        """Return the frame shown at a stamp, s; None if it is the one returned last."""
+        av, held = optional("av", "video"), self._held
+        stamp += _ROUNDING
+        if held is None or not held.time <= stamp <= held.time + _AHEAD:
+            self._container.seek(int(stamp / self._stream.time_base), stream=self._stream, backward=True)
+            self._frames, self._held, self._next = self._container.decode(self._stream), None, None
+        try:
+            self._advance(stamp)
+        except (av.InvalidDataError, av.EOFError):
+            self._frames = iter(())
+        if self._held is self._shown:
+            return None
+        self._shown = self._held
+        return self._held
+
+    def _advance(self, stamp: float) -> None:
+        while True:
+            if self._next is None:
+                self._next = next((f for f in self._frames if f.time is not None), None)
+            if self._next is None or (self._held is not None and self._next.time > stamp + 1e-6):
+                return
+            self._held, self._next = self._next, None
+
+
+def _small(image_bgr: Image) -> Image:
+    """Return an image of at most `HEIGHT`, RGB, by means over blocks of pixels."""
+    step = max(int(np.ceil(image_bgr.shape[0] / HEIGHT)), 1)
+    h, w = (side // step * step for side in image_bgr.shape[:2])
+    if step > 1:
+        parts = image_bgr[:h, :w].reshape(h // step, step, w // step, step, 3)
+        image_bgr = parts.mean(axis=(1, 3), dtype=np.float32).astype(np.uint8)
+    return np.ascontiguousarray(image_bgr[..., ::-1])
+
+
+DEPTH: Final = 0.6
+"""[m] of the image before the camera."""
+_EDGES: Final = (40, 40, 48)
+_POINT: Final = 0.009
+"""Size of a point relative to the depth."""
+_BEHIND: Final = 1.003
+"""Depth of the image relative to that of the points."""
+
+
+@dataclass(frozen=True)
+class CameraBlock:
+    """Points and pose of one camera in the frames of a block."""
+
+    R_world_camera: Array
+    """(n, 3, 3) of the video's camera; NaN where a handheld one's is unknown."""
+    detected: Array
+    """(n, L, 3) points at depth 1 in camera axes; NaN where missing."""
+    reprojected: Array
+    """(n, J, 3) joints of the motion at depth 1 in camera axes; NaN where missing."""
+
+
+def video_camera(view: KeypointSequence) -> Camera:
+    """Return the camera whose images the video has, with the pose of the mean orientation."""
+    return view.camera if view.turning is None else view.turning.camera
+
+
+def camera_block(view: KeypointSequence, p_world: Array) -> CameraBlock:
+    """Return what is drawn of a camera.
+
+    Args:
+        p_world: (n, J, 3) m, joints of the motion in them.
+    """
+    camera, frames = video_camera(view), np.arange(len(view))
+    R_world_still = view.camera.R_camera_world.T
+    R = np.broadcast_to(R_world_still, (len(view), 3, 3))
+    if view.turning is not None:
+        R = R_world_still @ view.turning.R_still_camera
+    return CameraBlock(
+        R, _at_depth_one(camera, view.in_video(frames)), _at_depth_one(camera, view.project(p_world, frames))
+    )
+
+
+def _at_depth_one(camera: Camera, uv_px: Array) -> Array:
+    """Return points (..., 3) of the image plane at depth 1; NaN outside the image."""
+    size = np.array([camera.width_px, camera.height_px])
+    with np.errstate(invalid="ignore"):
+        inside = ((uv_px >= 0) & (uv_px <= size)).all(axis=-1, keepdims=True)
+    uv = np.where(inside, uv_px, np.nan)
+    xy = (uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+    return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
+
+class CameraLayer:
+    """Frustum of one camera with its image and points."""
+
+    def __init__(self, server: Any, name: str, view: KeypointSequence, label: str):
+        """Add the camera to the scene.
+
+        Args:
+            view: any frames of the camera.
+        """
+        self.camera = video_camera(view)
+        self.center = view.camera.center_world
+        self._depth = DEPTH
+        corners = self._corners()
+        edges = [(np.zeros(3), corner) for corner in corners]
+        edges += [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+        scene = server.scene
+        self.edges = scene.add_line_segments(
+            f"{name}/frustum", np.array(edges, dtype=np.float32), _EDGES, thickness=1.5, thickness_units="screen"
+        )
+        points = {"detected": (DETECTED, "circle", 1.0), "reprojected": (REPROJECTED, "diamond", 0.8)}
+        self.points = {
+            what: scene.add_point_cloud(
+                f"{name}/{what}",
+                np.zeros((0, 3), dtype=np.float32),
+                colour,
+                point_size=size * _POINT,
+                point_shape=shape,
+                precision="float32",
+                point_shading="flat",
+            )
+            for what, (colour, shape, size) in points.items()
+        }
+        self.label = scene.add_label(f"{name}/label", label, anchor="bottom-center")
+        self.image: Any = None
+        self._server, self._name, self._image_visible = server, name, True
+        self._show_pose(view.camera.R_camera_world.T)
+
+    @property
+    def vertical_view(self) -> float:
+        """Vertical angle of view, rad."""
+        return 2 * float(np.arctan(self.camera.height_px / 2 / self.camera.K[1, 1]))
+
+    @property
+    def R_world_camera(self) -> Array:
+        """(3, 3) orientation that is shown."""
+        return self._R
+
+    def show(self, block: CameraBlock, i: int, depth: float = DEPTH) -> None:
+        """Show one frame.
+
+        Args:
+            depth: of the image before the camera, m.
+        """
+        self._depth = depth
+        self._show_pose(block.R_world_camera[i])
+        for what, points in (("detected", block.detected[i]), ("reprojected", block.reprojected[i])):
+            seen = points[np.isfinite(points).all(axis=-1)]
+            self.points[what].points = seen.astype(np.float32)
+
+    def show_image(self, image: NDArray[np.uint8]) -> None:
+        """Show an image in the frustum.
+
+        Args:
+            image: (height, width, 3) RGB, of the whole upright video image at any size.
+        """
+        if self.image is None:
+            camera = self.camera
+            quat, position, depth = self._image_pose()
+            self.image = self._server.scene.add_image(
+                f"{self._name}/image",
+                image,
+                camera.width_px / camera.K[0, 0],
+                camera.height_px / camera.K[1, 1],
+                format="jpeg",
+                cast_shadow=False,
+                receive_shadow=False,
+                visible=self._image_visible,
+                wxyz=quat,
+                position=position,
+                scale=depth,
+            )
+        else:
+            self.image.image = image
+
+    def set_visible(self, what: str, visible: bool) -> None:
+        """Show or hide a part."""
+        if what == "image":
+            self._image_visible = visible
+            if self.image is not None:
+                self.image.visible = visible
+        elif what == "frustum":
+            self.edges.visible = self.label.visible = visible
+        else:
+            self.points[what].visible = visible
+
+    def _corners(self) -> list[Array]:
+        """Return the four corners of the image at depth 1, in order around it."""
+        w, h = self.camera.width_px, self.camera.height_px
+        return [_at_depth_one(self.camera, np.array(uv, float)) for uv in ((0, 0), (w, 0), (w, h), (0, h))]
+
+    def _show_pose(self, R_world_camera: Array) -> None:
+        """Turn all parts; with an unknown orientation the camera keeps its last one."""
+        if np.isfinite(R_world_camera).all():
+            self._R = R_world_camera
+        quat, depth = so3.to_quat_wxyz(self._R), self._depth
+        for handle in (self.edges, *self.points.values()):
+            handle.wxyz, handle.position = quat, self.center
+            handle.scale = depth
+        self.label.position = self.center + 0.06 * np.array([0, 0, 1.0])
+        if self.image is not None:
+            self.image.wxyz, self.image.position, self.image.scale = self._image_pose()
+
+    def _image_pose(self) -> tuple[Array, Array, float]:
+        """Return orientation, position and scale of the image, just behind the points."""
+        middle = np.mean(self._corners(), axis=0)
+        position = self.center + _BEHIND * self._depth * self._R @ middle
+        return so3.to_quat_wxyz(self._R), position, self._depth

@@ -1,0 +1,410 @@
+"""Anti-aliased drawing on an image, in place: lines, discs, ellipses, boxes and text.
+
+The coverage of a pixel follows from its distance to the shape, so that shapes lie exactly where they are
+asked for, also between pixels. The centre of the first pixel is (0, 0), as in OpenCV's cameras.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.packages import optional
+from rtof_kin.view.legend import Rgb
+
+Image = NDArray[np.uint8]
+Coverage = NDArray[np.float32]
+_POINT: Final = 1e-9
+"""Length below which a line is a disc, px."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """How a line or disc is drawn."""
+
+    colour: Rgb
+    radius: float
+    """Half width, px."""
+    edge: Rgb | None = None
+    """Colour of the edge around it; None for no edge."""
+    edge_width: float = 0.0
+    """Width of that edge, px."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle of whole pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @property
+    def right(self) -> int:
+        """First column right of it."""
+        return self.left + self.width
+
+    @property
+    def bottom(self) -> int:
+        """First row below it."""
+        return self.top + self.height
+
+    def overlaps(self, other: Box) -> bool:
+        """Return whether two boxes share a pixel."""
+        return (
+            self.left < other.right and other.left < self.right and self.top < other.bottom and other.top < self.bottom
+        )
+
+    def inside(self, other: Box) -> bool:
+        """Return whether no pixel lies outside another box."""
+        return (
+            self.left >= other.left
+            and self.top >= other.top
+            and self.right <= other.right
+            and self.bottom <= other.bottom
+        )
+
+
+class Canvas:
+    """An image that is drawn on; what lies outside of it is cut."""
+
+    def __init__(self, image: Image):
+        """Take the image (height, width, 3), BGR, that is changed."""
+        self.image = image
+
+    @property
+    def box(self) -> Box:
+        """The whole image."""
+        return Box(0, 0, self.image.shape[1], self.image.shape[0])
+
+    def line(self, start: Sequence[float] | Array, end: Sequence[float] | Array, stroke: Stroke) -> None:
+        """Draw a line with round ends; nothing if an end is not finite.
+
+        Args:
+            start, end: (2,) px.
+        """
+        (ax, ay), (bx, by) = map(float, start), map(float, end)
+        margin = stroke.radius + stroke.edge_width + 1
+        grid = self._grid(min(ax, bx), min(ay, by), max(ax, bx), max(ay, by), margin)
+        if grid is None:
+            return
+        x, y, patch = grid
+        x, y, length = x - ax, y - ay, math.hypot(bx - ax, by - ay)
+        if length < _POINT:
+            _fill(patch, x * x + y * y, stroke)
+            return
+        ux, uy = (bx - ax) / length, (by - ay) / length
+        along, across = x * ux + y * uy, y * ux - x * uy
+        along -= np.minimum(np.maximum(along, 0), length)
+        _fill(patch, along * along + across * across, stroke)
+
+    def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
+        """Draw a disc; nothing if its centre is not finite.
+
+        Args:
+            centre: (2,) px. stroke: how; its radius is the disc's.
+        """
+        self.line(centre, centre, stroke)
+
+    def cross(self, centre: Sequence[float] | Array, arm: float, stroke: Stroke) -> None:
+        """Draw a diagonal cross.
+
+        Args:
+            centre: (2,) px. arm: half its width, px.
+        """
+        x, y = map(float, centre)
+        for rise in (arm, -arm):
+            self.line((x - arm, y - rise), (x + arm, y + rise), stroke)
+
+    def ellipse(self, centre: Sequence[float] | Array, shape: Array, stroke: Stroke, fill: float) -> None:
+        """Draw an ellipse with a translucent interior; nothing if it is not finite or larger than the image.
+
+        Args:
+            centre: (2,) px. shape: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``.
+            fill: opacity of the interior, 0 to 1.
+        """
+        cx, cy = map(float, centre)
+        if not np.isfinite(shape).all():
+            return
+        values, vectors = np.linalg.eigh(shape + 0.25 * np.eye(2))  # not thinner than a pixel
+        axes = np.sqrt(np.maximum(values, 0.25))
+        if axes.max() > 2 * max(self.image.shape):
+            return
+        reach = np.sqrt((axes**2 * vectors**2).sum(axis=1))
+        left, top, right, bottom = cx - reach[0], cy - reach[1], cx + reach[0], cy + reach[1]
+        grid = self._grid(left, top, right, bottom, stroke.radius + 1)
+        if grid is None:
+            return
+        x, y, patch = grid
+        x, y = x - cx, y - cy
+        u, v = (float(vectors[0, k] / axes[k]) * x + float(vectors[1, k] / axes[k]) * y for k in (0, 1))
+        level = np.sqrt(u * u + v * v)
+        slope = np.sqrt((u / axes[0]) ** 2 + (v / axes[1]) ** 2) / np.maximum(level, 1e-6)
+        distance = (level - 1) / np.maximum(slope, 1e-6)
+        inside = np.clip(0.5 - distance, 0, 1) * fill
+        border = np.clip(stroke.radius + 0.5 - np.abs(distance), 0, 1)
+        _blend(patch, np.maximum(inside, border).astype(np.float32), stroke.colour)
+
+    def shade(self, box: Box, colour: Rgb, opacity: float) -> None:
+        """Cover a box with a translucent colour.
+
+        Args:
+            opacity: 0 to 1.
+        """
+        patch = self.image[max(box.top, 0) : max(box.bottom, 0), max(box.left, 0) : max(box.right, 0)]
+        levels = np.arange(256)[:, None] * (1 - opacity) + np.array(colour[::-1]) * opacity + 0.5
+        for channel in range(3):
+            patch[..., channel] = np.take(levels[:, channel].astype(np.uint8), patch[..., channel])
+
+    def stamp(self, left: int, top: int, coverage: Coverage, colour: Rgb) -> None:
+        """Blend a colour where a mask says so.
+
+        Args:
+            left, top: where the mask's first pixel lies, px. coverage: (h, w), 0 to 1.
+        """
+        height, width = coverage.shape
+        x, y = max(left, 0), max(top, 0)
+        patch = self.image[y : max(top + height, 0), x : max(left + width, 0)]
+        cut = coverage[y - top : y - top + patch.shape[0], x - left : x - left + patch.shape[1]]
+        _blend(patch, cut, colour)
+
+    def _grid(
+        self, left: float, top: float, right: float, bottom: float, margin: float
+    ) -> tuple[Any, Any, Image] | None:
+        """Return columns (w,), rows (h, 1) and the part of the image around a box; None if empty or NaN."""
+        if not math.isfinite(left + top + right + bottom):
+            return None
+        height, width = self.image.shape[:2]
+        x0, y0 = max(math.floor(left - margin), 0), max(math.floor(top - margin), 0)
+        x1, y1 = min(math.ceil(right + margin) + 1, width), min(math.ceil(bottom + margin) + 1, height)
+        if x1 <= x0 or y1 <= y0:
+            return None
+        x = np.arange(x0, x1, dtype=np.float32)
+        y = np.arange(y0, y1, dtype=np.float32)[:, None]
+        return x, y, self.image[y0:y1, x0:x1]
+
+
+def _fill(patch: Image, squared: Any, stroke: Stroke) -> None:
+    """Blend a stroke by each pixel's squared distance from its middle, px^2."""
+    edge_width = stroke.edge_width if stroke.edge is not None else 0.0
+    reach = stroke.radius + edge_width + 0.5
+    where = np.nonzero(squared < reach * reach)
+    near = np.sqrt(squared[where])[:, None]
+    pixels = patch[where].astype(np.float32)
+    if stroke.edge is not None:
+        pixels += np.minimum(reach - near, 1) * (_bgr(stroke.edge) - pixels)
+    inner = np.minimum(np.maximum(stroke.radius + 0.5 - near, 0), 1)
+    pixels += inner * (_bgr(stroke.colour) - pixels)
+    patch[where] = pixels + 0.5
+
+
+@cache
+def _bgr(colour: Rgb) -> NDArray[np.float32]:
+    return np.array(colour[::-1], dtype=np.float32)
+
+
+def _blend(patch: Image, coverage: Coverage, colour: Rgb) -> None:
+    where = np.nonzero(coverage > 0)
+    pixels = patch[where].astype(np.float32)
+    pixels += coverage[where][:, None] * (_bgr(colour) - pixels)
+    patch[where] = pixels + 0.5
+
+
+_CACHED: Final = 500
+"""Texts whose masks are kept."""
+_MORE: Final = " …"
+
+
+class Lettering:
+    """A font of one size."""
+
+    def __init__(self, size_px: int):
+        """Take the size of the font, px."""
+        self.size_px = size_px
+        self._masks: dict[str, Coverage] = {}
+
+    @cached_property
+    def _font(self) -> Any:
+        matplotlib = optional("matplotlib", "view", "text on a picture")
+        from PIL import ImageFont
+
+        path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+        return ImageFont.truetype(str(path), self.size_px, layout_engine=ImageFont.Layout.BASIC)
+
+    @cached_property
+    def line_height(self) -> int:
+        """Height of a line, px."""
+        ascent, descent = self._font.getmetrics()
+        return int(ascent + descent)
+
+    def width(self, text: str) -> int:
+        """Return the width of a text, px."""
+        return int(np.ceil(self._font.getlength(text)))
+
+    def mask(self, text: str) -> Coverage:
+        """Return the coverage (line height, width), 0 to 1, of a text."""
+        if text not in self._masks:
+            if len(self._masks) >= _CACHED:
+                self._masks.clear()
+            self._masks[text] = self._drawn(text)
+        return self._masks[text]
+
+    def _drawn(self, text: str) -> Coverage:
+        from PIL import Image, ImageDraw
+
+        image = Image.new("L", (max(self.width(text), 1), self.line_height))
+        ImageDraw.Draw(image).text((0, 0), text, fill=255, font=self._font)
+        return np.asarray(np.asarray(image) / np.float32(255), dtype=np.float32)
+
+    def wrap(self, text: str, width: int, lines: int) -> list[str]:
+        """Break a text into lines; what does not fit ends with an ellipsis.
+
+        Args:
+            width: of a line, px.
+        """
+        out = [""]
+        words = text.split()
+        for i, word in enumerate(words):
+            longer = f"{out[-1]} {word}".strip()
+            if self.width(longer) <= width or not out[-1]:
+                out[-1] = longer
+            elif len(out) < lines:
+                out.append(word)
+            else:
+                out[-1] = " ".join([out[-1], *words[i:]])
+                break
+        return [self.shortened(line, width) for line in out]
+
+    def shortened(self, text: str, width: int) -> str:
+        """Return a text that fits, cut with an ellipsis where needed.
+
+        Args:
+            width: px.
+        """
+        if self.width(text) <= width:
+            return text
+        while text and self.width(text + _MORE) > width:
+            text = text[: max(len(text) - max(1, len(text) // 20), 0)]
+        return (text.rstrip() + _MORE).strip()
+
+
+Offset = tuple[int, int]
+_DISTANCES: Final = (1.0, 1.7, 2.6, 4.0, 6.0)
+"""Distances of a label from its point that are tried, in heights of a line."""
+_HEIGHTS: Final = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
+"""Vertical displacements that are tried, in heights of a line."""
+_TOLERATED: Final = 2
+"""Points that a label may cover before it leaves its place."""
+_MISTAKEN: Final = 3
+"""Points that a label rather covers than to stand nearer to the point of another label than to its own."""
+_NOTHING: Final = np.zeros((0, 2))
+
+
+@dataclass(frozen=True)
+class Label:
+    """A label that is to be placed."""
+
+    name: str
+    """Of the label, the same in every frame."""
+    x: float
+    """Column of its point, px."""
+    y: float
+    """Row of its point, px."""
+    width: int
+    """px."""
+    height: int
+    """px."""
+    leftwards: bool = False
+    """Whether the left of the point is preferred."""
+
+
+@dataclass
+class LabelLayout:
+    """Places labels frame by frame; a label keeps its place beside its point while it can."""
+
+    _last: dict[str, Offset] = field(default_factory=dict)
+
+    def place(
+        self, labels: Sequence[Label], picture: Box, avoided: Array = _NOTHING, taken: Sequence[Box] = ()
+    ) -> dict[str, Box]:
+        """Return a box for each label; a label for which there is no room is left out.
+
+        Args:
+            avoided: (n, 2) px, points that are covered only where there is no other room. taken: boxes to keep free.
+        """
+        used = list(taken)
+        out: dict[str, Box] = {}
+        for label in labels:
+            others = np.array([(one.x, one.y) for one in labels if one is not label]).reshape(-1, 2)
+            found = self._best(label, picture, avoided, used, others)
+            if found is not None:
+                self._last[label.name], out[label.name] = found
+                used.append(found[1])
+        return out
+
+    def _best(
+        self, label: Label, picture: Box, avoided: Array, used: Sequence[Box], others: Array
+    ) -> tuple[Offset, Box] | None:
+        """Return the place of a label that covers the fewest points and is nearest to its own; the last one
+        while it covers few.
+        """
+        last = self._last.get(label.name)
+        best: tuple[Offset, Box] | None = None
+        fewest = len(avoided) + _MISTAKEN + 1
+        for offset in _offsets(label, last):
+            left = min(max(round(label.x) + offset[0], picture.left), picture.right - label.width)
+            box = Box(left, round(label.y) + offset[1], label.width, label.height)
+            if not box.inside(picture) or any(map(box.overlaps, used)):
+                continue
+            covered = _covered(box, avoided) + _MISTAKEN * _mistaken(label, box, others, offset == last)
+            if covered == 0 or (offset == last and covered <= _TOLERATED):
+                return offset, box
+            if covered < fewest:
+                best, fewest = (offset, box), covered
+        return best
+
+
+def _covered(box: Box, points: Array) -> int:
+    """Return the number of points (n, 2) in a box; NaN is in none."""
+    u, v = points.T
+    inside = (u >= box.left) & (u < box.right) & (v >= box.top) & (v < box.bottom)
+    return int(np.count_nonzero(inside))
+
+
+def _mistaken(label: Label, box: Box, others: Array, kept: bool) -> bool:
+    """Return whether a label seems to be that of another point (n, 2); if kept, only where this is clear."""
+    own = _distance(box, np.array([[label.x, label.y]]))[0]
+    return bool((_distance(box, others) < (0.5 if kept else 1.0) * own).any())
+
+
+def _distance(box: Box, points: Array) -> Array:
+    """Return the distances (n,) px of points (n, 2) from a box; 0 inside."""
+    u, v = points.T
+    across = np.maximum(np.maximum(box.left - u, u - box.right), 0.0)
+    down = np.maximum(np.maximum(box.top - v, v - box.bottom), 0.0)
+    out: Array = np.hypot(across, down)
+    return out
+
+
+def _offsets(label: Label, last: Offset | None) -> Iterator[Offset]:
+    """Generate offsets of a label's corner from its point, the best first."""
+    if last is not None:
+        yield last
+    sides = (-1, 1) if label.leftwards else (1, -1)
+    for distance in _DISTANCES:
+        for side in sides:
+            dx = round(distance * label.height)
+            x = dx if side > 0 else -dx - label.width
+            for rise in _HEIGHTS:
+                yield x, round((rise * 1.1 - 0.5) * label.height)
+    for rise in (1.5, -2.5, 3.0, -4.0):
+        yield -label.width // 2, round(rise * label.height)

@@ -1,0 +1,227 @@
+"""Curves of chosen clinical angles below the scene, with a cursor at the time that is shown.
+
+Every frame is a dot, so that a gap of unobserved angles stays a gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.clinical.angle_table import angle_table
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
+from rtof_kin.core.array_types import Array
+from rtof_kin.data.confidence import BAND_95
+from rtof_kin.view.blocks import BlockCache, MotionBlocks
+from rtof_kin.view.legend import curves_html
+
+WHOLE_S: Final = 300.0
+"""[s] Longest motion whose angles are computed at once, as by `analyse`."""
+_PART_S: Final = 60.0
+_MOVES: Final = np.radians(1.0)
+"""[rad] Range of a hinge beyond which constant other angles are seen to be fixed."""
+_MARGIN_S: Final = 8.0
+"""[s] before and after a part, so that a window of it is whole."""
+
+
+class AngleBlocks:
+    """Angles by name, computed for the whole motion or for parts of it.
+
+    Of a hinge of the model the other two angles are constant, which shows only while it moves: of a motion in
+    parts they are left out until a part has shown that they vary.
+
+    Attributes:
+        names: of the angles. labels: the same with spaces. in_parts: whether the motion is too long to be
+            computed at once.
+    """
+
+    def __init__(self, motion: MotionBlocks):
+        """Compute nothing yet."""
+        self._motion = motion
+        table = angle_table(motion.skeleton.table)
+        self.names = tuple(row.name for row in table.rows)
+        self.labels = tuple(row.label for row in table.rows)
+        self._hinges = [3 * number for number, joint in enumerate(table.joints) if joint.hinge]
+        self._doubtful = {first + k for first in self._hinges for k in (1, 2)}
+        self.in_parts = motion.times[-1] - motion.times[0] > WHOLE_S
+        size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
+        self._blocks = BlockCache(len(motion), self._available, self._compute, max(size, 1))
+
+    def part(self, frame: int, seconds: float = 0.0) -> ClinicalAngles | None:
+        """Return the angles of the part of the motion around a frame; None while they are computed.
+
+        Raises:
+            RtofError: the motion cannot be read.
+        """
+        found = self._blocks.at(frame, seconds)
+        if found is None or not self.in_parts:
+            return None if found is None else found[0]
+        values = found[0].values.copy()
+        values[:, sorted(self._doubtful)] = np.nan
+        return replace(found[0], values=values)
+
+    def close(self) -> None:
+        """Stop computing."""
+        self._blocks.close()
+
+    def _available(self) -> int:
+        if self._motion.available == len(self._motion):
+            return len(self._motion)
+        margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
+        return max(self._motion.available - margin, 0)
+
+    def _compute(self, start: int, stop: int) -> ClinicalAngles:
+        margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
+        found = clinical_angles(self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion))))
+        for first in self._hinges:
+            values = found.values[:, first : first + 3]
+            known = np.isfinite(values[:, 0])
+            if known.any() and np.ptp(values[known, 0]) > _MOVES:
+                self._doubtful -= {first + k for k in (1, 2) if np.isfinite(values[:, k]).any()}
+        return found
+
+
+WINDOW: Final = 5.0
+"""[s] shown before and after the cursor."""
+COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))
+"""RGB of the curves (Okabe and Ito, 2008)."""
+_NONE: Final = "none"
+_FIRST: Final = ("right_knee_flexion", "left_knee_flexion")
+"""Angles that are shown at the start."""
+_LEAST_SPAN: Final = 10.0
+"""[deg] of the vertical axis."""
+_EMPTY: Final = (0.0, 10.0)
+"""[deg] Range of the vertical axis of no curve."""
+_AXES: Final = (
+    {"label": "time [s]", "labelSize": 16, "size": 32},
+    {"label": "angle [deg]", "labelSize": 18, "size": 44},
+)
+_WIDEST_BAND: Final = 30.0
+"""[deg] Half width of a band up to which it fits the vertical axis."""
+_PER_CURVE: Final = 3
+"""Series of a curve: value, lower and upper limit of the 95 % band."""
+
+
+class Curves:
+    """Panel with up to three curves."""
+
+    def __init__(self, server: Any, angles: AngleBlocks):
+        """Add the panel."""
+        self._angles, self.changed = angles, True
+        gui = server.gui
+        self._shown_limits = _EMPTY
+        panel = gui.add_panel()
+        with panel.add_tab("joint angles"):
+            self._legend = gui.add_html("")
+            empty = tuple(np.full(2, np.nan) for _ in range(1 + _PER_CURVE * len(COLOURS)))
+            self._plot = gui.add_uplot(
+                (np.array([0.0, 1.0]), *empty),
+                _series(),
+                scales=_scales(_EMPTY),
+                axes=_AXES,
+                legend={"show": False},
+                height=150,
+                padding=(6, 14, 0, 0),
+            )
+        options = (_NONE, *angles.labels)
+        first = [angles.labels[angles.names.index(name)] for name in _FIRST if name in angles.names]
+        self._choices = []
+        with panel.add_tab("choose"):
+            for number in range(len(COLOURS)):
+                initial = first[number] if number < len(first) else _NONE
+                choice = gui.add_dropdown(f"curve {number + 1}", options, initial_value=initial)
+                choice.on_update(lambda _: self._choose())
+                self._choices.append(choice)
+        panel.float(x=15, y=-15, width=480)
+        self._choose()
+
+    @property
+    def chosen(self) -> tuple[str | None, ...]:
+        """Names of the chosen angles; None where there is none."""
+        labels = [choice.value for choice in self._choices]
+        return tuple(
+            None if label == _NONE else self._angles.names[self._angles.labels.index(label)] for label in labels
+        )
+
+    def show(self, frame: int, time: float, seconds: float = 0.0) -> bool:
+        """Show the curves around a time; return False while they are computed.
+
+        Args:
+            time: of it, s.
+
+        Raises:
+            RtofError: the motion cannot be read.
+        """
+        if all(name is None for name in self.chosen):
+            none = np.full(2, np.nan)
+            series = [none] * (_PER_CURVE * len(COLOURS))
+            self._plot.data = _data(np.array([time - WINDOW, time + WINDOW]), series, time, _EMPTY)
+            return True
+        found = self._angles.part(frame, seconds)
+        if found is None:
+            return False
+        bands: list[Array] = []
+        for name in self.chosen:
+            column = None if name is None else self._angles.names.index(name)
+            values = half = np.full(len(found), np.nan)
+            if column is not None:
+                values = np.degrees(found.values[:, column])
+                if found.sigma is not None:
+                    half = BAND_95 * np.degrees(found.sigma[:, column])
+            bands += [values, values - half, values + half]
+        limits = _limits(np.array(bands).reshape(len(self._choices), _PER_CURVE, -1))
+        near = slice(*np.searchsorted(found.times, [time - WINDOW, time + WINDOW]).tolist())
+        self._scale(limits)
+        self._plot.data = _data(found.times[near], [band[near] for band in bands], time, limits)
+        return True
+
+    def _scale(self, limits: tuple[float, float]) -> None:
+        """Fix the vertical axis; viser draws the plot anew where it changes."""
+        if limits != self._shown_limits:
+            self._shown_limits = limits
+            self._plot.scales = _scales(limits)
+
+    def _choose(self) -> None:
+        self.changed = True
+        self._legend.content = curves_html(
+            [(COLOURS[i], c.value) for i, c in enumerate(self._choices) if c.value != _NONE], self._angles.in_parts
+        )
+
+
+def _scales(limits: tuple[float, float]) -> dict[str, Any]:
+    return {"x": {"time": False}, "y": {"range": limits}}
+
+
+def _limits(curves: Array) -> tuple[float, float]:
+    """Return the range of the vertical axis, deg, for curves (C, 3, n) of a whole part of the motion: all
+    values, and their bands where these are narrow.
+    """
+    values = curves[:, :1]
+    shown = np.clip(curves, values - _WIDEST_BAND, values + _WIDEST_BAND)
+    known = shown[np.isfinite(shown)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else _EMPTY
+    pad = max(0.05 * (high - low), (_LEAST_SPAN - (high - low)) / 2)
+    return float(np.floor((low - pad) / 5) * 5), float(np.ceil((high + pad) / 5) * 5)
+
+
+def _data(times: Array, series: list[Array], now: float, limits: tuple[float, float]) -> tuple[Array, ...]:
+    """Return the columns of the plot: times, series and the cursor, a vertical line at `now`."""
+    place = int(np.searchsorted(times, now))
+    x = np.insert(times, [place, place], [now, now])
+    cursor = np.full(len(x), np.nan)
+    cursor[place : place + 2] = limits
+    return (x, *(np.insert(column, [place, place], np.nan) for column in series), cursor)
+
+
+def _series() -> tuple[dict[str, Any], ...]:
+    clear = "rgba(0,0,0,0)"
+    out: list[dict[str, Any]] = [{"label": "time [s]"}]
+    for colour in COLOURS:
+        for opacity, size in ((1.0, 3.0), (0.35, 2.0), (0.35, 2.0)):
+            dot = f"rgba({colour[0]},{colour[1]},{colour[2]},{opacity})"
+            points = {"show": True, "size": size, "width": 0, "fill": dot, "stroke": dot, "space": 0}
+            out.append({"label": "", "stroke": clear, "width": 0, "points": points})
+    out.append({"label": "now", "stroke": "rgb(40,40,48)", "width": 1.5, "points": {"show": False}})
+    return tuple(out)

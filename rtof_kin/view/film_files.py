@@ -1,0 +1,405 @@
+"""Pictures that a motion is drawn on: the frames of a video, or a plain background."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import InvalidInputError, RtofError, WritingError
+from rtof_kin.core.packages import optional
+from rtof_kin.view.canvas import Image
+from rtof_kin.view.overlay_settings import Background
+from rtof_kin.view.projected_motion import PictureView
+from rtof_kin.vision.video import read_video
+from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
+
+_COLOURS: Final[dict[Background, int]] = {"white": 255, "dark": 32}
+_ASPECT: Final = 0.01
+"""Largest relative difference of aspect ratios of the same picture: encoders cut or add some pixels."""
+_ROUNDING_PX: Final = 2.0
+"""Largest difference of a side by rounding."""
+_USUAL_HZ: Final = 30.0
+"""Assumed of a video that does not state its frame rate."""
+_RATE: Final = 0.02
+"""Largest relative difference of frame rates that is not pointed out."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture to be drawn on."""
+
+    image: Image
+    """(height, width, 3), BGR."""
+    time: float
+    """s, on the clock of --from and --to."""
+    stamp: float
+    """s, in the file that is written."""
+    index: int
+    """Counted from 0."""
+    total: int
+    """Number of pictures; 0 where unknown."""
+
+
+class FilmSource(Protocol):
+    """Where pictures come from."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the pictures in the file that is written, Hz."""
+        ...
+
+    def pictures(self) -> Iterator[Picture]:
+        """Generate the pictures."""
+        ...
+
+
+@dataclass(frozen=True)
+class VideoSource:
+    """The frames of a video file, upright."""
+
+    path: Path
+    """The video."""
+    metadata: VideoMetadata
+    """Of the file."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, px."""
+        return self.metadata.width_px, self.metadata.height_px
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the frames in the file, Hz."""
+        return (self.metadata.rate_hz or _USUAL_HZ) / self.metadata.slowed
+
+    def pictures(self) -> Iterator[Picture]:
+        """Generate the frames; stamps are those of the file, also of slow motion."""
+        for frame in read_video(self.path):
+            image = frame.image if frame.image.flags.writeable else frame.image.copy()
+            yield Picture(image, frame.time, frame.time * self.metadata.slowed, frame.index, frame.total)
+
+
+@dataclass(frozen=True)
+class PlainSource:
+    """A plain background at the times of a motion."""
+
+    size: tuple[int, int]
+    """Width and height, px."""
+    times: Array
+    """(T,) s of the motion."""
+    background: Background
+    """Its colour."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate, Hz; 60 for a single picture."""
+        return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 60.0
+
+    def pictures(self) -> Iterator[Picture]:
+        """Generate a picture for each frame of the motion."""
+        width, height = self.size
+        for i, time in enumerate(self.times.tolist()):
+            image = np.full((height, width, 3), _COLOURS[self.background], dtype=np.uint8)
+            yield Picture(image, time, time - float(self.times[0]), i, len(self.times))
+
+
+def open_source(path: str | Path, view: PictureView) -> VideoSource:
+    """Return the frames of a video whose picture has the shape of a view's.
+
+    Raises:
+        FileFormatError: not a readable video. InvalidInputError: its picture has another shape.
+    """
+    metadata = read_video_metadata(path)
+    camera = view.camera
+    across, down = metadata.width_px / camera.width_px, metadata.height_px / camera.height_px
+    if abs(across / down - 1) > _ASPECT:
+        raise InvalidInputError(
+            f"{path}: is {metadata.width_px} x {metadata.height_px} px upright, the camera of this motion "
+            f"{camera.width_px} x {camera.height_px}; give the video that the motion was computed from, "
+            "uncropped, or --view for another camera"
+        )
+    return VideoSource(Path(path), metadata)
+
+
+def scale_of(size: tuple[int, int], view: PictureView) -> float:
+    """Return pixels of a picture per pixel of a view's image.
+
+    Where the sides differ, pixels were cut or added at the right or lower edge.
+
+    Args:
+        size: width and height of the picture, px.
+    """
+    across, down = size[0] / view.camera.width_px, size[1] / view.camera.height_px
+    return min((across, down), key=lambda scale: abs(scale - 1))
+
+
+def check_size(source: VideoSource, view: PictureView) -> tuple[str, ...]:
+    """Return a sentence if some pixels were cut off or added."""
+    camera, size, scale = view.camera, source.size, scale_of(source.size, view)
+    wrong = max(abs(size[0] - scale * camera.width_px), abs(size[1] - scale * camera.height_px))
+    if wrong <= _ROUNDING_PX:
+        return ()
+    return (
+        f"{source.path} is {size[0]} x {size[1]} px upright, the camera {camera.width_px} x "
+        f"{camera.height_px}: taken as cut or extended by {wrong:.0f} px at the right or lower edge",
+    )
+
+
+def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[str, ...]:
+    """Return sentences on what does not fit between a video and a motion.
+
+    Args:
+        shift: s, added to the times of the video.
+
+    Raises:
+        InvalidInputError: no frame of the video is at a time of the motion.
+    """
+    first, last = float(view.video_times[0]), float(view.video_times[-1])
+    seconds, rate = source.metadata.seconds, source.metadata.rate_hz
+    path, notes = source.path, []
+    step = float(np.median(np.diff(view.video_times))) if len(view.video_times) > 1 else 0.0
+    span = f"the motion is from {first:.2f} to {last:.2f} s of the video that people were detected in"
+    if seconds is not None:
+        begin, end = shift, shift + seconds
+        if end < first - step or begin > last + step:
+            raise InvalidInputError(
+                f"{path}: with --shift {shift:g} it is from {begin:.2f} to {end:.2f} s, but {span}; give "
+                "that video, or by --shift how much later this one begins, s"
+            )
+        if end < last - 2 * step or begin > first + 2 * step:
+            notes.append(
+                f"{path} is from {begin:.2f} to {end:.2f} s, but {span}: is it another video, or a cut one? "
+                "Then give by --shift how much later it begins, s"
+            )
+    if rate is not None and step > 0 and abs(rate * step - 1) > _RATE:
+        notes.append(
+            f"{path} has {rate:.2f} frames per second, the motion {1 / step:.2f}: poses are interpolated; "
+            "is it the same video?"
+        )
+    return tuple(notes)
+
+
+SUFFIXES: Final = (".mp4", ".gif")
+GIF_WIDTH: Final = 480
+"""Largest width of a GIF unless another one is asked for, px."""
+GIF_HEIGHT: Final = 640
+"""Largest height of a GIF unless a width is asked for, px."""
+GIF_RATE_HZ: Final = 15.0
+"""Highest frame rate of a GIF."""
+MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
+"""Most pixels of all pictures of a GIF, which are in memory until it is written."""
+_ENCODERS: Final[dict[str, dict[str, str]]] = {
+    "libx264": {"preset": "superfast", "crf": "21"},
+    "libopenh264": {"rc_mode": "quality"},
+    "mpeg4": {},
+}
+"""Options of the encoders that are tried, the best first."""
+_TICKS: Final = 90_000
+"""Ticks per second of time stamps."""
+_BT709: Final = 1
+"""FFmpeg's number of the colour space of BT.709."""
+
+
+class FilmWriter(Protocol):
+    """Takes pictures."""
+
+    encoder: str
+    """Name of the encoder."""
+
+    def __enter__(self) -> Self:
+        """Open the file."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close it."""
+        ...
+
+    def due(self, stamp: float) -> bool:
+        """Return whether a picture at a time in the file, s, is taken."""
+        ...
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture (height, width, 3), BGR, at a time in the file, s."""
+        ...
+
+
+class Mp4Writer:
+    """An MP4 of H.264, or of what this PyAV can encode; pictures keep their time stamps."""
+
+    def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
+        """Take the file, width and height of the pictures, and their mean rate."""
+        self._av = optional("av", "view")
+        known = [name for name in _ENCODERS if name in self._av.codecs_available]
+        if not known:
+            raise RtofError(f"this PyAV has none of the encoders {', '.join(_ENCODERS)}; install its wheel")
+        self.encoder = known[0]
+        self._path, self._size, self._rate = path, size, rate_hz
+        self._first: float | None = None
+        self._last = -1
+        self._container: Any = None
+        self._stream: Any = None
+
+    def __enter__(self) -> Self:
+        """Open the file."""
+        self._container = self._av.open(str(self._path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"})
+        rate = Fraction(self._rate).limit_denominator(1001)
+        stream = self._container.add_stream(self.encoder, rate=rate, options=_ENCODERS[self.encoder])
+        width, height = self._size
+        stream.width, stream.height = width + width % 2, height + height % 2
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.time_base = stream.time_base = Fraction(1, _TICKS)
+        context.max_b_frames = 0  # the first time stamp stays 0
+        if self.encoder == "mpeg4":
+            stream.bit_rate = int(width * height * self._rate * 0.15)
+            context.time_base = stream.time_base = Fraction(1, 60_000)  # MPEG-4 allows 65,535 at most
+        context.colorspace = context.color_primaries = context.color_trc = _BT709
+        context.color_range = 1  # 16 to 235
+        self._stream = stream
+        return self
+
+    def due(self, stamp: float) -> bool:  # noqa: ARG002
+        """Return True: all pictures are taken.
+
+        Args:
+            stamp: s.
+        """
+        return True
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture.
+
+        Args:
+            image: (height, width, 3), BGR. stamp: s.
+        """
+        first = self._first = stamp if self._first is None else self._first
+        base = self._stream.codec_context.time_base
+        self._last = max(self._last + 1, round((stamp - first) / base))
+        odd = image.shape[0] % 2, image.shape[1] % 2
+        if any(odd):
+            image = np.pad(image, ((0, odd[0]), (0, odd[1]), (0, 0)), mode="edge")
+        frame = self._av.VideoFrame.from_numpy_buffer(np.ascontiguousarray(image), format="bgr24")
+        frame = frame.reformat(format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG")
+        frame.pts, frame.time_base = self._last, base
+        self._mux(frame)
+
+    def _mux(self, frame: Any) -> None:
+        try:
+            self._container.mux(self._stream.encode(frame))
+        except self._av.FFmpegError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: Exception) -> WritingError:
+        reason = getattr(error, "strerror", None) or error
+        return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({reason})")
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        try:
+            if kind is None and self._first is not None:
+                self._mux(None)
+        finally:
+            self._close(kind is None)
+
+    def _close(self, complete: bool) -> None:
+        """Close the file; an error matters only if it was complete so far."""
+        try:
+            self._container.close()
+        except self._av.FFmpegError as error:
+            if complete:
+                raise self._failed(error) from error
+
+
+class GifWriter:
+    """A GIF of at most 15 pictures per second; a picture is shown until the next one."""
+
+    encoder = "GIF"
+
+    def __init__(self, path: Path, rate_hz: float):
+        """Take the file and the mean rate of the pictures, Hz."""
+        self._path = path
+        self._images: list[Any] = []
+        self._stamps: list[float] = []
+        self._shortest = 1 / GIF_RATE_HZ
+        self._step = 1 / rate_hz
+
+    def __enter__(self) -> Self:
+        """Do nothing: the file is written at the end."""
+        return self
+
+    def due(self, stamp: float) -> bool:
+        """Return whether a picture at this time is taken.
+
+        Args:
+            stamp: s.
+        """
+        if not self._stamps:
+            return True
+        number = np.floor((stamp - self._stamps[0]) * GIF_RATE_HZ + 1e-6)
+        return bool(number > np.floor((self._stamps[-1] - self._stamps[0]) * GIF_RATE_HZ + 1e-6))
+
+    def write(self, image: Image, stamp: float) -> None:
+        """Add a picture.
+
+        Args:
+            image: (height, width, 3), BGR. stamp: s.
+        """
+        from PIL import Image as Pictures
+
+        height, width = image.shape[:2]
+        most = MOST_OF_GIF // (width * height)
+        if len(self._images) >= most:
+            raise InvalidInputError(
+                f"overlay: a GIF of {width} x {height} px and more than {most / GIF_RATE_HZ:.0f} s is too "
+                "large; give --from and --to, a smaller --width, or write an .mp4"
+            )
+        rgb = Pictures.fromarray(np.ascontiguousarray(image[..., ::-1]))
+        self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
+        self._stamps.append(stamp)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Write the file."""
+        if kind is not None or not self._images:
+            return
+        last = self._stamps[-1] + max(self._step, self._shortest)
+        ends = np.round(100 * (np.array([*self._stamps, last]) - self._stamps[0]))
+        self._images[0].save(
+            self._path,
+            format="GIF",
+            save_all=True,
+            append_images=self._images[1:],
+            duration=(10 * np.diff(ends)).astype(int).tolist(),
+            loop=0,
+            optimize=False,
+            disposal=1,
+        )
+
+
+def check_suffix(path: str | Path) -> str:
+    """Return the suffix of a film that can be written.
+
+    Raises:
+        InvalidInputError: another suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InvalidInputError(f"{path}: its name must end with {' or '.join(SUFFIXES)}")
+    return suffix

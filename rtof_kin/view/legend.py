@@ -1,0 +1,144 @@
+"""Colours, words and sentences by which pictures tell how a joint was observed and what is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.text import load_json
+from rtof_kin.data.poses import Provenance
+from rtof_kin.reporting.summary_file import SUMMARY
+
+Rgb = tuple[int, int, int]
+COLOURS: Final[dict[Provenance, Rgb]] = {
+    Provenance.CAMERA_AND_IMU: (0, 158, 115),
+    Provenance.CAMERA: (86, 180, 233),
+    Provenance.IMU: (230, 159, 0),
+    Provenance.BRIDGED: (204, 121, 167),
+    Provenance.PRIOR: (150, 150, 150),
+    Provenance.NOBODY: (150, 150, 150),
+}
+"""RGB by provenance, distinguishable with a colour vision deficiency (Okabe and Ito, 2008)."""
+PALETTE: Final[NDArray[np.uint8]] = np.array([COLOURS[kind] for kind in sorted(Provenance)], dtype=np.uint8)
+"""(kinds, 3) the same, by the number of the provenance."""
+WORDS: Final[dict[Provenance, str]] = {
+    Provenance.CAMERA_AND_IMU: "camera and IMU",
+    Provenance.CAMERA: "camera",
+    Provenance.IMU: "IMU",
+    Provenance.BRIDGED: "bridged",
+    Provenance.PRIOR: "prior",
+    Provenance.NOBODY: "not observed",
+}
+"""Legend by provenance."""
+
+
+DETECTED: Final[Rgb] = (213, 94, 0)
+"""Detected points in the 3D scene."""
+REPROJECTED: Final[Rgb] = (0, 114, 178)
+"""Joints of the motion in the image."""
+TRUTH: Final[Rgb] = (70, 70, 78)
+SECOND: Final[Rgb] = (170, 60, 190)
+"""A second motion beside the first."""
+_GRADES: Final = ("pass", "warn", "fail")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the summary says about a motion."""
+
+    grade: str
+    """'pass', 'warn' or 'fail'; empty where there is no verdict."""
+    text: str
+    """Sentence with the reason."""
+    recording: str
+    """Name of the recording; empty if unknown."""
+
+    @property
+    def line(self) -> str:
+        """Grade and reason in one line."""
+        return f"{self.grade or 'no verdict'}: {self.text}"
+
+
+def read_verdict(folder: Path) -> Verdict:
+    """Return the verdict of a motion's summary.
+
+    Raises:
+        FileFormatError: the summary is no JSON.
+    """
+    path = folder / SUMMARY
+    if not path.is_file():
+        return Verdict("", f"there is no {SUMMARY} beside the motion; reconstruct again", "")
+    data = load_json(path)
+    if not isinstance(data, dict):
+        raise FileFormatError(path, "not the summary of a reconstruction")
+    found = data.get("verdict")
+    found = found if isinstance(found, dict) else {}
+    grade = str(found.get("grade", ""))
+    text = str(found.get("headline", "the summary has none; reconstruct again"))
+    return Verdict(grade if grade in _GRADES else "", text, str(data.get("recording", "")))
+
+
+GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}
+"""RGB by verdict."""
+_UNKNOWN: Final = (90, 90, 90)
+
+
+def verdict_html(verdict: Verdict) -> str:
+    """Return the verdict as a paragraph."""
+    colour = GRADES.get(verdict.grade, _UNKNOWN)
+    grade, _, reason = verdict.line.partition(": ")
+    name = f"<b>{escape(verdict.recording)}</b><br>" if verdict.recording else ""
+    return _block(f'<b style="color:rgb{colour}">{escape(grade.upper())}</b>: {escape(reason)}', before=name)
+
+
+def legend_html(*, cameras: bool = False, truth: bool = False, second: bool = False, axes: bool = True) -> str:
+    """Return the meaning of the colours."""
+    merged: dict[Rgb, list[str]] = {}
+    for kind in sorted(Provenance, reverse=True):
+        merged.setdefault(COLOURS[kind], []).append(WORDS[kind])
+    rows = [(colour, ", ".join(words)) for colour, words in merged.items()]
+    if cameras:
+        rows += [(DETECTED, "detected point in the image"), (REPROJECTED, "joint of the motion in the image")]
+    rows += [(TRUTH, "truth (transparent)")] if truth else []
+    rows += [(SECOND, "second motion (transparent)")] if second else []
+    lines = [f"{_swatch(colour)} {escape(text)}" for colour, text in rows]
+    notes = ["Segment observed by; its weaker end counts. Faint: not reliable."]
+    if axes:
+        notes.append("Axes: x red, y green, z blue. Short: turn about the bone not observed.")
+    return _block("<br>".join(lines) + "".join(f'<br><span style="color:#555">{n}</span>' for n in notes))
+
+
+def curves_html(curves: Sequence[tuple[Rgb, str]], in_parts: bool) -> str:
+    """Return the names of curves in their colours.
+
+    Args:
+        curves: colour and name of each. in_parts: whether the angles are computed by parts of the motion.
+    """
+    names = " &nbsp; ".join(f"{_swatch(colour)} {escape(name)}" for colour, name in curves)
+    note = "light dots: 95 % band; no dots: not observed"
+    if in_parts:
+        note += "; computed by parts of 60 s"
+    return _block(f'{names}<br><span style="color:#555">{note}</span>')
+
+
+def sentences_html(sentences: Sequence[str]) -> str:
+    """Return sentences as lines."""
+    return _block("<br>".join(map(escape, sentences)))
+
+
+def _swatch(colour: Rgb) -> str:
+    return (
+        '<span style="display:inline-block;width:0.9em;height:0.9em;border-radius:2px;vertical-align:-0.1em;'
+        f'background:rgb{colour}"></span>'
+    )
+
+
+def _block(inner: str, before: str = "") -> str:
+    return f'<div style="font-size:0.8em;line-height:1.45;padding:0.3em 0.8em">{before}{inner}</div>'

@@ -1,0 +1,318 @@
+"""`ProjectedMotion`: a motion in the pixels of a picture, at the times of its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtof_kin.body.observability import observed_landmarks
+from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.core.errors import InvalidInputError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import Provenance
+
+Frames = NDArray[np.int_]
+_SIZE: Final = (1280, 720)  # [px] of a virtual camera's picture
+_FOCAL_PX: Final = 1400.0
+_CLOSER: Final = 0.78125
+"""Distance of the camera, over that at which a sphere around all points just fits into the picture: people
+are narrower than the sphere."""
+_STANDS: Final = 2.5  # [m] largest radius of a motion that is seen whole; a larger one is followed
+
+
+class PictureView(Protocol):
+    """A view with the frames of a motion, e.g. `KeypointSequence` of `Measurements`."""
+
+    @property
+    def camera(self) -> Camera:
+        """With the size of the upright image."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """L names of the detected landmarks."""
+        ...
+
+    @property
+    def video_times(self) -> Array:
+        """(T,) s of the motion's frames in the video's own time."""
+        ...
+
+    def project(self, p_world: Array, frames: Any) -> Array:
+        """Project points (n, ..., 3) of frames (n,) to pixels of the upright video (n, ..., 2)."""
+        ...
+
+    def in_video(self, frames: Any) -> Array:
+        """Return detected points (n, L, 2) in pixels of the upright video; NaN where not detected."""
+        ...
+
+
+@dataclass(frozen=True)
+class VirtualView:
+    """A camera that looks at the person from the front, for motions without a camera."""
+
+    camera: Camera
+    """The virtual camera."""
+    video_times: Array
+    """(T,) s, the motion's times."""
+    moved: Array
+    """(T, 3) m, subtracted from all points of a frame: the way of a person that is followed."""
+    names: tuple[str, ...] = ()
+    """Nothing is detected."""
+
+    def project(self, p_world: Array, frames: Any) -> Array:
+        """Project points to pixels (n, ..., 2).
+
+        Args:
+            p_world: (n, ..., 3) m. frames: (n,) of the motion.
+        """
+        moved = self.moved[np.asarray(frames)]
+        return self.camera.project(p_world - moved.reshape(len(moved), *[1] * (p_world.ndim - 2), 3))
+
+    def in_video(self, frames: Any) -> Array:
+        """Return no points (n, 0, 2).
+
+        Args:
+            frames: (n,) of the motion.
+        """
+        return np.zeros((len(np.asarray(frames)), 0, 2))
+
+
+def virtual_view(motion: Motion) -> VirtualView:
+    """Return a camera in front of the person that sees all of the motion, or follows it where it is long.
+
+    Raises:
+        InvalidInputError: no frame of the motion has a pose.
+    """
+    p, R = motion.poses.p_world_joint, motion.poses.R_world_bone[:, 0]
+    known: Mask = np.asarray(np.isfinite(p).all(axis=(1, 2)) & np.isfinite(R).all(axis=(1, 2)))
+    if not known.any():
+        raise InvalidInputError("overlay: no frame of the motion has a pose, so there is nothing to show")
+    points = p[known]
+    middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
+    moved = np.zeros((len(p), 3))
+    if float(np.linalg.norm(points - middle, axis=-1).max()) > _STANDS:
+        root = p[:, 0] * (1.0, 1.0, 0.0)
+        moved = np.where(known[:, None], root, 0.0)
+        points = points - moved[known, None]
+        middle = (points.min(axis=(0, 1)) + points.max(axis=(0, 1))) / 2
+    ahead = R[known, :, 0].sum(axis=0) * (1.0, 1.0, 0.0)
+    norm = float(np.linalg.norm(ahead))
+    ahead = ahead / norm if norm > 1e-3 else np.array([1.0, 0.0, 0.0])
+    camera = _distant_enough(points, middle, ahead)
+    return VirtualView(camera, motion.times, moved)
+
+
+def _distant_enough(points: Array, middle: Array, ahead: Array) -> Camera:
+    """Return the camera in the direction `ahead` at a distance from which all points are seen."""
+    radius = float(np.linalg.norm(points - middle, axis=-1).max())
+    distance = radius + _CLOSER * radius * 2 * _FOCAL_PX / min(_SIZE)
+    position = middle + distance * ahead + np.array([0.0, 0.0, 0.1 * distance])
+    return Camera.looking_at(position, middle, _FOCAL_PX, *_SIZE)
+
+
+@dataclass(frozen=True)
+class ScaledView:
+    """A view in a picture of another size."""
+
+    view: PictureView
+    """Of the recorded size."""
+    scale: float
+    """Pixels of the picture per pixel of the view's image."""
+    width_px: int
+    """Width of the picture, px."""
+    height_px: int
+    """Height of the picture, px."""
+    video_times: Array
+    """(T,) s of the motion's frames, on the clock of the pictures."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera with the size of the picture; its other fields are unchanged."""
+        return replace(self.view.camera, width_px=self.width_px, height_px=self.height_px)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `PictureView`."""
+        return self.view.names
+
+    def project(self, p_world: Array, frames: Any) -> Array:
+        """Project points to pixels (n, ..., 2) of the picture.
+
+        Args:
+            p_world: (n, ..., 3) m. frames: (n,) of the motion.
+        """
+        return self._scaled(self.view.project(p_world, frames))
+
+    def in_video(self, frames: Any) -> Array:
+        """Return detected points (n, L, 2) in the picture.
+
+        Args:
+            frames: (n,) of the motion.
+        """
+        return self._scaled(self.view.in_video(frames))
+
+    def _scaled(self, uv: Array) -> Array:
+        """The first pixel's centre is (0, 0) in both pictures."""
+        return (uv + 0.5) * self.scale - 0.5
+
+
+_LONGEST_GAP: Final = 2.5
+"""[frames] between poses that are interpolated."""
+_AT_ENDS: Final = 0.75
+"""[frames] before the first and after the last pose in which that is shown."""
+_NEAR: Final = 1e-3
+"""[frames] from a pose within which it is not interpolated."""
+_STEP: Final = 1e-3  # [m] of the differences that give the derivative of the projection
+
+
+@dataclass(frozen=True)
+class Moment:
+    """An instant between two frames of a motion."""
+
+    before: int
+    """Frame of the motion."""
+    after: int
+    """The same frame or the next one."""
+    weight: float
+    """Of the second one, 0 to 1."""
+
+    @property
+    def frames(self) -> NDArray[np.int_]:
+        """(2,) both frames."""
+        return np.array([self.before, self.after])
+
+    def mix(self, values: Array) -> Array:
+        """Interpolate values (2, ...) of both frames.
+
+        Args:
+            values: of `frames`.
+        """
+        if self.weight == 0:
+            return np.asarray(values[0])
+        return np.asarray((1 - self.weight) * values[0] + self.weight * values[1])
+
+
+@dataclass(frozen=True)
+class ProjectedPose:
+    """A person in a picture."""
+
+    time: float
+    """s, of the motion."""
+    uv_px: Array
+    """(P, 2) pixels of the joints and the ends of the limbs; NaN where unobserved or behind the camera, and
+    all where no joint is observed."""
+    provenance: NDArray[np.uint8]
+    """(P,) `Provenance`; of the weaker frame where two are interpolated."""
+
+
+class ProjectedMotion:
+    """A motion with the ends of its limbs (head, hands, toes) in the pixels of a view."""
+
+    def __init__(self, motion: Motion, view: PictureView):
+        """Take a motion and the view with its frames."""
+        self.motion, self.view = motion, view
+        skeleton, poses = motion.skeleton, motion.poses
+        ends = limb_ends(skeleton)
+        J = len(skeleton.names)
+        self.bones = (
+            *((parent, j) for j, parent in enumerate(skeleton.parents) if parent >= 0),
+            *((skeleton.names.index(skeleton.landmarks[end][0]), J + i) for i, end in enumerate(ends)),
+        )
+        """Pairs of points: parent, child."""
+        self.names = (*skeleton.names, *ends)
+        """P names of the points."""
+        index = [list(skeleton.landmarks).index(end) for end in ends]
+        landmarks = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)[:, index]
+        self._p_world = np.concatenate([poses.p_world_joint, landmarks], axis=1)
+        joints = shown_provenance(motion)
+        own = joints[:, [skeleton.names.index(skeleton.landmarks[end][0]) for end in ends]]
+        seen = observed_landmarks(motion)[:, index]
+        self._provenance = np.concatenate([joints, np.where(seen, own, np.minimum(own, _WEAKEST))], axis=1)
+        times = view.video_times
+        self._step = float(np.median(np.diff(times))) if len(times) > 1 else 1 / 60
+        finite: Mask = np.asarray(np.isfinite(poses.p_world_joint).all(axis=2))
+        self._known: Mask = np.asarray(finite.any(axis=1))
+
+    @property
+    def provenances(self) -> tuple[Provenance, ...]:
+        """Those that are drawn."""
+        drawn = self._provenance[self._provenance > _WEAKEST]
+        return tuple(Provenance(int(value)) for value in np.unique(drawn))
+
+    def moment(self, video_time: float) -> Moment | None:
+        """Return the frames of the motion at an instant of the video; None where there is no motion.
+
+        Args:
+            video_time: s, in the time of the video.
+        """
+        times, margin = self.view.video_times, _AT_ENDS * self._step
+        if not times[0] - margin <= video_time <= times[-1] + margin:
+            return None
+        after = int(np.clip(np.searchsorted(times, video_time), 0, len(times) - 1))
+        before = max(after - 1, 0)
+        gap = times[after] - times[before]
+        weight = float(np.clip((video_time - times[before]) / gap, 0, 1)) if gap > 0 else 1.0
+        if weight * gap < _NEAR * self._step:
+            after, weight = before, 0.0
+        elif (1 - weight) * gap < _NEAR * self._step:
+            before, weight = after, 0.0
+        elif gap > _LONGEST_GAP * self._step:
+            return None
+        return Moment(before, after, weight) if self._known[[before, after]].all() else None
+
+    def pose(self, moment: Moment) -> ProjectedPose:
+        """Return the person at an instant."""
+        frames = moment.frames
+        uv = moment.mix(self.view.project(self._p_world[frames], frames))
+        provenance = self._provenance[frames].min(axis=0)
+        drawn = (provenance > _WEAKEST) & (provenance >= Provenance.IMU).any()
+        uv = np.where(drawn[:, None], uv, np.nan)
+        return ProjectedPose(float(moment.mix(self.motion.times[frames])), uv, provenance)
+
+    def detected(self, moment: Moment) -> Array:
+        """Return detected points (L, 2) px at an instant, NaN where there are none."""
+        return moment.mix(self.view.in_video(moment.frames))
+
+    def covariance_px(self, frame: int) -> Array | None:
+        """Return covariances (J, 2, 2) px^2 of the joints in the picture; None without a confidence."""
+        confidence = self.motion.confidence
+        if confidence is None:
+            return None
+        p = self.motion.poses.p_world_joint[frame]
+        moved = p[:, None] + _STEP * np.vstack([np.zeros(3), np.eye(3)])
+        uv = self.view.project(moved[None], np.array([frame]))[0]
+        J = np.swapaxes(uv[:, 1:] - uv[:, :1], -1, -2) / _STEP
+        return np.asarray(J @ confidence.position_covariance[frame] @ np.swapaxes(J, -1, -2))
+
+
+_WEAKEST: Final = int(Provenance.PRIOR)
+
+
+def shown_provenance(motion: Motion) -> NDArray[np.uint8]:
+    """Return `Provenance` (T, J) as it is drawn: unreliable positions count as unobserved.
+
+    A motion without provenance, e.g. of motion capture, counts as seen by a camera where it is valid.
+    """
+    poses = motion.poses
+    given = poses.provenance if poses.provenance.any() else np.full(poses.provenance.shape, Provenance.CAMERA)
+    shown = np.where(poses.valid, given, np.minimum(given, _WEAKEST))
+    return np.asarray(shown, dtype=np.uint8)
+
+
+def limb_ends(skeleton: SkeletonModel) -> tuple[str, ...]:
+    """Return the farthest landmark of each joint without children: top of the head, hand ends, toes."""
+    leaves = [name for j, name in enumerate(skeleton.names) if j not in skeleton.parents]
+    out = []
+    for leaf in leaves:
+        own = {
+            name: float(np.linalg.norm(offset))
+            for name, (joint, offset) in skeleton.landmarks.items()
+            if joint == leaf and name != leaf
+        }
+        out += [max(own, key=own.__getitem__)] if own else []
+    return tuple(out)
