@@ -59,12 +59,8 @@ def test_csv_units_and_rate_can_be_declared(tmp_path: Path) -> None:
     ("lines", "line", "message"),
     [
         (["time,a_fx,a_fy", "0,1,2"], 1, "no column a_fz"),
-        (["time,a_fx,a_fy,a_fz,a_qx,a_qy,a_qz", "0,1,2,3,0,0,0"], 1, "no column a_qw"),
         (["time,a_fx,a_fy,a_fz,b", "0,1,2,3,4"], 1, "column 'b': expected time"),
-        (["time,_fx,_fy,_fz", "0,1,2,3"], 1, "column '_fx': expected time"),
-        (["a_fx,a_fy,a_fz", "1,2,3"], 1, "no column time .*rate_hz"),
         (["time,a_fx,a_fy,a_fz", "0,1,2,3", "0,1,2,3"], 3, "time 0 s"),
-        (["time,a_fx,a_fy,a_fz", "0,1,2,3", ",1,2,3"], 3, "time nan s"),
         (["time,a_fx,a_fy,a_fz"], None, "no packet"),
     ],
 )
@@ -110,12 +106,8 @@ def test_sto_refuses_missing_orientation_and_different_times(tmp_path: Path) -> 
     ("old", "new", "message"),
     [
         ("endheader", "end", "no endheader"),
-        ("time\t", "t\t", "line 6: expected time"),
         ("\t00B40001_imu", "", "line 7: 3 cells under 2 column names"),
-        ("00B40001_imu", "00B40002_imu", "00B40002 occurs more than once"),
-        ("\n0\t", "\nzero\t", "line 7: .*numbers"),
         ("\n0\t", "\n0\t1,", "line 7: .*four numbers"),
-        ("\n0\t", "\n1e300\t", "1e[+]300 in times"),
         ("\n0\t", "\n5\t", "time does not increase"),
     ],
 )
@@ -157,14 +149,8 @@ def test_mat_ignores_other_variables_and_converts_numbers(tmp_path: Path) -> Non
     ("content", "message"),
     [
         ({"t": np.arange(6)}, "no struct in it has a field acc, gyr, mag, quat"),
-        ({"t": np.arange(6), "hip": {"acc": ONE.f.T}}, r"hip.acc has shape \(3, 6\), not \(T, 3\)"),
-        ({"t": np.arange(6), "hip": {"acc": "high"}}, "hip.acc holds no numbers"),
         ({"t": np.arange(6), "hip": {"acc": ONE.f + 1j}}, "hip.acc holds no numbers"),
-        ({"t": np.arange(5), "hip": {"acc": ONE.f}}, "5 times for 6 samples"),
-        ({"hip": {"acc": ONE.f}}, "no vector t or time.*rate_hz"),
         ({"t": "now", "hip": {"acc": ONE.f}}, "no vector t or time"),
-        ({"t": np.zeros(6), "hip": {"acc": ONE.f}}, "time does not increase"),
-        ({"t": np.arange(6), "hip": {"acc": ONE.f, "gyr": ONE.w[:4]}}, r"lengths: \[4, 6\]"),
         ({"t": np.arange(6), "hip": {"acc": ONE.f * 1e300}}, "sample 0: .* in acceleration"),
     ],
 )
