@@ -290,7 +290,7 @@ def detect(
 
 def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
     from rtof_kin.formats.camera_motion import write_camera_motion
-    from rtof_kin.setup.camera import assumed_camera, turning_of_video
+    from rtof_kin.setup.camera import assumed_camera, rotation_of_video
     from rtof_kin.setup.recording_text import Field
     from rtof_kin.vision.lens_prior import lens_prior
     from rtof_kin.vision.video_metadata import read_video_metadata
@@ -300,7 +300,7 @@ def _write_camera_motion(video: str, found: Detections, target: Path, phone: Pat
     lens = lens_prior(*size, metadata)
     camera = assumed_camera(*size, lens, Field(None)).camera
     with progress() as update:
-        turned = turning_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
+        turned = rotation_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
     write_camera_motion(target, turned.motion, overwrite)
     out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
     if turned.turning().passed:

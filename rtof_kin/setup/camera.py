@@ -105,7 +105,6 @@ def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, in
 
 
 def _placed(camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float) -> SetupCamera:
-    """Return a camera with the assumed pose and its standard deviations."""
     unsure = Origin.ASSUMED
     pitch, roll = (float(np.radians(deg)) for deg in (SIGMA_PITCH_DEG, SIGMA_ROLL_DEG))
     sigma = CameraUncertainty(sigma_focal, pitch, SIGMA_HEIGHT, sigma_k1, roll)
@@ -211,7 +210,7 @@ def filming_camera(
         return FilmingCamera(camera)
     unsure = camera.camera.uncertainty
     try:
-        found = turning_of_video(
+        found = rotation_of_video(
             video, people, camera.camera, unsure.focal if unsure else 0.0, phone=phone, progress=progress
         )
     except FileFormatError:
@@ -233,7 +232,7 @@ def filming_camera(
     return FilmingCamera(SetupCamera(camera.camera, fields), found.motion)
 
 
-def turning_of_video(
+def rotation_of_video(
     video: str | Path,
     people: Detections | KeypointSequence | None,
     camera: Camera,

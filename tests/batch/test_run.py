@@ -20,10 +20,9 @@ import batch_support
 import pytest
 from batch_support import batch_of, calls, facts, obey, write_recordings
 
-from rtof_kin.batch.place import claim
 from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Row
-from rtof_kin.batch.run import Batch, Tables, check_chain, run_batch
+from rtof_kin.batch.run import Batch, Tables, check_chain, claim, run_batch
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, WritingError
 from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
-from assignment_support import places, turned, walk, walking_log, walking_poses
+from assignment_support import SOME, exchanged, places, some, turned, walk, walking_log, walking_poses
+from scipy.special import softmax
 
-from rtof_kin.calibration.assignment import assign_sensors
+from rtof_kin.calibration.assignment import assign_sensors, check_assignment, match
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.reconstruction.checks.sensors import check_recording
 
 LEGS = ("R_LowLeg", "Pelvis", "L_UpLeg", "R_UpLeg", "L_LowLeg")
 
@@ -108,3 +111,95 @@ def test_a_video_of_another_time_is_an_error() -> None:
     late = replace(poses, times=poses.times + 100)
     with pytest.raises(InvalidInputError, match=r"0\.0 s of a visible person in common"):
         assign_sensors(walking_log(LEGS), walk().skeleton, late)
+
+
+def test_a_right_map_is_left_alone() -> None:
+    own = {name: places()[name] for name in SOME}
+    for poses in (None, walking_poses()):
+        check = check_assignment(walking_log(), own, walk().skeleton, poses)
+        assert check.joints == own
+        assert not check.wrong
+        assert check.check().passed
+
+
+def test_exchanged_legs_are_named_with_the_correction() -> None:
+    own = {name: places()[name] for name in SOME}
+    wrong = own | {"L_LowLeg": "RightLeg", "R_LowLeg": "LeftLeg"}
+    check = check_assignment(walking_log(), wrong, walk().skeleton, walking_poses())
+    assert check.joints == own
+    assert {sensor.sensor for sensor in check.wrong} == {"L_LowLeg", "R_LowLeg"}
+    assert check.check().failed
+    assert "L_LowLeg, declared on RightLeg, is on LeftLeg" in check.check().advice
+
+
+def test_two_sensors_on_one_segment_are_an_error() -> None:
+    twice = {"L_LowLeg": "LeftLeg", "R_LowLeg": "LeftLeg"}
+    with pytest.raises(InvalidInputError, match="two sensors on LeftLeg"):
+        check_assignment(walking_log(), twice, walk().skeleton)
+
+
+def test_exchanged_samples_of_a_recording_get_each_other_s_calibration() -> None:
+    right = some()
+    check, corrected = check_recording(exchanged(right, "L_UpLeg", "R_UpLeg"))
+    assert {sensor.sensor for sensor in check.wrong} == {"L_UpLeg", "R_UpLeg"}
+    a, b = SOME.index("L_UpLeg"), SOME.index("R_UpLeg")
+    np.testing.assert_allclose(corrected.calibration.R_sensor_bone[[a, b]], right.calibration.R_sensor_bone[[b, a]])
+    assert corrected.calibration.joints[a] == "RightUpLeg"
+
+
+def test_a_right_recording_comes_back_as_it_is() -> None:
+    right = some()
+    check, same = check_recording(right)
+    assert not check.wrong
+    assert same is right
+
+
+def test_a_recording_without_sensors_is_an_error() -> None:
+    with pytest.raises(InvalidInputError, match="no calibrated sensors"):
+        check_recording(replace(walk(), imus=None, calibration=None))
+
+
+def planted(S: int, K: int) -> tuple[np.ndarray, np.ndarray]:
+    """Random scores of single sensors and symmetric ones of pairs."""
+    rng = np.random.default_rng(5)
+    single, pair = 2 * rng.standard_normal((S, K)), rng.standard_normal((S, S, K, K))
+    pair = (pair + pair.transpose(1, 0, 3, 2)) / 2
+    pair[np.arange(S), np.arange(S)] = 0
+    return single, pair
+
+
+def test_probabilities_are_those_of_enumeration() -> None:
+    single, pair = planted(3, 5)
+    every = np.array(list(permutations(range(5), 3)))
+    score = np.array(
+        [
+            sum(single[s, k] for s, k in enumerate(labels))
+            + sum(pair[s, t, labels[s], labels[t]] for s in range(3) for t in range(s))
+            for labels in every
+        ]
+    )
+    exact = np.array([[softmax(score)[every[:, s] == k].sum() for k in range(5)] for s in range(3)])
+    found = match(single, pair)
+    np.testing.assert_allclose(found.probability, exact, atol=0.02)
+    assert tuple(found.best) == tuple(every[score.argmax()])
+
+
+def test_every_sensor_has_a_segment_of_its_own_that_it_is_allowed() -> None:
+    single, pair = planted(4, 4)
+    allowed = ~np.eye(4, dtype=bool)
+    found = match(single, pair, allowed=allowed)
+    assert sorted(found.best) == [0, 1, 2, 3]
+    assert np.all(np.diag(found.probability) < 1e-6)
+
+
+def test_sides_that_are_equally_likely_are_both_visited() -> None:
+    pair = np.zeros((2, 2, 2, 2))
+    pair[0, 1] = pair[1, 0] = 50 * (1 - np.eye(2))
+    mirror = np.array([1, 0])
+    found = match(np.zeros((2, 2)), pair, mirrors=[mirror])
+    np.testing.assert_allclose(found.probability, 0.5, atol=0.1)
+
+
+def test_a_prior_moves_the_answer() -> None:
+    found = match(np.zeros((2, 3)), prior=lambda labels: np.where((labels == [2, 0]).all(axis=1), 20.0, 0.0))
+    assert tuple(found.best) == (2, 0)
