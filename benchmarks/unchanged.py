@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 TOLERANCE = 1e-9
@@ -156,12 +155,9 @@ def numbers(path: Path) -> dict[str, Any]:
         with np.load(path) as file:
             return {name: file[name] for name in file if name != "header"}
     if kind == ".h5":
-        found: dict[str, Any] = {}
-        with h5py.File(path) as file:
-            file.visititems(
-                lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
-            )
-        return found
+        from rtof_kin.core.files.hdf5 import read_arrays
+
+        return {name: array for name, array in read_arrays(path).items() if name != "header"}
     if kind == ".json":
         return dict(_leaves(json.loads(path.read_text(encoding="utf-8")), ""))
     if kind == ".csv":

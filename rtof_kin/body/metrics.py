@@ -60,6 +60,13 @@ class Metrics(Mapping[str, float]):
 def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
     """Compute all metrics over the frames in which estimate and truth have all joints and the truth is valid.
 
+    >>> from rtof_kin import Recording, evaluate, reconstruct
+    >>> recording = Recording.load("recording")  # of a simulation: its truth is known
+    >>> result = reconstruct(recording, mode="sf2")
+    >>> errors = evaluate(result.motion.poses, recording.truth, recording.skeleton)
+    >>> errors["mpjpe_rr_mm"] < 90
+    True
+
     Args:
         truth: poses of the same joints, interpolated at the times of the estimate.
 

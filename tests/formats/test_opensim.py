@@ -1,4 +1,4 @@
-"""OpenSim's coordinates, .mot and .sto; in `test_motion_files` OpenSim moves the model by them."""
+"""Models as OpenSim loads them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,82 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
+import planted
 import pytest
+from opensim_support import read_by_opensim
 
+from rtof_kin.body import urdf
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import InvalidInputError, OutputExistsError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.opensim import coordinate_values, coordinates, write_mot, write_sto
+from rtof_kin.formats.opensim import (
+    coordinate_values,
+    coordinates,
+    read_opensim_table,
+    to_osim,
+    write_mot,
+    write_osim,
+    write_sto,
+)
+
+R_GROUND_WORLD = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@pytest.fixture
+def body(any_skeleton: SkeletonModel) -> SkeletonModel:
+    """A person of given height and mass, on either skeleton."""
+    return any_skeleton.with_height(1.83).with_mass(68, "female")
+
+
+def test_opensim_mass_and_inertia(body: SkeletonModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_osim(tmp_path / "skeleton.osim", body)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    # Without the light links between revolutes, which OpenSim does not need, it is the same mechanism.
+    monkeypatch.setattr(urdf, "LIGHT_MASS_KG", 1e-12)
+    monkeypatch.setattr(urdf, "LIGHT_INERTIA", 1e-15)
+    model = pin.buildModelFromXML(body.to_urdf(), pin.JointModelFreeFlyer())
+    data, q = model.createData(), pin.neutral(model)
+    assert found["mass"] == pytest.approx(sum(inertia.mass for inertia in model.inertias), abs=1e-9)
+    center = pin.centerOfMass(model, data, q)
+    np.testing.assert_allclose(found["center_of_mass"], R_GROUND_WORLD @ center, atol=1e-9)
+
+    every = {c.name: c for c in coordinates(body.table)}
+    revolutes = {d.opensim.lstrip("-") or d.urdf: d.urdf for j in body.table.joints for d in j.dofs}
+    names = [name for name in found["coordinates"] if name in revolutes]
+    ours = [model.joints[model.getJointId(revolutes[name])].idx_v for name in names]
+    theirs = [list(found["coordinates"]).index(name) for name in names]
+    sign = np.array([every[name].sign for name in names])
+    M = pin.crba(model, data, q)
+    M = np.triu(M) + np.triu(M, 1).T
+    expected = M[np.ix_(ours, ours)] * np.outer(sign, sign)
+    np.testing.assert_allclose(found["mass_matrix"][np.ix_(theirs, theirs)], expected, atol=1e-9)
+
+
+def test_opensim_finds_the_coordinates_and_their_ranges(body: SkeletonModel, tmp_path: Path) -> None:
+    write_osim(tmp_path / "skeleton.osim", body)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    expected = {c.name: c.range for c in coordinates(body.table)}
+    assert set(found["coordinates"]) == set(expected)
+    for name, limits in zip(found["coordinates"], found["ranges"], strict=True):
+        np.testing.assert_allclose(limits, expected[name])
+
+
+def test_opensim_reproduces_the_motion_of_either_skeleton(body: SkeletonModel, tmp_path: Path) -> None:
+    motion = planted.seen(body, 12)
+    write_osim(tmp_path / "skeleton.osim", body)
+    write_mot(tmp_path / "motion.mot", motion)
+    found = read_by_opensim(tmp_path, tmp_path / "found.npz")
+    p = body.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
+    np.testing.assert_allclose(found["motion.mot/markers"], p @ R_GROUND_WORLD.T, atol=1e-9)
+
+
+def test_file_states_axes_zero_and_standard_gravity(skeleton: SkeletonModel) -> None:
+    text = to_osim(skeleton)
+    assert "x forward, y left, z up in the T-pose, where every coordinate is zero" in text
+    assert "<gravity>0.0 -9.80665 0.0</gravity>" in text
+    assert "nan" not in text.lower()
 
 
 def values_of(skeleton: SkeletonModel, q: np.ndarray | None = None, **angles: float) -> dict[str, float]:
@@ -139,3 +208,46 @@ def test_gaps_and_uneven_times_are_refused(write: object, motion: Motion, tmp_pa
     write(tmp_path / "a.mot", motion)
     with pytest.raises(OutputExistsError, match=r"a\.mot"):
         write(tmp_path / "a.mot", motion)
+
+
+GOOD = "Coordinates\nversion=1\nnRows=2\nnColumns=3\ninDegrees=yes\nendheader\ntime\tknee_angle_r\tpelvis_tx\n"
+ROWS = "0.0\t10.0\t1.0\n0.1\t20.0\t1.1\n"
+
+
+def read_text_as_table(tmp_path: Path, text: str, name: str = "a.mot") -> object:
+    (tmp_path / name).write_text(text)
+    return read_opensim_table(tmp_path / name)
+
+
+def test_tabs_blanks_and_states_are_read(tmp_path: Path) -> None:
+    for text in (GOOD + ROWS, (GOOD + ROWS).replace("\t", "   "), (GOOD + ROWS).replace("\n", "\r\n")):
+        read_text_as_table(tmp_path, text)
+        found = read_opensim_table(tmp_path / "a.mot")
+        assert found.names == ("knee_angle_r", "pelvis_tx")
+        np.testing.assert_allclose(found.values, [[10, 1.0], [20, 1.1]])
+        assert found.rotation("knee_angle_r") == pytest.approx(np.radians([10, 20]))
+        assert found.skeleton == ""
+    states = "x\ninDegrees=no\nendheader\ntime\t/jointset/k/knee_angle_r/value\t/jointset/k/knee_angle_r/speed\n"
+    read_text_as_table(tmp_path, states + ROWS)
+    found = read_opensim_table(tmp_path / "a.mot")
+    assert found.names == ("knee_angle_r",)
+    assert found.rotation("knee_angle_r") == pytest.approx([10, 20])
+
+
+def test_an_empty_cell_is_missing(tmp_path: Path) -> None:
+    read_text_as_table(tmp_path, GOOD + "0.0\t\t1.0\n0.1\t5\t1.0\n")
+    assert np.isnan(read_opensim_table(tmp_path / "a.mot").values[0, 0])
+
+
+@pytest.mark.parametrize(
+    "text, named",
+    [
+        (GOOD.replace("inDegrees=yes", "") + ROWS, "inDegrees"),
+        (GOOD.replace("time", "frame") + ROWS, "time"),
+        (GOOD + "0.0\tx\t1.0\n", "numbers"),
+        (GOOD.replace("pelvis_tx", "knee_angle_r") + ROWS, "more than once"),
+    ],
+)
+def test_damage_is_named(text: str, named: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=named):
+        read_text_as_table(tmp_path, text)

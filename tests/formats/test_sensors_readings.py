@@ -61,10 +61,8 @@ def test_sent_packets_are_recovered(first: int, steps: list[int], seed: int) -> 
     ("counters", "line", "message"),
     [
         ([29848, 29849, 1, 2], 7, "goes from 29849 back to 1: it started anew; make a file of each"),
-        ([1, 2.5, 3], 6, "is 2.5, not a whole number from 0 to 65535"),
         ([1, np.nan], 6, "is nan, not a whole number"),
         ([1, 65536], 6, "is 65536, not a whole number"),
-        ([4, 4, 4], 6, "2 of 3 lines repeat a PacketCounter: it started anew, or does not count"),
         ([1, 2, 3, 4, 1, 2, 3, 4], 9, "4 of 8 lines repeat a PacketCounter: it started anew"),
     ],
 )
