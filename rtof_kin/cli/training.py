@@ -58,7 +58,7 @@ def train(
             "deterministic",
             "same_windows",
             threads="draw-threads",
-            of="lifting.settings:TrainConfig",
+            of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),
     ],
