@@ -257,7 +257,7 @@ def detect(
         camera_motion: estimate how the camera turned from the background, and write it
         phone_log: gyroscope and accelerometer of the phone that filmed by hand: adds the tilt to --camera-motion
     """
-    from rtof_kin.vision.recognise import recognise
+    from rtof_kin.vision.landmark_regression import recognise
     from rtof_kin.vision.video import detect_video, write_detections
 
     if output.suffix.lower() != ".npz":
@@ -292,8 +292,7 @@ def _write_camera_motion(video: str, found: Detections, target: Path, phone: Pat
     from rtof_kin.formats.camera_motion import write_camera_motion
     from rtof_kin.setup.camera import assumed_camera, rotation_of_video
     from rtof_kin.setup.recording_text import Field
-    from rtof_kin.vision.lens_prior import lens_prior
-    from rtof_kin.vision.video_metadata import read_video_metadata
+    from rtof_kin.vision.video_metadata import lens_prior, read_video_metadata
 
     metadata = read_video_metadata(video)
     size = metadata.width_px, metadata.height_px
