@@ -10,6 +10,8 @@ never repeats: coloured and white on the pixels, slow slip and white noise on th
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Final
 
@@ -26,7 +28,6 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.writer import RecordingWriter
 from rtof_kin.simulation.simulate import SimulationSettings, simulate
 
 RATE_HZ: Final = 60.0
@@ -46,9 +47,18 @@ def long_recording(folder: Path, minutes: float, seed: int = 0, overwrite: bool 
     whole, frames = _repeated(Recording.load(model_path("demo")))
     noise = _Noise(np.random.default_rng(seed), whole)
     total = round(minutes * 60 * RATE_HZ)
-    with RecordingWriter(folder, overwrite) as writer:
-        for start in range(0, total, frames):
-            writer.append(noise.added(whole, start, min(frames, total - start)))
+    parts = [noise.added(whole, start, min(frames, total - start)) for start in range(0, total, frames)]
+    joined(parts).save(folder, overwrite)
+
+
+def joined(parts: Sequence[Recording]) -> Recording:
+    """Return recordings that follow one another as one."""
+    streams = {}
+    for name in ("keypoints", "imus", "truth"):
+        own = [getattr(part, name) for part in parts]
+        rows = [field.name for field in fields(own[0]) if np.shape(getattr(own[0], field.name))[:1] == (len(own[0]),)]
+        streams[name] = replace(own[0], **{row: np.concatenate([getattr(one, row) for one in own]) for row in rows})
+    return replace(parts[0], **streams)
 
 
 def _repeated(demo: Recording) -> tuple[Recording, int]:

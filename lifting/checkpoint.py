@@ -22,7 +22,7 @@ from lifting.models import model_of
 from rtof_kin.body.pose_prior import PosePrior
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, WritingError
-from rtof_kin.core.files.archive import check_sizes
+from rtof_kin.core.files.arrays import check_sizes
 from rtof_kin.core.files.folder import new_file
 
 FORMAT: Final = "rtof-kin lifter"

@@ -14,7 +14,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.formats.sensors.packets import WRAP_16, in_order
+from rtof_kin.formats.sensors.readings import WRAP_16, in_order
 from rtof_kin.recording.recording import Recording
 
 ONE = "L_LowArm"

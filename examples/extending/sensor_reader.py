@@ -17,8 +17,7 @@ import numpy as np
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.sensors.files import Format, add_format, read_sensor_log
-from rtof_kin.formats.sensors.packets import lost
-from rtof_kin.formats.sensors.readings import Readings, sensor_log
+from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
 from rtof_kin.formats.sensors.sensor_text import read_table
 
 # [reader]

@@ -46,8 +46,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError, ShapeError
-from rtof_kin.core.files.compact import multiples, rotation_vectors
-from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer
+from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.poses import PoseSequence, Provenance
 
@@ -295,11 +294,7 @@ class MotionWriter:
     """Writes a motion by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path, skeleton: SkeletonModel, *, mode: str = "", first_frame: int = 0) -> None:
-        """Write nothing yet.
-
-        Args:
-            path: the file, which is replaced. first_frame: number of the first frame in the video.
-        """
+        """Write nothing yet. path: the file, which is replaced. first_frame: number of the first frame in the video."""
         self._path, self._skeleton = Path(path), skeleton
         self._header: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,

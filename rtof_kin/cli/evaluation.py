@@ -64,7 +64,7 @@ def evaluate_motion(
     from rtof_kin.body.metrics import aligned_worlds, comparable
     from rtof_kin.body.metrics import evaluate as measure
     from rtof_kin.body.motion_file import MotionReader
-    from rtof_kin.formats.opensim_table import SUFFIXES
+    from rtof_kin.formats.opensim import SUFFIXES
     from rtof_kin.recording.recording import Recording
 
     with MotionReader(motion) as reader:

@@ -223,7 +223,7 @@ def export(
     Args:
         motion: output folder of reconstruct or run, or its motion.h5
         target: folder or file to write
-        to: separated by commas: csv,ros (the default), parquet; osim,mot,sto,trc (OpenSim); c3d; bvh; archive; onnx
+        to: separated by commas: csv,ros (the default), parquet,npz; osim,mot,sto,trc (OpenSim); c3d; bvh; archive; onnx
         recording: recording of MOTION for the archive; default: that of run, or the demo
         flip: of a lifter, estimate the mirrored scene too; without it faster and less exact
     """

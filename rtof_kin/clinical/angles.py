@@ -47,8 +47,7 @@ from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, indices_of, readonly
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.formats.opensim_mot import ROOT_AXES, coordinates
-from rtof_kin.formats.opensim_table import OpenSimTable
+from rtof_kin.formats.opensim import ROOT_AXES, OpenSimTable, coordinates
 
 Sources = NDArray[np.uint8]
 _ARRAYS: Final[dict[str, type]] = {

@@ -40,11 +40,7 @@ def did_you_mean(unknown: Iterable[str], known: Iterable[str]) -> str:
 
 
 def nearest(unknown: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Return the nearest valid name of each that is not valid, where one is near.
-
-    Args:
-        unknown: names that are not valid.
-    """
+    """Return the nearest valid name of each name that is not valid, where one is near."""
     lower = {name.lower(): name for name in known}
     return [lower[match] for name in unknown for match in get_close_matches(name.lower(), lower, n=1)]
 

@@ -79,11 +79,7 @@ def _same(key: str, secret: str) -> bool:
 
 
 def response(status: HTTPStatus, text: str, headers: Mapping[str, str] | None = None) -> Response:
-    """Return an answer that closes the connection.
-
-    Args:
-        headers: None for those of plain text.
-    """
+    """Return an answer that closes the connection; headers: None for those of plain text."""
     http, structures = (optional(f"websockets.{name}", "live") for name in ("http11", "datastructures"))
     body = text.encode()
     own: Mapping[str, Any] = {"Content-Type": "text/plain; charset=utf-8"} if headers is None else headers

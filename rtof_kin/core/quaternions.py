@@ -17,39 +17,23 @@ _SIGNS = np.array([[1.0, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """Return products (..., 4): rotation by b, then by a.
-
-    Args:
-        a, b: (..., 4).
-    """
+    """Return products (..., 4): rotation by b, then by a; a, b: (..., 4)."""
     return np.asarray(np.einsum("...ij,...j->...i", a[..., _LEFT] * _SIGNS, b))
 
 
 def conjugate(q: Array) -> Array:
-    """Return inverses (..., 4).
-
-    Args:
-        q: (..., 4).
-    """
+    """Return inverses (..., 4); q: (..., 4)."""
     return np.asarray(q * _CONJUGATE)
 
 
 def exp(rotvec: Array) -> Array:
-    """Return quaternions (..., 4) of rotation vectors.
-
-    Args:
-        rotvec: (..., 3) rad.
-    """
+    """Return quaternions (..., 4) of rotation vectors; rotvec: (..., 3) rad."""
     half = np.linalg.norm(rotvec, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), np.sinc(half / np.pi) * rotvec / 2], axis=-1)
 
 
 def log(q: Array) -> Array:
-    """Return rotation vectors (..., 3), rad, of length at most pi.
-
-    Args:
-        q: (..., 4).
-    """
+    """Return rotation vectors (..., 3), rad, of length at most pi; q: (..., 4)."""
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     factor = np.where(sine > 1e-9, 2 * np.arctan2(sine, q[..., :1]) / np.maximum(sine, 1e-12), 2.0)

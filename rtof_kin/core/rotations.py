@@ -26,11 +26,7 @@ from rtof_kin.core.array_types import Array
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return cross-product matrices (..., 3, 3): ``skew(a) @ b == cross(a, b)``.
-
-    Args:
-        v: (..., 3).
-    """
+    """Return cross-product matrices (..., 3, 3): ``skew(a) @ b == cross(a, b)``; v: (..., 3)."""
     v = np.asarray(v, dtype=float)
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
@@ -39,22 +35,14 @@ def skew(v: ArrayLike) -> Array:
 
 
 def exp(rotvec: ArrayLike) -> Array:
-    """Return rotation matrices (..., 3, 3) of rotation vectors.
-
-    Args:
-        rotvec: (..., 3) rad.
-    """
+    """Return rotation matrices (..., 3, 3) of rotation vectors; rotvec: (..., 3) rad."""
     rotvec = np.asarray(rotvec, dtype=float)
     flat = Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_matrix()
     return np.asarray(flat).reshape(*rotvec.shape[:-1], 3, 3)
 
 
 def log(R: ArrayLike) -> Array:
-    """Return rotation vectors (..., 3), rad, of length at most pi.
-
-    Args:
-        R: (..., 3, 3).
-    """
+    """Return rotation vectors (..., 3), rad, of length at most pi; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
     flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(flat).reshape(*R.shape[:-2], 3)
@@ -73,11 +61,7 @@ def angle_between(R_a: ArrayLike, R_b: ArrayLike) -> Array:
 
 
 def about_axis(axis: str, angle: ArrayLike) -> Array:
-    """Return rotations (..., 3, 3) about a coordinate axis.
-
-    Args:
-        angle: (...) rad.
-    """
+    """Return rotations (..., 3, 3) about a coordinate axis; angle: (...) rad."""
     angle = np.asarray(angle, dtype=float)
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
@@ -101,11 +85,7 @@ def unit(v: ArrayLike) -> Array:
 
 
 def angle_about(axis: Array, R: Array) -> float:
-    """Return the angle of a rotation about a given axis, in [-pi, pi].
-
-    Args:
-        axis: (3,) unit vector. R: (3, 3).
-    """
+    """Return the angle of a rotation about a given axis, in [-pi, pi]; axis: (3,) unit vector. R: (3, 3)."""
     sine = axis @ [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]
     return float(np.arctan2(sine, np.trace(R) - 1))
 
@@ -164,32 +144,20 @@ def nearest_rotation(M: ArrayLike) -> Array:
 
 
 def heading(R: ArrayLike) -> Array:
-    """Return the angle (...), rad, of the rotation about z nearest to R.
-
-    Args:
-        R: (..., 3, 3).
-    """
+    """Return the angle (...), rad, of the rotation about z nearest to R; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
     return np.asarray(np.arctan2(R[..., 1, 0] - R[..., 0, 1], R[..., 0, 0] + R[..., 1, 1]))
 
 
 def from_quat_wxyz(quat_wxyz: ArrayLike) -> Array:
-    """Return rotation matrices (..., 3, 3) of quaternions.
-
-    Args:
-        quat_wxyz: (..., 4), scalar first.
-    """
+    """Return rotation matrices (..., 3, 3) of quaternions; quat_wxyz: (..., 4), scalar first."""
     quat = np.asarray(quat_wxyz, dtype=float)
     flat = Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix()
     return np.asarray(flat).reshape(*quat.shape[:-1], 3, 3)
 
 
 def to_quat_wxyz(R: ArrayLike) -> Array:
-    """Return quaternions (..., 4), scalar first, continuous along the first axis.
-
-    Args:
-        R: (..., 3, 3).
-    """
+    """Return quaternions (..., 4), scalar first, continuous along the first axis; R: (..., 3, 3)."""
     R = np.asarray(R, dtype=float)
     flat = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat(scalar_first=True)
     quat = np.asarray(flat).reshape(*R.shape[:-2], 4)

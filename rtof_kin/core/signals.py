@@ -156,20 +156,12 @@ def vertex(before: float, most: float, after: float) -> float:
 
 
 def within(times: Array, start: float, stop: float) -> slice:
-    """Return the samples of a closed interval.
-
-    Args:
-        times: (T,) s, increasing. start, stop: s.
-    """
+    """Return the samples of a closed interval; times: (T,) s, increasing. start, stop: s."""
     return slice(int(np.searchsorted(times, start)), int(np.searchsorted(times, stop, side="right")))
 
 
 def runs(mask: ArrayLike) -> list[tuple[int, int]]:
-    """Return half-open index ranges [start, stop) in which a mask is true.
-
-    Args:
-        mask: (T,).
-    """
+    """Return half-open index ranges [start, stop) in which a mask is true; mask: (T,)."""
     padded = np.concatenate([[False], np.asarray(mask, dtype=bool), [False]])
     edges = np.flatnonzero(np.diff(padded.astype(int)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -105,11 +105,7 @@ class Camera:
         return np.asarray(-self.R_camera_world.T @ self.t_camera_world)
 
     def to_camera(self, p_world: ArrayLike) -> Array:
-        """Transform points to camera coordinates (..., 3), m.
-
-        Args:
-            p_world: (..., 3) m.
-        """
+        """Transform points to camera coordinates (..., 3), m; p_world: (..., 3) m."""
         return np.asarray(np.asarray(p_world) @ self.R_camera_world.T + self.t_camera_world)
 
     def project(self, p_world: ArrayLike) -> Array:
@@ -125,11 +121,7 @@ class Camera:
         return self._distort(xy) @ self.K[:2, :2].T + self.K[:2, 2]
 
     def normalise(self, uv_px: ArrayLike) -> Array:
-        """Return undistorted image-plane coordinates x/z, y/z (..., 2).
-
-        Args:
-            uv_px: (..., 2) pixels.
-        """
+        """Return undistorted image-plane coordinates x/z, y/z (..., 2); uv_px: (..., 2) pixels."""
         xy_distorted = (np.asarray(uv_px) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         xy = xy_distorted
         if np.any(self.distortion):
@@ -138,11 +130,7 @@ class Camera:
         return np.asarray(xy)
 
     def rays_world(self, uv_px: ArrayLike) -> Array:
-        """Return unit directions (..., 3) in world from the optical centre through pixels.
-
-        Args:
-            uv_px: (..., 2) pixels.
-        """
+        """Return unit directions (..., 3) in world from the optical centre through pixels; uv_px: (..., 2) pixels."""
         xy = self.normalise(uv_px)
         rays = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
         return so3.unit(rays @ self.R_camera_world)
@@ -192,11 +180,7 @@ class CameraTurning:
         return replace(self, R_still_camera=self.R_still_camera[frames])
 
     def resample(self, times: Array, at: Array) -> Self:
-        """Return the rotations interpolated to other times.
-
-        Args:
-            times: (T,) s, of the frames. at: (T',) s.
-        """
+        """Return the rotations interpolated to other times; times: (T,) s, of the frames. at: (T',) s."""
         R = signals.interpolate_rotations(times, self.R_still_camera[:, None], at, LONGEST_GAP)
         return replace(self, R_still_camera=R[:, 0])
 

@@ -73,11 +73,7 @@ class CameraMotion:
         return angles
 
     def shifted(self, seconds: float) -> Self:
-        """Return the motion with seconds added to its times.
-
-        Args:
-            seconds: s.
-        """
+        """Return the motion with seconds added to its times; seconds: s."""
         return replace(self, times=self.times + seconds)
 
 

@@ -101,11 +101,7 @@ class Confidence:
 
 
 def per_axis(covariance: Array) -> Array:
-    """Return standard deviations (...) per axis.
-
-    Args:
-        covariance: (..., 3, 3).
-    """
+    """Return standard deviations (...) per axis; covariance: (..., 3, 3)."""
     return np.asarray(np.sqrt(np.maximum(np.trace(covariance, axis1=-2, axis2=-1), 0.0) / 3))
 
 

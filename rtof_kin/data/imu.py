@@ -40,11 +40,7 @@ class UnitCheck:
         self._still: Any = True
 
     def add(self, R_inertial_sensor: Array, f_sensor: Array) -> None:
-        """Take the next samples.
-
-        Args:
-            R_inertial_sensor: (T, S, 3, 3). f_sensor: (T, S, 3).
-        """
+        """Take the next samples; R_inertial_sensor: (T, S, 3, 3). f_sensor: (T, S, 3)."""
         R, f = R_inertial_sensor, f_sensor
         norm = np.linalg.norm(f, axis=-1)
         turned = np.einsum("tsij,tsj->tsi", R, f)

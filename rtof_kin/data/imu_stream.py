@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from datetime import datetime, timedelta
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final, Literal, Self, get_args
+from typing import Any, Final, Literal, Self, get_args, get_type_hints
 
 import numpy as np
 
@@ -24,16 +24,6 @@ AngularUnit = Literal["rad/s", "deg/s"]
 QuaternionOrder = Literal["wxyz", "xyzw"]
 OrientationMaps = Literal["sensor to inertial", "inertial to sensor"]
 InertialAxes = Literal["z up", "z down", "y up"]
-CHOICES: Final[dict[str, tuple[str, ...]]] = {
-    "acceleration_unit": get_args(AccelerationUnit),
-    "gravity": get_args(Gravity),
-    "acceleration_axes": get_args(AccelerationAxes),
-    "angular_unit": get_args(AngularUnit),
-    "quaternion_order": get_args(QuaternionOrder),
-    "orientation_maps": get_args(OrientationMaps),
-    "inertial_axes": get_args(InertialAxes),
-}
-"""Values of each field of `Declaration` except the rate."""
 _METRES = {"m/s2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
 _UPRIGHT: dict[str, Array] = {
     "z up": np.eye(3),
@@ -99,11 +89,7 @@ class Declaration:
         return self.upright(R)
 
     def upright(self, R: Array) -> Array:
-        """Return R_inertial_sensor (..., 3, 3), reference with z up.
-
-        Args:
-            R: (..., 3, 3) rotation matrices of the file.
-        """
+        """Return R_inertial_sensor (..., 3, 3), reference with z up; R: (..., 3, 3) rotation matrices of the file."""
         if self.orientation_maps == "inertial to sensor":
             R = np.swapaxes(R, -1, -2)
         return _UPRIGHT[self.inertial_axes] @ R
@@ -136,22 +122,14 @@ class Declaration:
         return f
 
     def angular_velocity(self, rate: Array) -> Array:
-        """Return w_sensor (T, 3), rad/s.
-
-        Args:
-            rate: (T, 3) of the file.
-        """
+        """Return w_sensor (T, 3), rad/s; rate: (T, 3) of the file."""
         factor = np.pi / 180 if self.angular_unit == "deg/s" else 1.0
         return np.asarray(rate, dtype=np.float64) * factor
 
     # --- inverse: numbers of the file ------------------------------------------------------------
 
     def filed_rotations(self, R_inertial_sensor: Array) -> Array:
-        """Invert `upright`: return the rotation matrices (..., 3, 3) of the file.
-
-        Args:
-            R_inertial_sensor: (..., 3, 3).
-        """
+        """Invert `upright`: return the rotation matrices (..., 3, 3) of the file; R_inertial_sensor: (..., 3, 3)."""
         R: Array = _UPRIGHT[self.inertial_axes].T @ R_inertial_sensor
         return np.swapaxes(R, -1, -2) if self.orientation_maps == "inertial to sensor" else R
 
@@ -184,12 +162,14 @@ class Declaration:
         return a / _METRES[self.acceleration_unit]
 
     def filed_angular_velocity(self, w_sensor: Array) -> Array:
-        """Invert `angular_velocity`: return the angular velocities (T, 3) of the file.
-
-        Args:
-            w_sensor: (T, 3) rad/s.
-        """
+        """Invert `angular_velocity`: return the angular velocities (T, 3) of the file; w_sensor: (T, 3) rad/s."""
         return w_sensor / self.angular_velocity(np.ones(1))
+
+
+CHOICES: Final[dict[str, tuple[str, ...]]] = {
+    name: get_args(kind) for name, kind in get_type_hints(Declaration).items() if name != "rate_hz"
+}
+"""Values of each field of `Declaration` except the rate."""
 
 
 class FaultKind(Enum):

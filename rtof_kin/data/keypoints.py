@@ -27,11 +27,7 @@ _LONGEST_GAP: Final = 1.5
 
 
 def detector_point(layout: str, point: str) -> str:
-    """Return the name of a detector's own point in a `KeypointSequence`.
-
-    Args:
-        point: of the layout, e.g. ``LeftEar``.
-    """
+    """Return the name of a detector's own point in a `KeypointSequence`; point: of the layout, e.g. ``LeftEar``."""
     return f"{layout}{_OF}{point}"
 
 
@@ -92,11 +88,7 @@ class KeypointSequence:
         return self.at(frames, self.uv_px[frames], self.confidence[frames])
 
     def at(self, frames: Any, uv_px: Array, confidence: Array) -> Self:
-        """Return some of the frames with other points.
-
-        Args:
-            uv_px: (T', L, 2). confidence: (T', L).
-        """
+        """Return some of the frames with other points; uv_px: (T', L, 2). confidence: (T', L)."""
         turning = None if self.turning is None else self.turning[frames]
         own_times = None if self.own_times is None else self.own_times[frames]
         return replace(

@@ -39,13 +39,12 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
-from rtof_kin.core.files.compact import multiples, rotation_vectors
-from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer
+from rtof_kin.core.files.hdf5 import ArrayFile, Hdf5Writer, multiples, rotation_vectors
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.video_arrays import VIDEO_ARRAYS, video_arrays, with_video
+from rtof_kin.formats.camera_motion import VIDEO_ARRAYS, video_arrays, with_video
 
 MEASUREMENTS: Final = "measurements.h5"
 _EARLIER: Final = "measurements.npz"

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.signal import correlate
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -278,6 +277,8 @@ def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
 
 def _correlation(a: Array, b: Array, least: int) -> tuple[dict[str, Array], Array]:
     """Return lags, and normalised correlations of a (n, 3) with turned b (m, 3) by how the phone is held."""
+    from scipy.signal import correlate  # slow to import
+
     lags = np.arange(-(len(b) - 1.0), len(a))
     C = np.array([[correlate(a[:, i], b[:, j], method="fft") for j in range(3)] for i in range(3)])
     count = correlate(np.ones(len(a)), np.ones(len(b)), method="fft")

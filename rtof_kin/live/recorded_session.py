@@ -22,8 +22,8 @@ from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, OutputExistsError, RtofError, WritingError
 from rtof_kin.core.files.arrays import read_npz_as_saved
+from rtof_kin.core.files.folder import locked
 from rtof_kin.core.files.manifest import MANIFEST, write_manifest
-from rtof_kin.core.files.temporary import locked
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.stream_checks import unknown_landmarks, unknown_sensors

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.errors import RtofError, WritingError
 from rtof_kin.core.files.arrays import write_npz
-from rtof_kin.core.files.folder import check_replaceable
-from rtof_kin.core.files.temporary import locked
+from rtof_kin.core.files.folder import check_replaceable, locked
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.live.clock_map import Arrived

@@ -26,8 +26,7 @@ from rtof_kin.live.samples import Clock, FrameSample, Sample
 from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
-from rtof_kin.vision.video_file import upright_image
-from rtof_kin.vision.video_metadata import read_video_metadata
+from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
 _RECENT: Final = 30
 """Frames of which times are the median."""

@@ -14,7 +14,7 @@ from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angl
 from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.datasets.public_sets import Movement
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.opensim import read_opensim_table
 from rtof_kin.protocols.published import METRICS, PUBLISHED, WITHOUT_METRIC, Metric
 from rtof_kin.protocols.tables import NAME, Table
 from rtof_kin.recording.recording import Recording

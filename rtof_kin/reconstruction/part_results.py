@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from itertools import groupby
+from typing import Any, Final
 
 import numpy as np
+from scipy.stats import binom
 
 from rtof_kin.body.metrics import stage_metrics
-from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.body.skeleton import ConfigurationReport, Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import Check
+from rtof_kin.data.camera import CameraTurning
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.inertial.outlier_rejection import merge_faults
 from rtof_kin.reconstruction.prepare import evenly_spaced
 from rtof_kin.reconstruction.quality import misfit_warnings, reprojection_errors
 from rtof_kin.reconstruction.result import Reconstruction
@@ -198,3 +205,147 @@ def _continuous(skeleton: SkeletonModel, q: Array, before: Array | None) -> Arra
     if rows[0, 3:7] @ rows[1, 3:7] < 0:
         out[:, 3:7] *= -1
     return out
+
+
+_FALSE_ALARMS: Final = 0.05
+"""Share of correct recordings in which a check fails, at most (benchmarks/results/planted.md)."""
+_CHANCE: Final = 0.95
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")
+
+
+@dataclass(frozen=True)
+class PartFindings:
+    """What was found in one part."""
+
+    start: float
+    """Time of its first frame, s."""
+    checks: tuple[Check, ...]
+    warnings: tuple[str, ...]
+
+
+def joined_checks(parts: Sequence[PartFindings]) -> tuple[Check, ...]:
+    """Return one check in place of those of the parts: it fails where at least half of the parts in which
+    it was possible fail, and two at least. It is the one of median value among those that agree with that.
+    """
+    return parts[0].checks if len(parts) == 1 else tuple(_joined(own) for own in _alike(parts))
+
+
+def joined_warnings(parts: Sequence[PartFindings]) -> tuple[str, ...]:
+    """Return the warnings of all parts once each, with those about checks that fail in some parts only:
+    in two neighbouring ones, or in more than one false alarm in twenty explains.
+    """
+    if len(parts) == 1:
+        return parts[0].warnings
+    times: dict[str, list[float]] = {}
+    for part in parts:
+        for sentence in part.warnings:
+            times.setdefault(sentence, []).append(part.start)
+    out = []
+    for text, at in times.items():
+        where = f" (in {len(at)} of {len(parts)} parts, first from {at[0]:.0f} s)"
+        out.append(text if len(at) in (1, len(parts)) else text + where)
+    for own in _alike(parts):
+        wrong = [(start, check) for start, check in own if check.failed]
+        runs = (len(list(run)) for fails, run in groupby(own, lambda one: one[1].failed) if fails)
+        possible = sum(check.passed or check.failed for _, check in own)
+        explained = len(wrong) <= binom.ppf(_CHANCE, possible, _FALSE_ALARMS)
+        if _joined(own).failed or (explained and max(runs, default=0) < 2):
+            continue
+        start, check = wrong[0]
+        out.append(f"in {len(wrong)} of {len(parts)} parts, first from {start:.0f} s: {check.message}")
+    return tuple(out)
+
+
+_Own = list[tuple[float, Check]]
+"""Start of a part, s, and its check."""
+
+
+def _alike(parts: Sequence[PartFindings]) -> Iterator[_Own]:
+    """Yield each check of all parts; numbers in its name do not count."""
+    found: dict[tuple[str, str], _Own] = {}
+    for part in parts:
+        for check in part.checks:
+            key = _NUMBER.sub("#", check.name), check.subject
+            found.setdefault(key, []).append((part.start, check))
+    yield from found.values()
+
+
+def _joined(own: _Own) -> Check:
+    known = sorted((check for _, check in own if check.passed or check.failed), key=lambda c: c.value)
+    if not known:
+        return own[0][1]
+    wrong = [check for check in known if check.failed]
+    right = [check for check in known if check.passed]
+    if len(wrong) >= max(2, len(right)):
+        typical = wrong[len(wrong) // 2]
+        return replace(typical, advice=f"{typical.advice} (in {len(wrong)} of {len(own)} parts)".strip())
+    if right:
+        return right[len(right) // 2]
+    (lone,) = wrong
+    why = f"possible in 1 of {len(own)} parts only, where it fails: too little to tell"
+    return Check.unknown(lone.name, lone.subject, lone.unit, why)
+
+
+# --- the parts as one ----------------------------------------------------------------------------
+
+
+def joined(parts: Sequence[Reconstruction]) -> Reconstruction:
+    """Return the parts of a recording as one reconstruction, which keeps them."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    recordings = [first.recording]
+    for part in parts[1:]:  # one in which nothing was recorded has that of another
+        recordings += [part.recording] if part.recording.start_s > recordings[-1].stop_s else []
+    streams = {
+        name: _one([getattr(own, name) for own in recordings]) for name in ("keypoints", "imus", "truth", "views")
+    }
+    recording = replace(first.recording, **streams)
+    names = [name for name in first.stages if all(name in part.stages for part in parts)]
+    stages = {name: _one([part.stages[name] for part in parts]) for name in names}
+    scores = stage_metrics(stages, recording.truth, first.motion.skeleton, first.mode)
+    findings = [PartFindings(float(part.motion.times[0]), part.checks, part.warnings) for part in parts]
+    motion = _one([part.motion for part in parts])
+    reports = tuple(report for part in parts if part.solution is not None for report in part.solution.fragments)
+    return replace(
+        first,
+        recording=recording,
+        motion=motion,
+        stages=stages,
+        keypoints=_one([part.keypoints for part in parts]),
+        bone_imus=_one([part.bone_imus for part in parts]),
+        solution=None if first.solution is None else FragmentSolution(motion.poses, reports, motion.confidence),
+        metrics=scores.get(first.mode),
+        stage_metrics=scores,
+        root_sigma=_one([part.root_sigma for part in parts]),
+        faults=merge_faults(fault for part in parts for fault in part.faults),
+        warnings=joined_warnings(findings),
+        checks=joined_checks(findings),
+        parts=tuple(parts),
+    )
+
+
+def _one(values: Sequence[Any], counts: Sequence[int] = ()) -> Any:
+    """Values of consecutive frames as one: arrays with a row a frame, and data of such; others are the first's.
+
+    Args:
+        counts: frames of each, by default by their times.
+    """
+    first = values[0]
+    if any(value is None for value in values):
+        return None
+    if isinstance(first, tuple):
+        return tuple(map(_one, zip(*values, strict=True))) if len({len(value) for value in values}) == 1 else ()
+    if isinstance(first, np.ndarray):
+        return np.concatenate(values)
+    counts = counts or [len(value.times) for value in values]
+    changed = {}
+    for field in fields(first):
+        own = [getattr(value, field.name) for value in values]
+        if isinstance(own[0], PoseSequence | Confidence | CameraTurning | ConfigurationReport):
+            changed[field.name] = _one(own, counts)
+        elif all(
+            isinstance(array, np.ndarray) and array.shape[:1] == (n,) for array, n in zip(own, counts, strict=True)
+        ):
+            changed[field.name] = np.concatenate(own)
+    return replace(first, **changed)

@@ -15,12 +15,14 @@ from typing import Final
 
 import numpy as np
 
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import CameraEstimate
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.choices import Mode
+from rtof_kin.core.choices import MODES, Mode
 from rtof_kin.core.environment import return_free_memory
-from rtof_kin.core.errors import InvalidInputError, RtofError
+from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.job import Job
 from rtof_kin.reconstruction.lift import LifterLike
@@ -38,8 +40,8 @@ from rtof_kin.reconstruction.self_calibration import (
 )
 from rtof_kin.reconstruction.sensors_alone import frame_times
 from rtof_kin.reconstruction.settings import ReconstructionSettings
-from rtof_kin.recording.reader import RecordingSlices
 from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.streams import RecordingSource
 
 PART_SECONDS: Final = 30.0
 """[s] Length of a part without its margins."""
@@ -85,7 +87,7 @@ def parts_of(frames: int, rate_hz: float, step: int, seconds: float = PART_SECON
     return [Part(a, b, max(a - margin, 0), min(b + margin, frames)) for a, b in pairwise(borders)]
 
 
-def is_long(source: RecordingSlices) -> bool:
+def is_long(source: RecordingSource) -> bool:
     """Return whether a recording is reconstructed in parts: if longer than `LONG_SECONDS`, unless of a camera
     in the hand whose heading drifts, which is known only relative to the mean over what is solved.
     """
@@ -96,34 +98,49 @@ def is_long(source: RecordingSlices) -> bool:
 
 
 def reconstruct_in_parts(
-    source: RecordingSlices,
-    mode: Mode = "rtof",
+    source: RecordingSource,
+    skeleton: SkeletonModel | None = None,
+    mode: Mode | None = None,
     *,
     lifter: LifterLike | None = None,
     settings: ReconstructionSettings | None = None,
     calibrate: bool = False,
+    priors: CalibrationPriors | None = None,
+    calibration: SelfCalibration | None = None,
     known: SelfCalibration | None = None,
     progress: Progress | None = None,
-    seconds: float = PART_SECONDS,
+    seconds: float | None = None,
 ) -> Iterator[Reconstruction]:
-    """Yield the reconstruction of a long recording part by part.
+    """Yield the reconstruction of a recording part by part: one part, unless it is long.
 
     Parts follow one another without a gap, their configurations are continuous. A part that cannot be
     reconstructed, e.g. because nobody is seen, has poses of NaN and a warning that says why.
 
     Args:
-        mode, lifter, settings, calibrate, known: as for `reconstruct`.
+        skeleton, mode, lifter, settings, calibrate, priors, calibration, known: as for `reconstruct`.
         progress: called with (stage, steps done, steps in all); stage 'parts' counts the parts.
+        seconds: length of a part. Default: `PART_SECONDS`, and one part where the recording is not `is_long`.
 
     Raises:
-        RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration.
+        RtofError: no part can be reconstructed; the error of the first one. Errors of the calibration, and those of
+            `reconstruct`.
     """
+    mode = source.usual_mode if mode is None else mode
+    if mode not in MODES:
+        raise UnknownNameError("mode", [mode], MODES)
+    if priors is not None and (calibration is not None or not calibrate):
+        raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
+    how = Knowledge(calibrate, priors, calibration, known)
+    if seconds is None and not is_long(source):
+        job = Job.of(source.whole(), skeleton, lifter, settings, progress)
+        yield run(job, mode, how)
+        return
     settings, report = settings or ReconstructionSettings(), progress or (lambda *_: None)
     times = _frame_times(source, mode, settings)
     rate_hz = float(1 / np.median(np.diff(times)))
-    parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds)
-    job = Job.of(_between(source, times[: parts[0].stop]), None, lifter, settings, progress)
-    once = _estimated_once(source, job, mode, calibrate, known)
+    parts = parts_of(len(times), rate_hz, settings.frames // 2, seconds or PART_SECONDS)
+    job = Job.of(_between(source, times[: parts[0].stop]), skeleton, lifter, settings, progress)
+    once = _estimated_once(source, job, mode, how)
     missing, seam, like = list[tuple[Array, RtofError]](), Seam(), None
     for number, part in enumerate(parts):
         report("parts", number, len(parts))
@@ -147,7 +164,7 @@ def reconstruct_in_parts(
     report("parts", len(parts), len(parts))
 
 
-def _frame_times(source: RecordingSlices, mode: Mode, settings: ReconstructionSettings) -> Array:
+def _frame_times(source: RecordingSource, mode: Mode, settings: ReconstructionSettings) -> Array:
     """(T,) s of all frames, evenly spaced."""
     if mode != "imu":
         if source.frame_times is None:
@@ -159,7 +176,7 @@ def _frame_times(source: RecordingSlices, mode: Mode, settings: ReconstructionSe
     return frame_times(first, settings.sensors_alone.rate_hz, float(last.times[-1]))
 
 
-def _between(source: RecordingSlices, times: Array) -> Recording:
+def _between(source: RecordingSource, times: Array) -> Recording:
     """The recording during some frames, and a little longer, as video and sensors may be out of step."""
     return source.between(float(times[0]) - _STEP_SECONDS, float(times[-1]) + _STEP_SECONDS)
 
@@ -200,7 +217,7 @@ class _Once:
 
 
 def _lost(
-    like: Reconstruction, source: RecordingSlices, job: Job, once: _Once, missing: Iterable[tuple[Array, RtofError]]
+    like: Reconstruction, source: RecordingSource, job: Job, once: _Once, missing: Iterable[tuple[Array, RtofError]]
 ) -> Iterator[Reconstruction]:
     """Parts that could not be reconstructed."""
     for times, error in missing:
@@ -212,42 +229,39 @@ def _lost(
         yield lost(like, recording, on_clock, str(error))
 
 
-def _estimated_once(
-    source: RecordingSlices, job: Job, mode: Mode, calibrate: bool, known: SelfCalibration | None
-) -> _Once:
-    """Estimate the clocks, a camera that is not calibrated, and the calibration, on excerpts.
-
-    Args:
-        mode, calibrate, known: as for `reconstruct`.
-    """
+def _estimated_once(source: RecordingSource, job: Job, mode: Mode, how: Knowledge) -> _Once:
+    """Estimate the clocks, a camera that is not calibrated, and the calibration unless it is given, on excerpts."""
     if mode == "imu":
         return _Once(None, None, Choices(), ())
     camera, warnings = None, tuple[str, ...]()
     uncertain = job.recording.video.camera.uncertainty is not None
     sensed = mode in ("sf2", "rtof") and job.recording.imus is not None
-    calibrate = calibrate and sensed
+    given, known = how.calibration, how.known
+    calibrate = how.calibrate and sensed and given is None
     seen = _thinned(source) if uncertain or sensed else None
     jobs, clocks = list[Job](), ClockOffset()
     if sensed and seen is not None:
         slices = (_between(source, times) for times in _lively_slices(seen))
         jobs = [replace(job, recording=recording) for recording in slices]
-        clocks = find_offset(jobs)
-        warnings = clocks.warnings
+        if given is None or not given.of_kind("delay"):
+            clocks = find_offset(jobs)
+            warnings = clocks.warnings
     if uncertain and seen is not None:
         own = clocks.corrected(replace(job, recording=_between(source, excerpt(seen).times)))
         camera = calibrate_camera(own.recording, lifter=job.lifter, progress=job.progress)
-    choices = Choices("yes" if calibrate else "no", known is not None)
-    calibration = None if known is None else known.for_another_recording()
+    choices = Choices("given" if given is not None else "yes" if calibrate else "no", known is not None)
+    known = None if known is None else known.for_another_recording()
+    calibration = known if given is None else given if known is None else known.followed_by(given)
     if calibrate and jobs and not clocks.foreign:
         jobs = [clocks.corrected(own) for own in jobs]
         if camera is not None:
             jobs = [replace(own, recording=with_camera(own.recording, camera.found)) for own in jobs]
-        calibration, more = estimated(jobs, None, calibration)
+        calibration, more = estimated(jobs, how.priors, calibration)
         warnings += more
     return _Once(calibration, camera, choices, warnings, clocks)
 
 
-def _thinned(source: RecordingSlices) -> KeypointSequence:
+def _thinned(source: RecordingSource) -> KeypointSequence:
     """The keypoints of the whole recording, at most `_FEW_HZ` frames a second."""
     every, begin, found = max(1, round(source.rate_hz / _FEW_HZ)), source.start_s, list[KeypointSequence]()
     while begin <= source.stop_s:

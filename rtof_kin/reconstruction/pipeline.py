@@ -14,8 +14,8 @@ from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SelfCalibration
 from rtof_kin.core.checks import Check
-from rtof_kin.core.choices import MODES, Calibrate, Mode
-from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError, ViewError
+from rtof_kin.core.choices import Calibrate, Mode
+from rtof_kin.core.errors import InvalidInputError, RtofError, ViewError
 from rtof_kin.data.imu_stream import FaultKind, StreamFault
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import find_disagreements
@@ -69,9 +69,16 @@ def reconstruct(
     known: SelfCalibration | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct the motion of a recording.
+    """Reconstruct the motion of a recording; one of more than two minutes in parts, see `reconstruction.parts`.
 
-    The video is lifted once, and once more where the recording is calibrated first.
+    The video is lifted once, and once more where the recording is calibrated first. The result is in memory as a
+    whole: `reconstruct_in_parts` with the same arguments yields it part by part, as `export` writes it.
+
+    >>> from rtof_kin import Recording, reconstruct
+    >>> recording = Recording.load("recording")
+    >>> result = reconstruct(recording, mode="sf2")
+    >>> len(result.motion.q), result.motion.skeleton.names[0]
+    (60, 'Hips')
 
     Args:
         recording: keypoints of one camera or several and, for sf2 and rtof, IMUs with their calibration; mode
@@ -95,13 +102,22 @@ def reconstruct(
         UnknownNameError: no such mode. InvalidInputError: the mode needs keypoints or IMUs that the
             recording does not have. ViewError: the person is behind the camera. Errors of the stages.
     """
-    mode = recording.usual_mode if mode is None else mode
-    if mode not in MODES:
-        raise UnknownNameError("mode", [mode], MODES)
-    if priors is not None and (calibration is not None or not calibrate):
-        raise InvalidInputError("priors: of a calibration that is not made; give calibrate=True alone")
-    job = Job.of(recording, skeleton, lifter, settings, progress)
-    return run(job, mode, Knowledge(calibrate, priors, calibration, known))
+    from rtof_kin.reconstruction.part_results import joined
+    from rtof_kin.reconstruction.parts import reconstruct_in_parts  # which runs each part by `run`
+
+    parts = reconstruct_in_parts(
+        recording,
+        skeleton,
+        mode,
+        lifter=lifter,
+        settings=settings,
+        calibrate=calibrate,
+        priors=priors,
+        calibration=calibration,
+        known=known,
+        progress=progress,
+    )
+    return joined(tuple(parts))
 
 
 def run(job: Job, mode: Mode, knowledge: Knowledge) -> Reconstruction:

@@ -20,8 +20,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults, merge_faults, missing_samples, reject_imu_outliers
 from rtof_kin.reconstruction.camera_evidence import without_heading_drift
-from rtof_kin.reconstruction.fused_lifts import fused
-from rtof_kin.reconstruction.lift import Lifted, LifterLike, lift
+from rtof_kin.reconstruction.lift import Lifted, LifterLike, fused, lift
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess

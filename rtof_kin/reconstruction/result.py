@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from rtof_kin.body.metrics import Metrics
+import numpy as np
+
+from rtof_kin.body.metrics import Metrics, at_times
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.calibration.camera_estimate import CameraEstimate
 from rtof_kin.calibration.result import Quantity, SelfCalibration
@@ -15,7 +17,7 @@ from rtof_kin.core.choices import Calibrate, Mode
 from rtof_kin.core.environment import threads
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.imu_stream import StreamFault
-from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.data.keypoints import KeypointSequence, Measurements
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -99,6 +101,8 @@ class Reconstruction:
     choices: Choices = field(default_factory=Choices)
     position_errors: PositionErrors | None = None
     """What is left open of positions in world; None without keypoints."""
+    parts: tuple[Reconstruction, ...] = ()
+    """Those that a long recording was reconstructed in."""
 
 
 def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
@@ -112,3 +116,31 @@ def _energy_name(settings: JointSpaceSettings | CartesianSettings) -> str:
 
 def _energy(settings: JointSpaceSettings | CartesianSettings) -> dict[str, Any]:
     return {name: value for name, value in vars(settings).items() if name not in _NOT_ENERGY}
+
+
+def measurements_of(result: Reconstruction) -> Measurements:
+    """Return the measurements at the times of the motion, corrected by the calibration that was applied."""
+    recording, times = result.recording, result.motion.poses.times
+    seen = () if result.keypoints is None else (result.keypoints, *recording.views)
+    measured, calibration = result.bone_imus, recording.calibration
+    sensors: dict[str, Any] = {}
+    if measured is not None and calibration is not None:
+        measured = measured.resample(times)
+        names = (calibration.sensors[calibration.joints.index(joint)] for joint in measured.joints)
+        own = calibration.select(tuple(names))
+        R_bone_sensor = np.swapaxes(own.R_sensor_bone, -1, -2)
+        sensors = {
+            "sensors": own.sensors,
+            "segments": measured.joints,
+            "R_world_sensor": measured.R_world_bone @ R_bone_sensor,
+            "R_bone_sensor": R_bone_sensor,
+            "p_bone_sensor": own.p_bone_sensor,
+        }
+    return Measurements(
+        times=times,
+        views=tuple(view.resample(times).landmarks for view in seen),
+        **sensors,
+        truth=None if recording.truth is None else at_times(recording.truth, times),
+        faults=result.faults,
+        floor_height=recording.floor_height,
+    )

@@ -19,11 +19,10 @@ from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.camera_motion import CameraMotion, still_camera_of, turned
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.formats.camera_motion_npz import read_camera_motion
+from rtof_kin.formats.camera_motion import VIDEO_AXES, VIDEO_CONSTANTS, read_camera_motion, video_arrays, with_video
 from rtof_kin.formats.cameras import read_camera as read_camera_file
 from rtof_kin.formats.sensors.files import read_sensor_log
-from rtof_kin.formats.sensors.phone import phone_files, read_phone
-from rtof_kin.formats.video_arrays import VIDEO_AXES, VIDEO_CONSTANTS, video_arrays, with_video
+from rtof_kin.formats.sensors.tables import phone_files, read_phone
 from rtof_kin.inertial.orientation import HELD, held_of_gravity, motion_of_gyroscope
 from rtof_kin.recording.streams import Source, Stream, Table, csv_names, data_path, naming, needed, times_of
 from rtof_kin.recording.tables import (
@@ -233,11 +232,7 @@ def keypoint_file_arrays(keypoints: KeypointSequence) -> dict[str, Any]:
 
 
 def keypoint_file(which: int) -> str:
-    """Return the name of the file with a camera's keypoints.
-
-    Args:
-        which: camera, 0 for the first.
-    """
+    """Return the name of the file with a camera's keypoints; which: camera, 0 for the first."""
     return f"keypoints_{which + 1}.npz" if which else "keypoints.npz"
 
 

@@ -6,66 +6,26 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import RtofError
 from rtof_kin.recording.index import index_of, read_index
 from rtof_kin.recording.recording import Recording, recording_digest
-from rtof_kin.recording.streams import OnDisk, Streams, TimeAxis, naming
+from rtof_kin.recording.streams import OnDisk, RecordingSource, Streams, naming
 
 
-class RecordingSlices(Protocol):
-    """A recording of which any span of time can be had: a `Recording`, or a `RecordingReader`."""
-
-    @property
-    def name(self) -> str:
-        """Title in reports."""
-
-    @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-
-    @property
-    def usual_mode(self) -> Mode:
-        """Mode that uses all that was recorded."""
-
-    @property
-    def start_s(self) -> float:
-        """First instant of `times`, s."""
-
-    @property
-    def stop_s(self) -> float:
-        """Last instant of `times`, s."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate of `times`, Hz."""
-
-    def between(self, start_s: float, stop_s: float) -> Recording:
-        """Return what was recorded in a closed interval; see `Recording.between`."""
-
-    def digest(self) -> str:
-        """Return the SHA-256 of all that is computed from; see `Recording.digest`."""
-
-
-class RecordingReader(TimeAxis):
+class RecordingReader(RecordingSource):
     """A recording's folder of which spans of time are read when they are asked for.
 
-    It is checked as a whole when it is opened, by blocks. Arrays in .npz files stay there. What can only be read as a
-    whole or in order (.csv files, files of sensors' makers and of detectors) is kept in temporary files.
+    It is checked as a whole when it is opened, by blocks, and kept in temporary files.
     """
 
     def __init__(self, first: Recording, streams: Streams, closing: ExitStack):
         """Take a recording with everything but its samples, these, and what closes the files; see `open`."""
         self._first, self._streams, self._closing = first, streams, closing
+        self.name = first.name
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
@@ -106,26 +66,9 @@ class RecordingReader(TimeAxis):
         self._closing.close()
 
     @property
-    def name(self) -> str:
-        """Title in reports."""
-        return self._first.name
-
-    @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-        return None if self._streams.keypoints is None else self._streams.keypoints.times
-
-    @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self._streams.imus is not None
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-        first = self._streams.keypoints or self._streams.imus
-        assert first is not None  # a recording has either
-        return first.times
+    def streams(self) -> Streams:
+        """All that changes over time."""
+        return self._streams
 
     def between(self, start_s: float, stop_s: float) -> Recording:
         """Return what was recorded in a closed interval, as `Recording.between` of the whole does.

@@ -36,7 +36,7 @@ from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.formats.opensim_table import SUFFIXES, read_opensim_table
+from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
 from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
@@ -45,32 +45,6 @@ from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
-COLUMNS: Final = (
-    "angle",
-    "positive",
-    "measure",
-    "verdict",
-    "a_deg",
-    "b_deg",
-    "difference_deg",
-    "difference_sd_deg",
-    "interval_low_deg",
-    "interval_high_deg",
-    "detectable_deg",
-    "p",
-    "p_holm",
-    "rmse_deg",
-    "mae_deg",
-    "median_absolute_error_deg",
-    "rmse_without_offset_deg",
-    "largest_deg",
-    "largest_at",
-    "correlation",
-    "outside_band_share",
-    "share",
-    "repeats_a",
-    "repeats_b",
-)
 _REPEATED: Final = {"squat": "bend of the knees (squat or lunge)", "sit_to_stand": "rise from a seat"}
 _MOST: Final = 3  # changes that are named
 _PRINTED: Final = 12  # angles in the printed table, unless they are chosen
@@ -94,6 +68,11 @@ def compare(
     spm: bool = False,
 ) -> Document:
     """Compare two motions, or the left (A) and right (B) side of one, angle by angle.
+
+    >>> from rtof_kin import compare
+    >>> found = compare("out/motion", angles=["knee_flexion"], by="range")
+    >>> "right" in found.headline
+    True
 
     Args:
         a, b: see `read_compared`; without b the sides of a are compared.
@@ -485,31 +464,49 @@ def _printed(found: Comparison, all_of_them: bool) -> list[Table | str]:
 
 
 def table(found: Comparison) -> Table:
-    """Return the rows of all angles and measures, None for what there is not; see `COLUMNS`."""
-    return Table(COLUMNS, [_row(one, change) for one in found.angles for change in one.changes])
+    """Return the rows of all angles and measures, None for what there is not."""
+    return Table.of([_row(one, change) for one in found.angles for change in one.changes])
 
 
-def _row(one: AngleComparison, change: Change) -> list[Cell]:
-    nan, errors = math.nan, one.errors
-    sizes, others = (nan,) * 5, (nan, nan)
-    if errors is not None:
-        sizes = (errors.rmse, errors.mae, errors.median, errors.offset_removed, errors.largest)
-        others = (errors.at, errors.correlation)
-    figures = (change.a, change.b, change.difference, change.sigma, *change.interval, change.detectable)
-    return [
-        one.name,
-        one.positive,
-        change.measure,
-        change.verdict.value,
-        *(number(np.degrees(value)) for value in figures),
-        number(change.p),
-        number(change.p_adjusted),
-        *(number(np.degrees(value)) for value in sizes),
-        *map(number, others),
-        number(one.outside),
-        number(one.share),
-        *one.repeats,
-    ]
+_SIZES: Final = {
+    "rmse_deg": "rmse",
+    "mae_deg": "mae",
+    "median_absolute_error_deg": "median",
+    "rmse_without_offset_deg": "offset_removed",
+    "largest_deg": "largest",
+}
+"""Column -> field of `CurveErrors`."""
+
+
+def _row(one: AngleComparison, change: Change) -> dict[str, Cell]:
+    errors = one.errors
+
+    def deg(radians: float) -> float | None:
+        return number(np.degrees(radians))
+
+    low, high = map(deg, change.interval)
+    return {
+        "angle": one.name,
+        "positive": one.positive,
+        "measure": change.measure,
+        "verdict": change.verdict.value,
+        "a_deg": deg(change.a),
+        "b_deg": deg(change.b),
+        "difference_deg": deg(change.difference),
+        "difference_sd_deg": deg(change.sigma),
+        "interval_low_deg": low,
+        "interval_high_deg": high,
+        "detectable_deg": deg(change.detectable),
+        "p": number(change.p),
+        "p_holm": number(change.p_adjusted),
+        **{name: None if errors is None else deg(getattr(errors, field)) for name, field in _SIZES.items()},
+        "largest_at": None if errors is None else number(errors.at),
+        "correlation": None if errors is None else number(errors.correlation),
+        "outside_band_share": number(one.outside),
+        "share": number(one.share),
+        "repeats_a": one.repeats[0],
+        "repeats_b": one.repeats[1],
+    }
 
 
 def _differences(found: Comparison) -> Table:

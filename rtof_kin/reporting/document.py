@@ -82,6 +82,11 @@ class Table:
     attributes: Sequence[Mapping[str, str]] = ()
     """HTML attributes of each row."""
 
+    @classmethod
+    def of(cls, records: Sequence[Mapping[str, Cell]]) -> Self:
+        """Return the table of rows by column, at least one."""
+        return cls(tuple(records[0]), [tuple(record.values()) for record in records])
+
     def text(self, missing: str = "") -> list[list[Any]]:
         """Return the cells as texts; badges and HTML remain what they are.
 

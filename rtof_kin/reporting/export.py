@@ -32,8 +32,7 @@ from rtof_kin.core.files.folder import new_folder
 from rtof_kin.core.packages import can_draw
 from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsWriter
 from rtof_kin.formats.motion_files import DEFAULT, check_formats, write_motion_files
-from rtof_kin.reconstruction.measured import measurements_of
-from rtof_kin.reconstruction.result import Reconstruction
+from rtof_kin.reconstruction.result import Reconstruction, measurements_of
 from rtof_kin.reporting.audit import audit
 from rtof_kin.reporting.audit_results import headline
 from rtof_kin.reporting.provenance import input_provenance
@@ -46,34 +45,7 @@ MOST_SECONDS: Final = 600.0
 
 
 def export(
-    result: Reconstruction,
-    folder: str | Path,
-    overwrite: bool = False,
-    figures: bool = True,
-    formats: Sequence[str] | None = None,
-    inputs: Mapping[str, str] | None = None,
-) -> Path:
-    """Write a reconstruction; after an error there is no folder.
-
-    Args:
-        result: of `reconstruct`. overwrite: replace an earlier export there.
-        formats: of the motion's files beside motion.h5, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
-            motions up to `MOST_SECONDS`, none of longer ones.
-        inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
-
-    Returns:
-        The folder.
-
-    Raises:
-        OutputExistsError: the folder exists and may not be replaced.
-        UnknownNameError: an unknown format. InvalidInputError: a format cannot represent the motion.
-    """
-    export_parts([result], folder, overwrite, figures, formats, inputs)
-    return Path(folder)
-
-
-def export_parts(
-    parts: Iterable[Reconstruction],
+    found: Reconstruction | Iterable[Reconstruction],
     folder: str | Path,
     overwrite: bool = False,
     figures: bool = True,
@@ -81,20 +53,32 @@ def export_parts(
     inputs: Mapping[str, str] | None = None,
     run: Callable[[], Mapping[str, Any]] | None = None,
 ) -> ReconstructionStatistics:
-    """Write a reconstruction part by part as `export` does; none of the parts is kept.
+    """Write a reconstruction; after an error there is no folder.
+
+    >>> from rtof_kin import Recording, export, reconstruct
+    >>> result = reconstruct(Recording.load("recording"), mode="sf2")
+    >>> found = export(result, "out/motion", figures=False)
+    >>> found.frames
+    60
 
     Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
 
     Args:
-        parts: in the order of time, e.g. of `reconstruct_in_parts`. run: returns what the run can be repeated
-            by, for the summary, when all parts are made. The others: as for `export`.
+        found: of `reconstruct`, or the parts of `reconstruct_in_parts`, none of which is kept.
+        overwrite: replace an earlier export there.
+        formats: of the motion's files beside motion.h5, see `rtof_kin.formats.motion_files`. Default: CSV and ROS of
+            motions up to `MOST_SECONDS`, none of longer ones.
+        inputs: fingerprints for the folder's manifest, see `rtof_kin.core.files.folder.new_folder`.
+        run: returns what the run can be repeated by, for the summary, when all parts are made.
 
     Returns:
         Statistics of the whole.
 
     Raises:
-        Errors of `export`, and those raised while the parts are made.
+        OutputExistsError: the folder exists and may not be replaced. UnknownNameError: an unknown format.
+        InvalidInputError: a format cannot represent the motion. Those raised while parts are made.
     """
+    parts = (found.parts or (found,)) if isinstance(found, Reconstruction) else found
     check_formats(formats or ())
     statistics: ReconstructionStatistics | None = None
     with new_folder(Path(folder), MARKER, overwrite, inputs) as temporary:

@@ -32,7 +32,7 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.gait_reference import NAMES, PERCENT, STANDING_ZERO, VARIABLES, GaitReference
-from rtof_kin.formats.gait_reference_json import read_gait_reference
+from rtof_kin.formats.gait_reference import read_gait_reference
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label
 from rtof_kin.reporting.audit_results import Grade, headline
 from rtof_kin.reporting.document import Document, Figure, Section, Table, number

@@ -27,14 +27,11 @@ from rtof_kin.datasets.total_capture_files import CAMERA_FILE
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
-from rtof_kin.formats.c3d import read_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml
-from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.opencap import read_opencap
-from rtof_kin.formats.opencv_yaml import read_opencv_yaml
+from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
+from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.total_capture import read_cameras
-from rtof_kin.formats.trc import read_trc
 from rtof_kin.inertial.laws import at_rest, rates_of_orientation
 from rtof_kin.inertial.physics import check_log
 from rtof_kin.recording import body_checks as bodies
@@ -44,7 +41,7 @@ from rtof_kin.reporting.figures import ESTIMATE, TRUTH
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.landmark_regression import recognise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot

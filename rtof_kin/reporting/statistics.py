@@ -22,8 +22,7 @@ from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.motion_views import outside_gaps, root_and_dof_names, root_and_dofs_observed
 from rtof_kin.inertial.outlier_rejection import merge_faults
-from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
-from rtof_kin.reconstruction.part_results import sample
+from rtof_kin.reconstruction.part_results import PartFindings, joined_checks, joined_warnings, sample
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reporting.residuals import acceleration_residuals, orientation_residuals, reprojection_errors
 from rtof_kin.solve.solution import FragmentReport, FragmentSolution

@@ -26,19 +26,20 @@ trial. Visits are ordered by their day: that of ``follow.toml``, else the one in
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import date, datetime
 from pathlib import Path
-from typing import Annotated, Any, Final, cast
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Strict
 
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, file_in
 from rtof_kin.clinical.follow_up import BandShares
-from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Better, Movement, Setup, Trial, Visit, trial
+from rtof_kin.clinical.visits import BETTERS, MOVEMENTS, Setup, Trial, Visit, trial
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.input_table import InputTable, Names, Number
@@ -54,24 +55,6 @@ _STEADY: Final = 0.8  # length of the mean of unit vectors along the heading, fr
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
-class Plan:
-    """Contents of ``follow.toml``."""
-
-    folders: tuple[str, ...] = ()
-    """In order; none: all."""
-    names: dict[str, str] = field(default_factory=dict)
-    """Folder -> name."""
-    days: dict[str, date] = field(default_factory=dict)
-    """Folder -> day."""
-    baseline: str = ""
-    by: Movement | None = None
-    kind: str = ""
-    measures: tuple[str, ...] = ()
-    better: dict[str, Better] = field(default_factory=dict)
-    shares: BandShares = field(default_factory=BandShares)
-
-
 class VisitTable(InputTable):
     """A table ``[[visit]]``."""
 
@@ -79,6 +62,16 @@ class VisitTable(InputTable):
     name: str | None = None
     date: Any = None
     """A day of TOML, or its text."""
+
+    @property
+    def day(self) -> date:
+        """The date."""
+        if isinstance(self.date, date):
+            return self.date.date() if isinstance(self.date, datetime) else self.date
+        try:
+            return date.fromisoformat(str(self.date))
+        except ValueError as error:
+            raise self.error("date", "not a day; write year, month and day, as 2026-01-31") from error
 
 
 class BandsTable(InputTable):
@@ -88,7 +81,7 @@ class BandsTable(InputTable):
     visit: Number = 1.0
 
 
-class PlanTable(InputTable):
+class Plan(InputTable):
     """The file ``follow.toml``."""
 
     baseline: str = ""
@@ -98,6 +91,24 @@ class PlanTable(InputTable):
     visit: Annotated[tuple[VisitTable, ...], Strict(False)] = ()
     better: dict[str, str] = {}
     bands: BandsTable = BandsTable()
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Folder of each visit that is listed -> its name."""
+        return {one.folder: one.folder if one.name is None else one.name for one in self.visit}
+
+    @property
+    def days(self) -> dict[str, date]:
+        """Folder -> day."""
+        return {one.folder: one.day for one in self.visit if one.date is not None}
+
+    @property
+    def shares(self) -> BandShares:
+        """How the variance of the bands is divided."""
+        try:
+            return BandShares(self.bands.all_visits, self.bands.visit)
+        except InvalidInputError as error:
+            raise self.error("bands", str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -120,37 +131,11 @@ def read_plan(folder: str | Path) -> Plan:
     path = Path(folder) / PLAN
     if not path.exists():
         return Plan()
-    top = PlanTable.read(path)
-    indices_of(f"direction in {path}, [better]", [*top.better.values()], BETTERS)
-    if top.by:
-        indices_of(f"choice in {path}, by", [top.by], MOVEMENTS)
-    try:
-        shares = BandShares(top.bands.all_visits, top.bands.visit)
-    except InvalidInputError as error:
-        raise top.error("bands", str(error)) from error
-    return Plan(
-        tuple(one.folder for one in top.visit),
-        {one.folder: one.folder if one.name is None else one.name for one in top.visit},
-        {one.folder: _declared_day(one) for one in top.visit if one.date is not None},
-        top.baseline,
-        cast("Movement | None", top.by or None),
-        top.repetitions,
-        top.measures,
-        cast("dict[str, Better]", top.better),
-        shares,
-    )
-
-
-def _declared_day(one: VisitTable) -> date:
-    value = one.date
-    if isinstance(value, datetime):
-        return value.date()
-    if isinstance(value, date):
-        return value
-    try:
-        return date.fromisoformat(str(value))
-    except ValueError as error:
-        raise one.error("date", "not a day; write year, month and day, as 2026-01-31") from error
+    plan = Plan.read(path)
+    indices_of(f"direction in {path}, [better]", [*plan.better.values()], BETTERS)
+    indices_of(f"choice in {path}, by", [plan.by] if plan.by else [], MOVEMENTS)
+    _ = plan.days, plan.shares  # raise if they are wrong
+    return plan
 
 
 def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVisits:
@@ -164,7 +149,7 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
     """
     folder = Path(folder)
     plan, found = read_plan(folder), _motions(folder)
-    wanted = plan.folders or tuple(found)
+    wanted = tuple(plan.names or found)
     if missing := [name for name in wanted if name not in found]:
         raise FileFormatError(
             folder / PLAN, f"visit {missing[0]!r} has no {MOTION}; there are {', '.join(found) or 'none'}"
@@ -186,7 +171,7 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
         visits.append(Visit(plan.names.get(name, name), tuple(trials), _day(name, trials, plan, notes)))
     if unlisted := [name for name in found if name not in wanted]:
         notes.append(f"Left out, as {PLAN} does not list them: {', '.join(unlisted)}")
-    if not plan.folders:
+    if not plan.visit:
         visits = _ordered(visits, notes)
     return FoundVisits(tuple(visits), _baseline(visits, plan, folder), plan, tuple(notes))
 
@@ -222,25 +207,23 @@ def _setup(summary: Summary | None, mode: str, view: float) -> Setup:
     camera: dict[str, Any] = inputs.get("camera") or {}
     segments = (sensor.get("segment") for sensor in inputs.get("sensors") or [])
     overall = None if summary.results is None else headline(summary.results)
+    sizes = [camera.get(name) for name in ("height_m", "distance_m")]
+    height, distance = (math.nan if size is None else float(size) for size in sizes)
     return Setup(
-        session.subject,
-        session.date,
-        session.protocol,
-        summary.mode or mode,
-        str(inputs.get("software") or ""),
-        ", ".join(f"{name} {settings[name]}" for name in _SETTINGS if name in settings),
-        tuple(sorted(str(segment) for segment in segments if segment)),
-        tuple(camera.get("landmarks") or ()),
-        int(inputs.get("cameras") or 0),
-        _number(camera.get("height_m")),
-        _number(camera.get("distance_m")),
-        view,
-        overall.text if overall is not None and overall.grade is Grade.FAIL else "",
+        subject=session.subject,
+        date=session.date,
+        protocol=session.protocol,
+        mode=summary.mode or mode,
+        software=str(inputs.get("software") or ""),
+        model=", ".join(f"{name} {settings[name]}" for name in _SETTINGS if name in settings),
+        sensors=tuple(sorted(str(segment) for segment in segments if segment)),
+        points=tuple(camera.get("landmarks") or ()),
+        cameras=int(inputs.get("cameras") or 0),
+        camera_height=height,
+        camera_distance=distance,
+        view=view,
+        failed=overall.text if overall is not None and overall.grade is Grade.FAIL else "",
     )
-
-
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)
 
 
 def _view(found: Trial, path: Path) -> float:
@@ -274,8 +257,7 @@ def _day(name: str, trials: Sequence[Trial], plan: Plan, notes: list[str]) -> da
 
 
 def _ordered(visits: list[Visit], notes: list[str]) -> list[Visit]:
-    days = [visit.day for visit in visits]
-    if any(day is None for day in days):
+    if any(visit.day is None for visit in visits):
         notes.append(f"Not all visits have a day: they are in the order of their names ({PLAN} may list them)")
         return sorted(visits, key=lambda visit: _natural(visit.name))
     return sorted(visits, key=lambda visit: (visit.day or date.min, _natural(visit.name)))

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 from markupsafe import Markup
@@ -18,7 +18,7 @@ from scipy import stats
 
 from rtof_kin.clinical.comparison_change import LEVEL
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
-from rtof_kin.clinical.visits import Measure, Movement
+from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import indices_of
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
@@ -28,31 +28,6 @@ from rtof_kin.reporting.visit_folders import Progress, read_visits
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
 
-COLUMNS: Final = (
-    "measure",
-    "unit",
-    "visit",
-    "day",
-    "trials",
-    "value",
-    "sd",
-    "change",
-    "interval_low",
-    "interval_high",
-    "outcome",
-    "detectable",
-    "shown_in_4_of_5",
-    "p",
-    "p_holm",
-    "better",
-    "sem_bands",
-    "sem_repeats",
-    "sem_repeats_dof",
-    "sem_both",
-    "mdc95_bands",
-    "mdc95_repeats",
-    "mdc95_both",
-)
 _DIGITS: Final = {"deg": 1, "%": 1, "s": 2, "m": 2, "m/s": 2, "steps/min": 0}
 _MOST: Final = 3  # measures that are named in one line
 _PRINTED: Final = 14  # measures in the printed table, unless they are chosen
@@ -101,9 +76,9 @@ def follow(
     found = follow_up(
         read.visits,
         baseline=first,
-        by=by or plan.by,
-        kind=kind or plan.kind,
-        better=plan.better,
+        by=by or cast("Movement | None", plan.by or None),
+        kind=kind or plan.repetitions,
+        better=cast("dict[str, Better]", plan.better),
         names=list(measures) or list(plan.measures),
         shares=plan.shares,
     )
@@ -385,41 +360,43 @@ def _printed(found: FollowUp, all_of_them: bool) -> list[Table | str]:
 
 
 def table(found: FollowUp) -> Table:
-    """Return the row of each measure and visit, None for what there is not; see `COLUMNS`."""
-    return Table(COLUMNS, [_row(found, one, v) for one in found.measures for v in range(len(found.visits))])
+    """Return the row of each measure and visit, None for what there is not."""
+    return Table.of([_row(found, one, v) for one in found.measures for v in range(len(found.visits))])
 
 
-def _row(found: FollowUp, one: Followed, visit: int) -> list[Cell]:
-    here, change, scale = found.visits[visit], one.changes[visit], one.measure.scale
-    nan, own = math.nan, one.visits[visit]
-    figures = (
-        [nan] * 5 if change is None else [change.difference, *change.interval, change.detectable, one.mostly(visit)]
-    )
-    size, low, high, needed, mostly = (number(scale * value) for value in figures)
-    p = (nan, nan) if change is None else (change.p, change.p_adjusted)
-    errors = (one.errors.bands, one.errors.trials, one.errors.both)
-    return [
-        one.measure.name,
-        one.measure.unit,
-        here.name,
-        here.day.isoformat() if here.day else None,
-        0 if own is None else len(own.values),
-        number(scale * one.estimates[visit]),
-        number(scale * one.sigmas[visit]),
-        size,
-        low,
-        high,
-        None if visit == found.baseline else one.outcome(visit).value,
-        needed,
-        mostly,
-        *map(number, p),
-        one.better,
-        number(scale * errors[0].sem),
-        number(scale * errors[1].sem),
-        number(errors[1].dof),
-        number(scale * errors[2].sem),
-        *(number(scale * sem.mdc95) for sem in errors),
-    ]
+def _row(found: FollowUp, one: Followed, visit: int) -> dict[str, Cell]:
+    here, change, scale, own = found.visits[visit], one.changes[visit], one.measure.scale, one.visits[visit]
+
+    def size(value: float) -> float | None:
+        return number(scale * value)
+
+    bands, trials, both = (one.errors.bands, one.errors.trials, one.errors.both)
+    low, high = (None, None) if change is None else map(size, change.interval)
+    return {
+        "measure": one.measure.name,
+        "unit": one.measure.unit,
+        "visit": here.name,
+        "day": here.day.isoformat() if here.day else None,
+        "trials": 0 if own is None else len(own.values),
+        "value": size(one.estimates[visit]),
+        "sd": size(one.sigmas[visit]),
+        "change": None if change is None else size(change.difference),
+        "interval_low": low,
+        "interval_high": high,
+        "outcome": None if visit == found.baseline else one.outcome(visit).value,
+        "detectable": None if change is None else size(change.detectable),
+        "shown_in_4_of_5": None if change is None else size(one.mostly(visit)),
+        "p": None if change is None else number(change.p),
+        "p_holm": None if change is None else number(change.p_adjusted),
+        "better": one.better,
+        "sem_bands": size(bands.sem),
+        "sem_repeats": size(trials.sem),
+        "sem_repeats_dof": number(trials.dof),
+        "sem_both": size(both.sem),
+        "mdc95_bands": size(bands.mdc95),
+        "mdc95_repeats": size(trials.mdc95),
+        "mdc95_both": size(both.mdc95),
+    }
 
 
 def _changes(found: FollowUp) -> list[Section]:

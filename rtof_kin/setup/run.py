@@ -22,15 +22,14 @@ from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, re
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.reconstruction.lift import LifterLike
-from rtof_kin.reconstruction.parts import is_long, reconstruct_in_parts
-from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.reader import RecordingReader, RecordingSlices
+from rtof_kin.recording.reader import RecordingReader
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
-from rtof_kin.reporting.export import MARKER, export_parts
+from rtof_kin.reporting.export import MARKER, export
 from rtof_kin.reporting.page import PAGE, report
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
@@ -103,9 +102,11 @@ class Run:
 def run(
     files: Iterable[str | Path],
     folder: str | Path,
-    setup: SetupSettings,
+    setup: SetupSettings | None = None,
     settings: ReconstructionSettings | None = None,
     *,
+    height: float | None = None,
+    mode: Mode | None = None,
     task: ReconstructionTask | None = None,
     second: SecondCamera | None = None,
     analysis: AnalysisSettings | None = None,
@@ -119,16 +120,16 @@ def run(
     Detects the person, makes the recording, reconstructs the motion, analyses it and writes the report. What is not
     given is found from the motion or assumed, and said. A step is not done again while its inputs are the same.
 
-    >>> from rtof_kin.setup.init import SetupSettings
-    >>> from rtof_kin.setup.run import ReconstructionTask
-    >>> files = ["files/keypoints.csv", "files/dots", "files/places.csv"]
-    >>> done = run(files, "out", SetupSettings(height=1.78, size_px=(1920, 1080)), task=ReconstructionTask("sf2"))
+    >>> from rtof_kin import run
+    >>> files = ["take/keypoints.csv", "take/camera.toml"]  # or a video; and files of sensors
+    >>> done = run(files, "out/walk", height=1.72, mode="lift")
     >>> done.page.name, done.summary.mode
-    ('report.html', 'sf2')
+    ('report.html', 'lift')
 
     Args:
-        files: see `make_recording`. setup: of the recording; the height is needed.
-        settings: of the reconstruction's stages. task: mode, model and calibration; default: the recording is
+        files: see `make_recording`. setup: of the recording. settings: of the reconstruction's stages.
+        height: standing height of the person, m, here or in `setup`.
+        mode: of the reconstruction, here or in `task`. task: model and calibration too; default: the recording is
             calibrated from its own motion.
         detect: detects the people in a video; default: the detector of `setup`.
         overwrite: replace results of other files. kept: called with the name of each step that is kept.
@@ -141,6 +142,8 @@ def run(
     second = second or SecondCamera()
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(), analysis or AnalysisSettings()
+    setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
+    setup = setup if height is None else replace(setup, height=height)
     if setup.height is None:
         raise InvalidInputError(
             "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"
@@ -204,12 +207,9 @@ def reconstruct_folder(
     """
     check_replaceable(output, MARKER, overwrite)
     with ExitStack() as stack:
-        source: RecordingSlices
-        if isinstance(recording, Recording):
-            source = recording
-        else:
-            reader = stack.enter_context(RecordingReader.open(recording))
-            source = reader if is_long(reader) else reader.whole()
+        source: Recording | RecordingReader = (
+            recording if isinstance(recording, Recording) else stack.enter_context(RecordingReader.open(recording))
+        )
         mode, known = task.mode or source.usual_mode, task.calibration
         record = {
             "options": {"mode": mode, "calibrate": task.calibrate} | settings_record(settings),
@@ -225,10 +225,13 @@ def reconstruct_folder(
             "known": None if known is None else read_self_calibration_toml(known),
             "progress": progress,
         }
-        whole = source if isinstance(source, Recording) else None
-        parts = reconstruct_in_parts(source, **how) if whole is None else [reconstruct(whole, **how)]
-        return export_parts(
-            parts, output, overwrite, task.figures, inputs=inputs, run=lambda: record | {"environment": environment()}
+        return export(
+            reconstruct_in_parts(source, **how),
+            output,
+            overwrite,
+            task.figures,
+            inputs=inputs,
+            run=lambda: record | {"environment": environment()},
         )
 
 

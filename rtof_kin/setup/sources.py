@@ -12,15 +12,14 @@ from typing import Final
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import npz_names
-from rtof_kin.formats.opencap import read_opencap
-from rtof_kin.formats.opencv_yaml import MATRIX_NAMES
+from rtof_kin.formats.cameras import MATRIX_NAMES, read_opencap
 from rtof_kin.formats.sensors.files import format_of, holds_sensors
-from rtof_kin.formats.sensors.phone import phone_files
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
+from rtof_kin.formats.sensors.tables import phone_files
 from rtof_kin.inertial.segment_names import segment_of
 from rtof_kin.recording.index import INDEX
+from rtof_kin.vision.detections import is_keypoint_header
 from rtof_kin.vision.keypoint_files import ARRAY_NAMES
-from rtof_kin.vision.keypoint_tables import is_keypoint_header
 
 _HEAD_BYTES: Final = 2**14
 _LARGEST_MAP: Final = 2**18
@@ -181,7 +180,7 @@ class Sources:
     sensor_map: Path | None = None
     """Which sensor is where, see `rtof_kin.formats.sensors.sensor_map`."""
     phone: Path | None = None
-    """Gyroscope and accelerometer of the phone that filmed, see `rtof_kin.formats.sensors.phone`."""
+    """Gyroscope and accelerometer of the phone that filmed, see `rtof_kin.formats.sensors.tables`."""
 
     @classmethod
     def of(cls, paths: Iterable[str | Path]) -> Sources:

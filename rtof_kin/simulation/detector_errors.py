@@ -25,7 +25,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.detector_errors import harmonics
+from rtof_kin.vision.image_points import harmonics
 
 
 def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory: float) -> Array:
@@ -43,11 +43,7 @@ def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory:
 
 
 def smoothed(values: Array, width: float) -> Array:
-    """Return values (T, ...) under a moving normal window.
-
-    Args:
-        values: (T, ...).
-    """
+    """Return values (T, ...) under a moving normal window; values: (T, ...)."""
     return np.asarray(gaussian_filter1d(values, width, axis=0, mode="nearest"))
 
 

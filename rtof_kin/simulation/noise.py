@@ -99,11 +99,7 @@ class KeypointNoise:
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
-        """Return independent normal errors of each coordinate only.
-
-        Args:
-            sigma_px: standard deviation, px.
-        """
+        """Return independent normal errors of each coordinate only; sigma_px: standard deviation, px."""
         return replace(cls.perfect(), white_px=sigma_px, arms_factor=1.0, legs_factor=1.0)
 
     def drawn(self, rng: Generator) -> Self:
@@ -178,11 +174,7 @@ def smooth_noise(rng: Generator, times: Array, memory: float, size: Sequence[int
 
 
 def keypoint_errors(rng: Generator, times: Array, joints: Sequence[str], noise: KeypointNoise) -> Array:
-    """Return errors (T, L, 2) of landmarks, px.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return errors (T, L, 2) of landmarks, px; times: (T,) s."""
     T, L = len(times), len(joints)
     memory = [noise.wrist_memory if j in _WRISTS else noise.drift_memory for j in joints]
     bias = noise.bias_px * rng.standard_normal((L, 2))

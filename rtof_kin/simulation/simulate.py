@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import SPINE
+from rtof_kin.body.pose_prior import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
@@ -108,11 +108,7 @@ class SimulationSettings:
 
     @classmethod
     def white(cls, sigma_px: float = 5.0) -> Self:
-        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs.
-
-        Args:
-            sigma_px: standard deviation, px.
-        """
+        """Return white noise on the 2D, on the IMUs' clock, with realistic IMUs; sigma_px: standard deviation, px."""
         return replace(cls.perfect(), keypoints=KeypointNoise.white(sigma_px))
 
     @classmethod

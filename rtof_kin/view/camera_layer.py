@@ -22,8 +22,7 @@ from rtof_kin.core.packages import optional
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.view.legend import DETECTED, REPROJECTED
-from rtof_kin.vision.video_file import open_video, upright_image
-from rtof_kin.vision.video_metadata import slow_motion
+from rtof_kin.vision.video_metadata import open_video, slow_motion, upright_image
 
 HEIGHT: Final = 360
 """[px] Largest height of the images."""

@@ -20,12 +20,11 @@ import batch_support
 import pytest
 from batch_support import batch_of, calls, facts, obey, write_recordings
 
-from rtof_kin.batch.place import claim
 from rtof_kin.batch.recordings import Shard
 from rtof_kin.batch.rows import Row
-from rtof_kin.batch.run import Batch, Tables, check_chain, run_batch
+from rtof_kin.batch.run import Batch, Tables, check_chain, claim, run_batch
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, WritingError
-from rtof_kin.core.files.temporary import temporary_folder
+from rtof_kin.core.files.folder import temporary_folder
 from rtof_kin.core.jobs import Engine, InThisProcess, Processes
 
 VERDICTS = {"e": "error", "s1/a": "pass", "s1/b": "warn", "s2/c": "fail", "s2/d": "error"}

@@ -14,7 +14,7 @@ from gait_support import means_only
 from report_support import folder_of
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.formats.gait_reference_json import write_gait_reference
+from rtof_kin.formats.gait_reference import write_gait_reference
 
 TERMS = ("--licence", "CC0-1.0", "--origin", "planted walking")
 

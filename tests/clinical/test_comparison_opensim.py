@@ -10,8 +10,7 @@ from clinical_support import walk
 
 from rtof_kin.clinical.angles import clinical_angles, opensim_angles
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.formats.opensim_mot import write_mot, write_sto
-from rtof_kin.formats.opensim_table import OpenSimTable, read_opensim_table
+from rtof_kin.formats.opensim import OpenSimTable, read_opensim_table, write_mot, write_sto
 
 
 def table(in_degrees: bool = True, **columns: float) -> OpenSimTable:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import environment as module
 from rtof_kin.core.environment import environment
-from rtof_kin.core.files.compact import multiples
+from rtof_kin.core.files.hdf5 import multiples
 from rtof_kin.core.numerics import c_compiler
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings

@@ -14,7 +14,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.datasets.detections import read_detections
+from rtof_kin.datasets.total_capture_files import read_detections
 
 NAMES = SkeletonModel.default().names
 T = 7

@@ -19,8 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
-from rtof_kin.datasets.human36m_cameras import CAMERA_IDS, read_cameras
-from rtof_kin.datasets.human36m_files import JOINTS_OF_32
+from rtof_kin.datasets.human36m_files import CAMERA_IDS, JOINTS_OF_32, read_cameras
 
 SKELETON = SkeletonModel.human36m()
 TWO = ("S9", "S11")

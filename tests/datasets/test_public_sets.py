@@ -13,13 +13,11 @@ from public_sets import known
 
 from rtof_kin.clinical.angles import opensim_angles
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.datasets.gaitex import Gaitex
-from rtof_kin.datasets.joint_centres import hinge_table, hip_centres
 from rtof_kin.datasets.movi import CENTRES, SIZE_PX, Movi
 from rtof_kin.datasets.opencap_validation import OpenCapValidation
-from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth
-from rtof_kin.datasets.vidimu import Vidimu
-from rtof_kin.formats.opencap import read_opencap
+from rtof_kin.datasets.public_sets import PublicSet, Take, TakeInputs, Truth, hinge_table, hip_centres
+from rtof_kin.datasets.sensor_sets import Gaitex, Vidimu
+from rtof_kin.formats.cameras import read_opencap
 
 
 def only(adapter: PublicSet, key: str) -> Take:

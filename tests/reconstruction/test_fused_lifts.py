@@ -13,8 +13,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
-from rtof_kin.reconstruction.fused_lifts import fused
-from rtof_kin.reconstruction.lift import Lifted
+from rtof_kin.reconstruction.lift import Lifted, fused
 
 BODY = SkeletonModel.default()
 T = 10

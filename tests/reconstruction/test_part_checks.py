@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtof_kin.core.checks import Check
-from rtof_kin.reconstruction.part_checks import PartFindings, joined_checks, joined_warnings
+from rtof_kin.reconstruction.part_results import PartFindings, joined_checks, joined_warnings
 
 
 def parts(*values: float, warnings: dict[int, str] | None = None) -> list[PartFindings]:

@@ -10,8 +10,8 @@ import pytest
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
-from rtof_kin.formats.sensors.phone import phone_files, read_phone
+from rtof_kin.formats.camera_motion import write_camera_motion
+from rtof_kin.formats.sensors.tables import phone_files, read_phone
 from rtof_kin.inertial.orientation import HELD, motion_of_gyroscope
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.recording import Recording

@@ -23,11 +23,10 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera_motion import CameraMotion
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.recording.index import INDEX
 from rtof_kin.recording.reader import RecordingReader
 from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.writer import RecordingWriter
 
 FIRST, LAST = 0.0, 10.0
 
@@ -184,9 +183,7 @@ def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 @pytest.fixture(scope="module")
 def both(folder: Path) -> Iterator[tuple[Recording, RecordingReader]]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rtof_kin.recording.streams.BLOCK", 128)  # several blocks in ten seconds
         patch.setattr("rtof_kin.recording.streams.BLOCK", 128)
-        patch.setattr("rtof_kin.recording.streams._SPACING", 2**16)
         with RecordingReader.open(folder) as reader:
             yield Recording.load(folder), reader
 
@@ -339,33 +336,6 @@ def same_error(folder: Path) -> None:
         RecordingReader.open(folder)
 
 
-# --- parts written -------------------------------------------------------------------------------
-
-
-def test_parts_written_one_by_one_are_the_whole(tmp_path: Path) -> None:
-    that_was_stabilised(tmp_path / "stabilised")
-    whole = Recording.load(tmp_path / "stabilised")
-    ends = [3.0, 5.5, 6.0, 11.0]
-    with RecordingWriter(tmp_path / "parts") as writer:
-        for start, stop in zip([0.0, *ends], ends, strict=False):
-            writer.append(whole.between(start + 1e-6, stop))
-    assert_same(Recording.load(tmp_path / "parts"), whole)
-
-
-def test_a_part_that_does_not_follow_leaves_no_folder(tmp_path: Path) -> None:
-    whole = demo()
-    with pytest.raises(InvalidInputError, match="begins at 4"), RecordingWriter(tmp_path / "out") as writer:
-        writer.append(whole.between(3, 5))
-        writer.append(whole.between(4, 6))
-    with (
-        pytest.raises(InvalidInputError, match="a part has keypoints.npz, truth.npz, not"),
-        RecordingWriter(tmp_path / "out") as writer,
-    ):
-        writer.append(whole.between(3, 5))
-        writer.append(replace(whole.between(5.1, 6), imus=None, views=()))
-    assert not (tmp_path / "out").exists()
-
-
 # --- memory --------------------------------------------------------------------------------------
 
 
@@ -374,10 +344,7 @@ def test_reading_by_minutes_takes_the_memory_of_some_minutes(tmp_path: Path) -> 
     minutes = 8
     long = demo().between(1.0, 3.0)
     assert long.truth is not None
-    with RecordingWriter(tmp_path / "hour") as writer:
-        step = 600
-        for i in range(minutes * 60 * 60 // step):
-            writer.append(tiled(long, step, i * step))
+    tiled(long, minutes * 3600, 0).save(tmp_path / "hour")
     script = f"""
 import resource
 from rtof_kin.recording.reader import RecordingReader

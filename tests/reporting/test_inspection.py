@@ -18,10 +18,8 @@ from rtof_kin.core.checks import Verdict
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera
-from rtof_kin.formats.c3d import write_c3d
 from rtof_kin.formats.camera_toml import write_camera_toml
-from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.trc import write_trc
+from rtof_kin.formats.markers import MarkerSequence, write_c3d, write_trc
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import MOST, inspect, picture
 

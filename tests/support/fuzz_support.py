@@ -30,24 +30,20 @@ from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.human36m import Human36M
-from rtof_kin.datasets.human36m_cameras import read_cameras as read_human36m_cameras
+from rtof_kin.datasets.human36m_files import read_cameras as read_human36m_cameras
+from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.formats import total_capture
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
-from rtof_kin.formats.c3d import read_c3d, write_c3d
 from rtof_kin.formats.camera_toml import read_camera_toml, write_camera_toml
+from rtof_kin.formats.cameras import read_opencap, read_opencv_yaml
 from rtof_kin.formats.joint_trajectory import read_joint_trajectory_csv, write_joint_trajectory_csv
-from rtof_kin.formats.markers import MarkerSequence
-from rtof_kin.formats.opencap import read_opencap
-from rtof_kin.formats.opencv_yaml import read_opencv_yaml
-from rtof_kin.formats.opensim_mot import write_mot
-from rtof_kin.formats.opensim_table import read_opensim_table
+from rtof_kin.formats.markers import MarkerSequence, read_c3d, read_trc, write_c3d, write_trc
+from rtof_kin.formats.opensim import read_opensim_table, write_mot
 from rtof_kin.formats.sensors.files import read_sensor_log
 from rtof_kin.formats.sensors.mvnx import read_mvnx_file
 from rtof_kin.formats.sensors.sensor_map import read_sensor_map
-from rtof_kin.formats.trc import read_trc, write_trc
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.inspection import inspect
 from rtof_kin.setup.sources import Sources
@@ -196,8 +192,7 @@ def _learning() -> tuple[Reader, ...]:
     import lifting_support
 
     from lifting.checkpoint import load_checkpoint
-    from lifting.corpus import read_corpus
-    from lifting.splits import read_split
+    from lifting.training.corpus import read_corpus, read_split
 
     return (
         Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),

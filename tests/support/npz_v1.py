@@ -13,7 +13,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.keypoints import Measurements
-from rtof_kin.formats.video_arrays import video_arrays
+from rtof_kin.formats.camera_motion import video_arrays
 
 POSES = ("times", "p_world_joint", "R_world_bone", "valid", "provenance", "orientation_observed", "direction_observed")
 COVARIANCES = ("position_covariance", "relative_covariance", "turn_covariance")

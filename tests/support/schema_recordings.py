@@ -11,7 +11,7 @@ from sensor_files import SERIALS, truth, write_mt
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera_motion import CameraMotion
-from rtof_kin.formats.camera_motion_npz import write_camera_motion
+from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.formats.camera_toml import write_camera_toml
 
 T = 12

@@ -9,29 +9,80 @@ from __future__ import annotations
 import csv
 import io
 import math
+import tempfile
 import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.archive import array_members, check_sizes
+from rtof_kin.core.errors import FileFormatError, WritingError
 from rtof_kin.core.files.folder import new_file
 from rtof_kin.core.files.text import LARGEST_NUMBER, check_file, measurable, read_text
+
+_UNSUSPICIOUS_BYTES, _LARGEST_RATIO = 256 * 2**20, 100
+"""Archives above this size with a higher compression ratio are refused."""
+_MOST_MEMBERS: Final = 10_000
+
+
+def check_sizes(path: Path, members: Sequence[zipfile.ZipInfo], limit: float) -> None:
+    """Check that an archive does not exhaust the memory.
+
+    Args:
+        limit: of their sizes, bytes.
+
+    Raises:
+        FileFormatError: it is too large, or large and compressed beyond any recording.
+    """
+    full = sum(member.file_size for member in members)
+    if full > limit:
+        raise FileFormatError(path, f"would fill more than {limit / 2**20:.0f} MiB of memory")
+    check_ratio(path, full, sum(member.compress_size for member in members))
+
+
+def check_ratio(path: Path, full: int, packed: int) -> None:
+    """Raise `FileFormatError` for what is large and compressed beyond any recording.
+
+    Args:
+        full, packed: bytes of memory and of the file.
+    """
+    if full > _UNSUSPICIOUS_BYTES and full > _LARGEST_RATIO * packed:
+        raise FileFormatError(path, f"unpacks to {full} bytes from {packed}, which no recording does; not opened")
+
+
+def array_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the members of an archive of arrays by the name of the array.
+
+    Raises:
+        FileFormatError: an array twice, of which readers differ in the one they take; or too many.
+    """
+    members = archive.infolist()
+    _check_number(path, len(members))
+    found = {member.filename.removesuffix(".npy"): member for member in members}
+    if len(found) < len(members):
+        names = Counter(member.filename.removesuffix(".npy") for member in members)
+        raise FileFormatError(path, f"array {names.most_common(1)[0][0][:80]!r} stands in it twice; not opened")
+    return found
+
+
+def _check_number(path: Path, number: int) -> None:
+    if number > _MOST_MEMBERS:
+        raise FileFormatError(path, f"{number} members; no archive of this package has so many")
+
 
 LARGEST_BYTES = 4 * 2**30
 """Default limit of the total size of the arrays, bytes."""
 _LARGEST_CSV = 2**30
+_MOST_AXES = 32
 _CSV = "a CSV file; its first line names the columns"
 
 
@@ -96,6 +147,26 @@ def npz_shapes(path: Path) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def npz_rows(path: Path, name: str, rows: int) -> Iterator[Array]:
+    """Yield an array of an .npz file as float64 by so many rows at a time; one in Fortran order as a whole.
+
+    Raises:
+        FileFormatError: see `read_npz`.
+    """
+    with _open_npz(path) as archive:
+        members = array_members(path, archive)
+        check_sizes(path, list(members.values()), math.inf)
+        with archive.open(members[name]) as stream:
+            shape, fortran, dtype = _checked_header(path, name, stream, members[name].file_size, "fiub")
+            if fortran or not shape:
+                yield _as_floats(path, name, _read_data(path, name, stream, shape, fortran, dtype))
+                return
+            for start in range(0, shape[0], rows):
+                block = (min(rows, shape[0] - start), *shape[1:])
+                yield _as_floats(path, name, _read_data(path, name, stream, block, False, dtype))
+            stream.read()  # the end, at which the checksum is compared
+
+
 @contextmanager
 def _open_npz(path: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive; all errors of reading it become `FileFormatError`."""
@@ -147,6 +218,17 @@ def read_npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
 
 
 def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -> NDArray[Any]:
+    shape, fortran, dtype = _checked_header(path, name, stream, size, kinds)
+    array = _read_data(path, name, stream, shape, fortran, dtype)
+    if stream.read(1):
+        raise FileFormatError(path, f"{name}: damaged, it has more bytes than its shape {shape} needs")
+    return array
+
+
+def _checked_header(
+    path: Path, name: str, stream: IO[bytes], size: int, kinds: str
+) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read the header of an array whose data fit into so many bytes."""
     try:
         shape, fortran, dtype = read_npy_header(stream)
     except ValueError as error:
@@ -157,13 +239,19 @@ def _read_npy(path: Path, name: str, stream: IO[bytes], size: int, kinds: str) -
             f"{name}: has type {dtype}, not numbers; pickled objects are never read, so save a plain array of numbers",
         )
     claimed = math.prod(shape) * dtype.itemsize
-    if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0:
+    if claimed > size or min(shape, default=0) < 0 or dtype.itemsize == 0 or len(shape) > _MOST_AXES:
         raise FileFormatError(path, f"{name}: shape {shape} needs {claimed} bytes, {size} are there")
-    data = stream.read()
-    if len(data) != claimed:
-        raise FileFormatError(path, f"{name}: damaged, {len(data)} of {claimed} bytes are there")
-    flat = np.frombuffer(data, dtype=dtype)
-    return flat.reshape(shape, order="F" if fortran else "C")
+    return shape, fortran, dtype
+
+
+def _read_data(
+    path: Path, name: str, stream: IO[bytes], shape: tuple[int, ...], fortran: bool, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    wanted = math.prod(shape) * dtype.itemsize
+    data = stream.read(wanted)
+    if len(data) != wanted:
+        raise FileFormatError(path, f"{name}: damaged, {len(data)} of {wanted} bytes are there")
+    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran else "C")
 
 
 def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
@@ -259,3 +347,51 @@ def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list
                 path, f"column {name}: {cell!r} is not a number; leave a missing cell empty", line
             ) from error
     return row
+
+
+# --- arrays that wait on the disk ----------------------------------------------------------------
+
+
+class ScratchArrays:
+    """Arrays in temporary files, appended by blocks and read by rows; the system removes them with the process."""
+
+    def __init__(self) -> None:
+        self.shapes: dict[str, tuple[int, ...]] = {}
+        """Shape of each array."""
+        self._files: dict[str, IO[bytes]] = {}
+
+    def append(self, arrays: Mapping[str, Array]) -> None:
+        """Write further rows.
+
+        Args:
+            arrays: (n, ...) float64 by name.
+
+        Raises:
+            WritingError: they cannot be written.
+        """
+        try:
+            for name, array in arrays.items():
+                if name not in self._files:
+                    self._files[name], self.shapes[name] = tempfile.TemporaryFile(), (0, *array.shape[1:])  # noqa: SIM115
+                self._files[name].seek(0, 2)
+                np.ascontiguousarray(array, dtype=np.float64).tofile(self._files[name])
+                self.shapes[name] = (self.shapes[name][0] + len(array), *array.shape[1:])
+        except OSError as error:
+            raise WritingError(
+                f"{tempfile.gettempdir()}: temporary arrays cannot be written ({error}); make room, or name "
+                "another folder in the environment variable TMPDIR"
+            ) from error
+
+    def rows(self, name: str, rows: slice) -> Array:
+        """Return consecutive rows of an array."""
+        length, *row = self.shapes[name]
+        start, stop, _ = rows.indices(length)
+        size = math.prod(row)
+        stream = self._files[name]
+        stream.seek(8 * start * size)
+        return np.fromfile(stream, np.float64, (stop - start) * size).reshape(stop - start, *row)
+
+    def close(self) -> None:
+        """Remove the files."""
+        for stream in self._files.values():
+            stream.close()

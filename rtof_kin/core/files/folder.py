@@ -1,23 +1,140 @@
 """Atomic output: files and folders appear complete or not at all and never replace files of the user.
 
 They are of this user alone (0600, 0700), as they are data of patients; a file that is replaced keeps its permissions.
+
+They are written in temporary folders beside them; those of a killed process are removed by the next one. The owner
+locks its folder until its process ends. So on the system that made it, which its name tells (not the host: a
+container has a new one each time), an unlocked folder is a leftover at once. Locks may not work across machines, and
+not at all on some disks: there it is one when nothing in it was written for a day.
+
+The lock of an output folder is of one process at a time, and a second one learns who has it; the system releases it
+when its process ends. A file system without locks gets a lock file with the process and machine in it (see `filelock`).
 """
 
 from __future__ import annotations
 
 import errno
+import json
 import logging
 import os
+import platform
+import re
 import secrets
 import shutil
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path, PurePosixPath
 
+from filelock import FileLock, Timeout
+
 from rtof_kin.core.errors import OutputExistsError, RtofError, WritingError, too_long
-from rtof_kin.core.files.manifest import Contents, make_folders, make_private, read_contents, sync, write_manifest
-from rtof_kin.core.files.temporary import clear, temporary_folder
+from rtof_kin.core.files.manifest import (
+    MANIFEST,
+    Contents,
+    make_folders,
+    make_private,
+    read_contents,
+    remove_written,
+    sync,
+    write_manifest,
+)
+
+if sys.platform != "win32":
+    import fcntl
+
+_OWN = re.compile(r"\.rtof_kin-([A-Za-z0-9._]*)-[0-9a-f]{12}")
+_OLD = 24 * 3600.0
+"""[s] without a change after which a folder of another machine, or one without locks, is a leftover."""
+_log = logging.getLogger(__name__)
+
+
+@cache
+def _system() -> str:
+    """Return what identifies this system until it starts anew; '' where there is no such thing."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").partition("-")[0]
+    return ""
+
+
+@contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new folder, of this user alone, that is removed when the block ends; see `clear`.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+    remove_leftovers(parent)
+    while True:
+        folder = parent / f".rtof_kin-{_system()}-{secrets.token_hex(6)}"
+        folder.mkdir(mode=0o700)
+        with locked(folder) as held:
+            if held is False or not folder.exists():
+                continue  # another process removed it as a leftover before it was locked
+            try:
+                yield folder
+            finally:
+                clear(folder)
+            return
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[bool | None]:
+    """Lock a folder: True; False if another process has it locked or removed; None without file locks."""
+    descriptor, held = None, None
+    try:
+        if sys.platform != "win32":
+            descriptor = os.open(folder, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = True
+    except (BlockingIOError, FileNotFoundError):
+        held = False
+    except OSError:  # a file system without locks
+        held = None
+    try:
+        yield held
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def clear(folder: Path) -> None:
+    """Remove a temporary folder; if it has a manifest (a replaced output), only files of this package."""
+    if os.path.lexists(folder / MANIFEST):
+        with suppress(OSError):
+            remove_written(folder)
+    else:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_leftovers(parent: Path) -> None:
+    """Remove temporary folders of killed processes.
+
+    Args:
+        parent: their parent folder, which need not exist.
+    """
+    with suppress(OSError):
+        for entry in list(os.scandir(parent)):
+            found = _OWN.fullmatch(entry.name)
+            mine = os.access(entry.path, os.R_OK | os.W_OK | os.X_OK)
+            if found is None or not mine or not entry.is_dir(follow_symlinks=False):
+                continue
+            folder = Path(entry.path)
+            with locked(folder) as held:
+                ended = held and _system() and found[1] == _system()
+                if ended or (held is not False and time.time() - _last_change(folder) > _OLD):
+                    clear(folder)
+                    if folder.exists():
+                        _log.warning("%s: left by a killed process; contains files of yours", folder)
+
+
+def _last_change(folder: Path) -> float:
+    """Return when something in a folder was written, s since 1970."""
+    return max(path.lstat().st_mtime for path in (folder, *folder.rglob("*")))
+
 
 _NAMED = 3
 """Number of foreign files that an error message lists."""
@@ -26,7 +143,6 @@ _NO_LINKS = {errno.ENOSYS, errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP}
 """Errors of file systems that cannot exchange folders or create hard links."""
 _HERE, _EXCHANGE = -100, 2
 """Linux's AT_FDCWD and RENAME_EXCHANGE."""
-_log = logging.getLogger(__name__)
 
 
 def path_inside(folder: Path, name: str) -> Path | None:
@@ -284,3 +400,45 @@ def _put_file(new: Path, path: Path, overwrite: bool) -> None:
             raise
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # reserves the name
         os.replace(new, path)
+
+
+@contextmanager
+def only_one(lock: Path, what: str) -> Iterator[None]:
+    """Hold a lock while the block runs.
+
+    Raises:
+        OutputExistsError: another process holds it; the message names it. WritingError: it cannot be made.
+    """
+    try:
+        held = FileLock(lock, timeout=0).acquire()
+    except Timeout:
+        raise OutputExistsError(f"{what}: {_holder(lock)} is at work on it; wait until it ends, or end it") from None
+    except OSError as error:
+        raise WritingError(f"{lock}: cannot be locked ({error}); name a folder on another disk") from error
+    with held:
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        holder = {"process": os.getpid(), "machine": platform.node(), "since": now}
+        with suppress(OSError):  # a full disk; the lock holds anyway
+            _file(lock).write_text(json.dumps(holder), encoding="utf-8")
+        yield
+
+
+def is_held(lock: Path) -> str | None:
+    """Return the process that holds a lock, in words, or None."""
+    try:
+        with FileLock(lock, timeout=0):
+            return None
+    except Timeout:
+        return _holder(lock)
+
+
+def _holder(lock: Path) -> str:
+    try:
+        holder = json.loads(_file(lock).read_text(encoding="utf-8"))
+        return f"process {holder['process']} on {holder['machine']}, since {holder['since']} by its clock,"
+    except (OSError, ValueError, KeyError, TypeError):
+        return "another process"
+
+
+def _file(lock: Path) -> Path:
+    return lock.with_suffix(".json")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, NamedTuple, Self, TypeVar, cast
+from typing import Annotated, Any, ClassVar, Final, NamedTuple, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -241,9 +241,6 @@ class InputTable(BaseModel):
         if cls.rules:
             schema["allOf"] = [rule.schema() for rule in cls.rules]
         return schema
-
-
-AnyTable = TypeVar("AnyTable", bound=InputTable)
 
 
 def _fault(problem: str, field: str = "") -> PydanticCustomError:

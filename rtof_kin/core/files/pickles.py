@@ -18,8 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.errors import FileFormatError
-from rtof_kin.core.files.archive import array_members, check_sizes
-from rtof_kin.core.files.arrays import LARGEST_BYTES, read_npy_header
+from rtof_kin.core.files.arrays import LARGEST_BYTES, array_members, check_sizes, read_npy_header
 from rtof_kin.core.files.text import check_file
 
 _MODULES: Final = r"numpy|numpy\._?core\.(multiarray|numeric)|_codecs"

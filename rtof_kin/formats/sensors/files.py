@@ -15,7 +15,7 @@ from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.packages import Extensions
 from rtof_kin.data.imu_stream import SensorLog
 from rtof_kin.formats import total_capture, xdf
-from rtof_kin.formats.sensors import imu_csv, imu_mat, mvnx, noraxon, opensense_sto, ximu3, xsens
+from rtof_kin.formats.sensors import imu_mat, mvnx, tables, xsens
 
 _HEAD_BYTES: Final = 2**14
 _MOST_FILES: Final = 1000
@@ -56,10 +56,10 @@ FORMATS: Final = (
         True,
     ),
     Format(
-        opensense_sto.TITLE,
+        tables.OPENSENSE_TITLE,
         "text with DataType=Quaternion before endheader; columns time and BODY_imu",
-        opensense_sto.is_opensense_sto,
-        opensense_sto.read_opensense_sto,
+        tables.is_opensense_sto,
+        tables.read_opensense_sto,
         True,
     ),
     Format(
@@ -70,10 +70,10 @@ FORMATS: Final = (
         True,
     ),
     Format(
-        ximu3.TITLE,
+        tables.XIMU3_TITLE,
         "folders with Inertial.csv, ..., whose first column is 'Timestamp (us)'",
-        ximu3.is_ximu3,
-        ximu3.read_ximu3,
+        tables.is_ximu3,
+        tables.read_ximu3,
     ),
     Format(
         xsens.DOT_TITLE,
@@ -88,17 +88,17 @@ FORMATS: Final = (
         xsens.read_xsens_mt,
     ),
     Format(
-        noraxon.TITLE,
+        tables.NORAXON_TITLE,
         "CSV: columns time, 'Thigh Accel Sensor X LT (mG)', '...-Gyroscope-x (deg/s)', ...",
-        noraxon.is_noraxon,
-        noraxon.read_noraxon,
+        tables.is_noraxon,
+        tables.read_noraxon,
         True,
     ),
     Format(
-        imu_csv.TITLE,
+        tables.CSV_TITLE,
         "columns time, NAME_fx, NAME_fy, NAME_fz, NAME_wx, ..., NAME_mx, ..., NAME_qw, ...",
-        imu_csv.is_imu_csv,
-        imu_csv.read_imu_csv,
+        tables.is_imu_csv,
+        tables.read_imu_csv,
         True,
     ),
 )

@@ -18,8 +18,7 @@ from scipy import io as scipy_io
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
-from rtof_kin.formats.sensors.packets import lost
-from rtof_kin.formats.sensors.readings import Readings, sensor_log
+from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
 
 TITLE: Final = "MATLAB structs"
 LARGEST_BYTES = 2**30

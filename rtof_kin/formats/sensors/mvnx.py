@@ -26,9 +26,8 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
-from rtof_kin.formats.sensors.packets import lost
-from rtof_kin.formats.sensors.readings import Readings, sensor_log
-from rtof_kin.formats.sensors.start_times import utc_of_milliseconds
+from rtof_kin.formats.sensors.readings import Readings, lost, sensor_log
+from rtof_kin.formats.sensors.sensor_text import utc_of_milliseconds
 
 TITLE: Final = "Xsens MVNX"
 LARGEST_BYTES = 2**33

@@ -1,4 +1,9 @@
-"""Numbers of sensors as they are in a file, and their conversion by a declaration to a log."""
+"""Numbers of sensors as they are in a file, and their conversion by a declaration to a log.
+
+Radios lose packets and send some late or twice, and counters of 16 or 32 bits restart at 0 when they are
+full. Each of these is reported in a sentence. A counter that restarts for another reason is an error: two
+recordings in one file have no clock in common.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +14,113 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.text import LARGEST_NUMBER
 from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
+
+Count = NDArray[np.int64]
+WRAP_16: Final = 2**16
+WRAP_32: Final = 2**32
+_LONGEST_ACROSS_WRAP: Final = 16
+"""A counter that falls is taken to have wrapped where at most this fraction of its range was lost."""
+_MOST_AGAIN: Final = 0.25
+"""Largest plausible share of packets sent twice."""
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The packets of one sensor, in order."""
+
+    rows: Count
+    """(T,) rows of the file to take."""
+    count: Count
+    """(T,) their unwrapped counter, strictly increasing."""
+    notes: tuple[str, ...] = ()
+    """Corrections, in sentences without a subject."""
+
+
+def in_order(path: Path, counters: Array, lines: Sequence[int], wrap: int, late: int, what: str) -> Packets:
+    """Sort packets by a counter that wraps.
+
+    Args:
+        counters: (N,) as in the file. lines: (N,) their lines.
+        wrap: the first number that the counter cannot show, e.g. 2**16. what: the counter's name in the file.
+
+    Raises:
+        FileFormatError: no whole number, out of range, not counting, or restarted; names the line.
+    """
+    wrong = ~((counters >= 0) & (counters < wrap) & (counters == np.round(counters)))
+    if wrong.any():
+        i = int(np.flatnonzero(wrong)[0])
+        raise FileFormatError(path, f"{what} is {counters[i]:g}, not a whole number from 0 to {wrap - 1}", lines[i])
+    raw = counters.astype(np.int64)
+    forward = np.mod(np.diff(raw), wrap)
+    steps = np.where(forward > wrap - late, forward - wrap, forward)
+    falls = (np.diff(raw) < 0) & (steps > 0)
+    anew = np.flatnonzero(falls & (steps > wrap // _LONGEST_ACROSS_WRAP))
+    if len(anew):
+        i = int(anew[0])
+        raise FileFormatError(
+            path,
+            f"{what} goes from {raw[i]} back to {raw[i + 1]}: it started anew; make a file of each recording",
+            lines[i + 1],
+        )
+    count = raw[0] + np.concatenate([[0], np.cumsum(steps)])
+    rows = np.argsort(count, kind="stable")
+    new = np.diff(count[rows], prepend=count[rows[0]] - 1) > 0
+    if np.sum(~new) > _MOST_AGAIN * len(raw):
+        raise FileFormatError(
+            path,
+            f"{np.sum(~new)} of {len(raw)} lines repeat a {what}: it started anew, or does not "
+            "count; make a file of each recording",
+            lines[int(np.argmax(steps <= 0)) + 1],
+        )
+    events = (
+        (falls, "time", f"{what} passed {wrap - 1} and began again at 0"),
+        (steps < 0, "packet", "late, put in their places"),
+        (~new, "packet", "sent again, taken once"),
+    )
+    notes = [f"{_counted(int(e.sum()), noun)} {event}" for e, noun, event in events if e.any()]
+    return Packets(rows[new], count[rows[new]], tuple(notes))
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("s" if number > 1 else "")
+
+
+def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
+    """Return a sentence about missing samples, by steps of more than 1.5 sampling periods.
+
+    Args:
+        times: (T,) s; no sentence where they do not increase. rate_hz: by default from the median step.
+    """
+    steps = np.diff(times)
+    if len(steps) == 0 or not np.all((steps > 0) & (steps < np.inf)):
+        return ()
+    rate_hz = rate_hz or float(1 / np.median(steps))
+    gaps = np.round(steps * rate_hz) - 1
+    gaps = gaps[gaps > 0]
+    missing = int(gaps.sum())
+    if missing == 0:
+        return ()
+    share, longest = missing / (missing + len(times)), gaps.max() / rate_hz
+    places = _counted(len(gaps), "gap")
+    return (f"{_counted(missing, 'packet')} ({share:.1%}) lost in {places}, the longest of {longest:.2f} s",)
+
+
+def aligned(first: Sequence[int], wrap: int) -> list[int]:
+    """Return what to add to each sensor's counts so that all begin within half a wrap of the first one.
+
+    Args:
+        first: count of each sensor's first packet; in one trial one may have 65535 and another 0.
+        wrap: the first number that the counters cannot show.
+    """
+    return [wrap * round((first[0] - one) / wrap) for one in first]
+
 
 _NO_ROTATION: Final = 0.02
 """Largest difference of M M^T from the identity; files with few digits reach 0.001."""

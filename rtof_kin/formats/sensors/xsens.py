@@ -26,11 +26,12 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.data.imu_stream import Declaration, SensorLog
-from rtof_kin.formats.sensors.packets import WRAP_16, WRAP_32, Packets, aligned, in_order, lost
-from rtof_kin.formats.sensors.readings import Readings, sensor_log
-from rtof_kin.formats.sensors.sensor_text import SensorTable, cells, read_table
-from rtof_kin.formats.sensors.start_times import (
+from rtof_kin.formats.sensors.readings import WRAP_16, WRAP_32, Packets, Readings, aligned, in_order, lost, sensor_log
+from rtof_kin.formats.sensors.sensor_text import (
     UTC_COLUMNS,
+    SensorTable,
+    cells,
+    read_table,
     start_in_mt_header,
     start_of_dot,
     start_of_mt,
