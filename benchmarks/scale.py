@@ -21,12 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rtof_kin.batch.chain import read_chain
-from rtof_kin.batch.index import ROWS_PER_PAGE
-from rtof_kin.batch.place import Place
-from rtof_kin.batch.recordings import Shard, find_recordings
-from rtof_kin.batch.rows import Row, RowFile
-from rtof_kin.batch.run import Batch, Tables, run_batch
+from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
+from rtof_kin.batch.rows import ROWS_PER_PAGE, Row, RowFile
+from rtof_kin.batch.run import Batch, Place, Tables, run_batch
 from rtof_kin.core.jobs import Processes
 from rtof_kin.core.jobs.memory import peak_memory, reset_peak, resident_memory
 

@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 TOLERANCE = 1e-9
@@ -40,24 +39,24 @@ MODES = {
 """The seven ways to reconstruct the demo, by their options."""
 STEPS: list[tuple[str, str]] = [
     *((f"demo/{name}", f"reconstruct {DEMO} -o OUT {options}") for name, options in MODES.items()),
-    ("calibration.toml", f"calibrate {DEMO} -o OUT"),
+    ("calibration.toml", f"reconstruct {DEMO} --calibrate-only -o OUT"),
     ("long", "reconstruct IN/long -o OUT"),
     ("bare/rtof", "reconstruct IN/short -o OUT"),
     ("bare/rto", "reconstruct IN/short -o OUT --mode rto"),
     ("bare/paper", "reconstruct IN/short -o OUT --paper --backend realtime"),
     *((f"people/{name}", f"reconstruct IN/{name} -o OUT") for name in ("gait_1", "gait_2", "gait_3")),
     *((f"visits/{i}/{j}", f"reconstruct IN/squat_{i}_{j} -o OUT") for i in (1, 2) for j in (1, 2, 3)),
-    ("analyse/demo", "analyse RUN/demo/rtof -o OUT --weight 70 --no-figures"),
-    ("analyse/gait", "analyse RUN/people/gait_1 -o OUT --weight 70 --sex female --no-figures"),
-    ("analyse/squat", "analyse RUN/visits/1/1 -o OUT --repetitions squat --no-figures"),
+    ("analyse/demo", "report RUN/demo/rtof -o OUT.html --analysis OUT --weight 70 --no-figures"),
+    ("analyse/gait", "report RUN/people/gait_1 -o OUT.html --analysis OUT --weight 70 --sex female --no-figures"),
+    ("analyse/squat", "report RUN/visits/1/1 -o OUT.html --analysis OUT --repetitions squat --no-figures"),
     ("compare/modes", "compare RUN/demo/rtof RUN/demo/rto -o OUT"),
     ("compare/sides", "compare RUN/people/gait_1 --sides -o OUT"),
     ("compare/people", "compare RUN/people/gait_1 RUN/people/gait_2 --by cycle --spm -o OUT"),
     ("compare/aligned", "compare RUN/demo/rtof RUN/demo/sf2 --align -o OUT"),
-    ("follow", "follow RUN/visits -o OUT --repetitions squat"),
+    ("follow", "compare RUN/visits -o OUT --repetitions squat"),
     ("reference.json", "gait-reference RUN/people -o OUT --licence free --origin simulated --strides 1"),
-    ("gait_scores", "gait-scores RUN/people/gait_3 --reference RUN/reference.json -o OUT --no-figures"),
-    ("evaluate", f"evaluate RUN/demo/rtof --truth {DEMO} --angles -o OUT"),
+    ("gait_3", "report RUN/people/gait_3 -o OUT.html --analysis OUT --gait-reference RUN/reference.json --no-figures"),
+    ("evaluate", f"evaluate RUN/demo/rtof --truth {DEMO} --clinical -o OUT"),
     ("export", "export RUN/demo/rtof OUT --to csv,ros,parquet,osim,mot,sto,trc,c3d,bvh"),
     ("report.html", "report RUN/people/gait_1 -o OUT"),
     ("study", "study IN/short -o OUT --seconds 3 --path ranked --no-figures --workers 1"),
@@ -156,12 +155,9 @@ def numbers(path: Path) -> dict[str, Any]:
         with np.load(path) as file:
             return {name: file[name] for name in file if name != "header"}
     if kind == ".h5":
-        found: dict[str, Any] = {}
-        with h5py.File(path) as file:
-            file.visititems(
-                lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
-            )
-        return found
+        from rtof_kin.core.files.hdf5 import read_arrays
+
+        return {name: array for name, array in read_arrays(path).items() if name != "header"}
     if kind == ".json":
         return dict(_leaves(json.loads(path.read_text(encoding="utf-8")), ""))
     if kind == ".csv":

@@ -10,14 +10,20 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final, Self
+from urllib.parse import quote
+
+from markupsafe import Markup
 
 from rtof_kin.core.errors import WritingError
 from rtof_kin.core.files.text import write_text
 from rtof_kin.reporting.audit_results import Grade
+from rtof_kin.reporting.document import Badge, Document, Section, Table
+from rtof_kin.reporting.html import render
 
 ERROR: Final = "error"
 """Verdict of a recording on which a command failed."""
@@ -137,3 +143,83 @@ def read_rows(paths: Iterable[Path]) -> dict[str, Numbered]:
 
 def _line(run: int, row: Row) -> str:
     return json.dumps({"run": run, "row": row.plain()}, separators=(",", ":")) + "\n"
+
+
+ROWS_PER_PAGE: Final = 10_000
+INDEX_PAGE: Final = "index.html"
+_COLUMNS: Final = ("Verdict", "Recording", "Why", "Motion", "Work", "Output")
+_GRADES: Final = {ERROR: "fail", DONE: "pass"}
+"""Colours of verdicts that are no grades."""
+
+
+def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None:
+    """Write ``index.html``, and ``index-2.html`` and so on where there are very many recordings.
+
+    Pages are single files that open offline and without a script. The browser does not lay out rows that are out of
+    sight, so that ten thousand open at once.
+
+    Args:
+        rows: worst first.
+    """
+    pages = [rows[k : k + ROWS_PER_PAGE] for k in range(0, len(rows), ROWS_PER_PAGE)] or [()]
+    for number, part in enumerate(pages, start=1):
+        found = document(part, rows, total, source, number, len(pages))
+        page = render("document.html", ("page.css", "document.css", "batch.css"), document=found, images={})
+        write_text(out / _page_name(number), page, overwrite=True)
+    number = len(pages) + 1
+    while (left := out / _page_name(number)).is_file():  # of a run with more recordings
+        left.unlink()
+        number += 1
+
+
+def document(
+    part: Sequence[Row], rows: Sequence[Row], total: int, source: str, number: int = 1, pages: int = 1
+) -> Document:
+    """Return a batch, or the part of its rows for one page, as a document.
+
+    Args:
+        rows: all of them.
+    """
+    counts = Counter(row.verdict for row in rows)
+    waiting = f"; {total - len(rows)} are not done" if len(rows) < total else ""
+    minutes, hours = sum(row.duration_s for row in rows) / 60, sum(row.seconds for row in rows) / 3600
+    links = [
+        Markup("<b>{}</b>").format(k) if k == number else Markup('<a href="{}">{}</a>').format(_page_name(k), k)
+        for k in range(1, pages + 1)
+    ]
+    badges = [
+        Markup('<span class="grade {}">{}</span> {}').format(_badge(verdict).grade, verdict, counts[verdict])
+        for verdict in WORST_FIRST
+        if counts[verdict]
+    ]
+    lead = Markup("<p>{}</p>").format(Markup(" ").join(badges))
+    if pages > 1:
+        lead += Markup('<nav aria-label="pages">Page {}</nav>').format(Markup(" ").join(links))
+    return Document(
+        "index",
+        f"Batch of {source}",
+        f"{len(rows)} of {total} recordings{waiting}. {minutes:.1f} minutes of motion, {hours:.2f} hours of work.",
+        sections=[Section("recordings", "", [Table(_COLUMNS, list(map(_cells, part)), kind="batch")])],
+        lead=lead,
+    )
+
+
+def _page_name(number: int) -> str:
+    return INDEX_PAGE if number == 1 else f"index-{number}.html"
+
+
+def _badge(verdict: str) -> Badge:
+    return Badge(verdict, _GRADES.get(verdict, verdict.replace(" ", "-")))
+
+
+def _cells(row: Row) -> list[str]:
+    folder, name = quote(row.recording), Markup.escape(row.recording)
+    if row.report:
+        name = Markup('<a href="{}/{}">{}</a>').format(folder, quote(row.report), name)
+    why = Markup.escape(row.sentence)
+    if row.verdict == ERROR:
+        why = Markup.escape(f"{row.step}: {row.error}" if row.step else row.error)
+    if row.log:
+        why += Markup(' <a class="log" href="{}/{}">log</a>').format(folder, quote(row.log))
+    motion = f"{row.duration_s:.1f} s" if row.frames else ""
+    return [_badge(row.verdict), name, why, motion, f"{row.seconds:.1f} s", f"{row.output_mb:.1f} MB"]

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from rtof_kin.batch.chain import MOTION, PAGE, Step, output_name
+from rtof_kin.batch.recordings import MOTION, PAGE, Step, output_name
 from rtof_kin.batch.rows import DONE, ERROR, Row
 from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.files.folder import remove_leftovers

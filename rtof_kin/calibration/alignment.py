@@ -13,7 +13,7 @@ together, by the keypoints, the joints between the segments and the pose prior.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -127,20 +127,16 @@ def align_sensors(
     indices_of("segment", segments, skeleton.names)
     log = _near(log.select(list(joints)), float(poses.times[0]), float(poses.times[-1]))
     log = log_with_orientation(log)
-    frames = _frames(poses, keypoints)
+    shown = np.flatnonzero(poses.valid.any(axis=1) & keypoints.seen.any(axis=1))
+    frames = np.asarray(shown[:: max(1, round(poses.rate_hz / _RATE_HZ))])
     data = [
-        _together(poses, stream, joint, frames)
-        for stream, joint in zip(log.streams, skeleton.index(*segments), strict=True)
+        (*_together(poses, stream, j, frames), so3.unit(skeleton.table.joints[j].end))
+        for stream, j in zip(log.streams, skeleton.index(*segments), strict=True)
     ]
-    axes = [so3.unit(skeleton.table.joints[j].end) for j in skeleton.index(*segments)]
-    starts = [_start(seen, sensed, axis) for (seen, sensed), axis in zip(data, axes, strict=True)]
+    starts = [_start(*own) for own in data]
     shared = _shared(starts)
     if shared is not None:
-        starts = [
-            replace(start, heading=shared, sigma=_SHARED_SIGMA, margin=np.inf, R_sensor_bone=M)
-            for start, (seen, sensed), axis in zip(starts, data, axes, strict=True)
-            for M in [_mounted(seen, sensed, axis, shared)[0]]
-        ]
+        starts = [_Start(shared, _SHARED_SIGMA, np.inf, _mounted(*own, shared)[0]) for own in data]
     calibration = ImuCalibration(
         log.names,
         segments,
@@ -155,7 +151,8 @@ def align_sensors(
     sensors = _judged(calibration, starts, refined)
     stated = np.degrees([sensor.sigma_mounting for sensor in sensors]).round(1)
     calibration = replace(calibration, mounting_sd_deg=stated)
-    warnings += _doubts(sensors)
+    for doubt in dict.fromkeys(sensor.doubt for sensor in sensors if sensor.doubt):
+        warnings += (f"sensor {', '.join(s.sensor for s in sensors if s.doubt == doubt)}: {doubt}",)
     return Alignment(calibration, sensors, shared is not None, warnings, refined)
 
 
@@ -171,12 +168,6 @@ def _near(log: SensorLog, start: float, stop: float) -> SensorLog:
             )
         kept.append(part)
     return replace(log, streams=tuple(kept))
-
-
-def _frames(poses: PoseSequence, keypoints: KeypointSequence) -> Index:
-    """Frames that show the person, at `_RATE_HZ` at most."""
-    shown = np.flatnonzero(poses.valid.any(axis=1) & keypoints.seen.any(axis=1))
-    return np.asarray(shown[:: max(1, round(poses.rate_hz / _RATE_HZ))])
 
 
 def _together(poses: PoseSequence, stream: SensorStream, joint: int, frames: Index) -> tuple[Array, Array]:
@@ -259,7 +250,6 @@ def _refined(
     refine: Refine,
     priors: CalibrationPriors,
 ) -> tuple[ImuCalibration, SelfCalibration | None, tuple[str, ...]]:
-    """Refine the sensors on segments that the solver takes sensors on."""
     carriers = {joint for joint, _ in skeleton.sensors.values()}
     used = [s for s, joint in enumerate(calibration.joints) if joint in carriers]
     if not used:
@@ -314,12 +304,3 @@ def _judged(
             )
         out.append(SensorAlignment(sensor, joint, heading, sigma, mounting, doubt))
     return tuple(out)
-
-
-def _doubts(sensors: Iterable[SensorAlignment]) -> tuple[str, ...]:
-    """Return each doubt once, with the sensors that it is about."""
-    named: dict[str, list[str]] = {}
-    for sensor in sensors:
-        if sensor.doubt:
-            named.setdefault(sensor.doubt, []).append(sensor.sensor)
-    return tuple(f"sensor {', '.join(names)}: {doubt}" for doubt, names in named.items())

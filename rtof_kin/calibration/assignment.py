@@ -1,7 +1,7 @@
 """Which sensor is on which segment, from motion: `assign_sensors`, and `check_assignment` of a declared map.
 
 With poses from an image, orientations and angular velocities of each sensor are compared with those of every
-segment, mounting and heading unknown (`image_evidence`). Sizes, spectra and correlations of the motion, and
+segment, mounting and heading unknown (`motion_score`). Sizes, spectra and correlations of the motion, and
 which sensors have a joint in common, are scored as learned from motion capture (`motion_score`), with an
 image or without. A motion that is the same in a mirror, such as a squat, does not tell left from right.
 """
@@ -67,7 +67,10 @@ def match(
             out = out + pair[a, b, labels[:, a], labels[:, b]].sum(axis=-1)
         return np.asarray(out if prior is None else out + prior(labels))
 
-    at = _starts(rng, single)
+    starts = [linear_sum_assignment(-single)[1]]
+    for _ in range(_CHAINS - 1):
+        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
+    at = np.array(starts)
     counts, seen = np.zeros((S, K)), set[tuple[int, ...]]()
     temperatures = np.append(np.geomspace(_HOTTEST, 1.0, _COOLING), np.ones(_SAMPLING))
     for step, temperature in enumerate(temperatures):
@@ -81,14 +84,6 @@ def match(
             seen.update(map(tuple, at.tolist()))
     every = np.array(sorted(seen))
     return Matching(every[score(every).argmax()], counts / counts.sum(axis=1, keepdims=True))
-
-
-def _starts(rng: np.random.Generator, single: Array) -> Labels:
-    S, K = single.shape
-    starts = [linear_sum_assignment(-single)[1]]
-    for _ in range(_CHAINS - 1):
-        starts.append(linear_sum_assignment(rng.uniform(size=(S, K)) - np.where(single <= _IMPOSSIBLE, -1e3, 0))[1])
-    return np.array(starts)
 
 
 def _placed(rng: np.random.Generator, at: Labels, s: int, K: int, score: Score, temperature: float) -> Labels:
@@ -158,7 +153,13 @@ def assign_sensors(
     motions = sensor_motions(log)
     segments, allowed = _possible(motions.names, skeleton, candidates)
     found = match_sensors(motions, skeleton, segments, poses, allowed=allowed)
-    return _assignment(found, motions, segments, poses is not None)
+    joints, probabilities, alternatives = {}, {}, {}
+    for sensor, k, row in zip(motions.names, found.best, found.probability, strict=True):
+        joints[sensor], probabilities[sensor] = segments[k], min(float(row[k]), _MOST_PROBABLE)
+        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
+        alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
+    sure = Assignment(joints, probabilities, alternatives, "")
+    return replace(sure, doubt=_doubt(sure, motions, poses is not None))
 
 
 def usual_segments(skeleton: SkeletonModel) -> tuple[str, ...]:
@@ -185,8 +186,7 @@ def match_sensors(
         InvalidInputError: without poses, a segment that nothing was learned of, or no accelerations.
     """
     single, pair = _scores(motions, skeleton, segments, poses)
-    prior = _Symmetry(segments) if prior is None else prior
-    return match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=prior)
+    return match(single, pair, allowed=allowed, mirrors=_mirrors(segments), prior=prior or _symmetric(segments))
 
 
 def _possible(
@@ -235,18 +235,17 @@ def _scores(
     return single, pair
 
 
-class _Symmetry:
+def _symmetric(segments: Sequence[str]) -> Score:
     """Log-probability (C,) of assignments (C, S): people wear sensors on both sides rather than on one."""
+    other = [(k, segments.index(o)) for k, o in enumerate(map(other_side, segments)) if o in segments]
+    a, b = np.array([pair for pair in other if pair[0] < pair[1]], dtype=np.intp).reshape(-1, 2).T
 
-    def __init__(self, segments: Sequence[str]) -> None:
-        self._count = len(segments)
-        other = [(k, segments.index(o)) for k, o in enumerate(map(other_side, segments)) if o in segments]
-        self._pairs = np.array([pair for pair in other if pair[0] < pair[1]], dtype=np.intp).reshape(-1, 2)
-
-    def __call__(self, labels: Labels) -> Array:
-        used = np.zeros((len(labels), self._count), dtype=np.bool_)
+    def score(labels: Labels) -> Array:
+        used = np.zeros((len(labels), len(segments)), dtype=np.bool_)
         np.put_along_axis(used, labels, True, axis=1)
-        return np.asarray(-_UNPAIRED * np.sum(used[:, self._pairs[:, 0]] != used[:, self._pairs[:, 1]], axis=1))
+        return np.asarray(-_UNPAIRED * np.sum(used[:, a] != used[:, b], axis=1))
+
+    return score
 
 
 def _mirrors(segments: Sequence[str]) -> list[Labels]:
@@ -260,44 +259,23 @@ def _mirrors(segments: Sequence[str]) -> list[Labels]:
     return [both, np.where(leg, both, own), np.where(leg, own, both)]
 
 
-def _assignment(found: Matching, motions: SensorMotions, segments: Sequence[str], seen: bool) -> Assignment:
-    joints, probabilities, alternatives = {}, {}, {}
-    for sensor, k, row in zip(motions.names, found.best, found.probability, strict=True):
-        joints[sensor] = segments[k]
-        probabilities[sensor] = min(float(row[k]), _MOST_PROBABLE)
-        others = [int(i) for i in np.argsort(-row) if i != k and row[i] >= _POSSIBLE]
-        alternatives[sensor] = tuple((segments[i], float(row[i])) for i in others)
-    sure = Assignment(joints, probabilities, alternatives, "")
-    return replace(sure, doubt=_at_rest(motions) or _unsure(sure, seen) or ("" if seen else _too_short(motions)))
-
-
-def _at_rest(motions: SensorMotions) -> str:
-    """Return a sentence on sensors that do not move, or nothing."""
+def _doubt(found: Assignment, motions: SensorMotions, seen: bool) -> str:
+    """What is not sure: sensors that do not move, segments, or a motion that is too short without an image."""
     speed = np.sqrt(np.mean(np.sum(motions.w**2, axis=-1), axis=0))
-    still = [name for name, own in zip(motions.names, speed, strict=True) if own < _STILL]
-    if not still:
-        return ""
-    what = f"{', '.join(still)} {'does' if len(still) == 1 else 'do'} not move"
-    return f"{what}: record a few steps, and raise and bend each arm and leg once"
-
-
-def _unsure(found: Assignment, seen: bool) -> str:
-    """Return a sentence on sensors whose segment is not sure, or nothing."""
-    unsure = [sensor for sensor, p in found.probabilities.items() if p < _SURE]
+    if still := [name for name, own in zip(motions.names, speed, strict=True) if own < _STILL]:
+        what = f"{', '.join(still)} {'does' if len(still) == 1 else 'do'} not move"
+        return f"{what}: record a few steps, and raise and bend each arm and leg once"
+    unsure, seconds = [sensor for sensor, p in found.probabilities.items() if p < _SURE], len(motions) / RATE_HZ
     if not unsure:
-        return ""
+        least = f"record {_SHORT:g} s at least with steps and a turn, or give a video"
+        short = not seen and seconds < _SHORT
+        return f"{seconds:.0f} s are too short to be sure from motion alone; {least}" if short else ""
     remedy = "walk a few steps and raise each limb once" if seen else "give a video, or name one of them"
     other = {sensor: dict(found.alternatives[sensor]) for sensor in unsure}
     if all(found.probabilities[s] + other[s].get(other_side(found.joints[s]), 0) >= _SURE for s in unsure):
         return f"left and right of {', '.join(unsure)} are not sure; {remedy}"
     named = (f"{s} on {found.joints[s]} ({100 * found.probabilities[s]:.0f} %)" for s in unsure)
     return f"not sure: {', '.join(named)}; {remedy}"
-
-
-def _too_short(motions: SensorMotions) -> str:
-    seconds = len(motions) / RATE_HZ
-    least = f"record {_SHORT:g} s at least with steps and a turn, or give a video"
-    return f"{seconds:.0f} s are too short to be sure from motion alone; {least}" if seconds < _SHORT else ""
 
 
 NAME = "another place of sensors"

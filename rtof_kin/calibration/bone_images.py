@@ -217,7 +217,7 @@ def check_clocks(
         apart = np.nanmean(images.by_sensor(round(scan.best / STEP)))
         mirrored = bone_images(keypoints, exchanged_sides(bone_imus), poses, skeleton)
         # With alternating sides, half a period later looks like exchanged sides.
-        if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
+        if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor()) - 1e-9):
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)
     second, gain = scan.rival
@@ -232,19 +232,13 @@ def check_clocks(
             f"times explain it better than any within {LIMIT:g} s, but not surely ({scan.gain:.0f} nats)"
         )
         return Check.unknown(NAME, what, "s", text)
-    return Check(
-        NAME,
-        what,
-        abs(scan.best),
-        LIMIT,
-        "s",
+    advice = (
         f"The limbs turn alike when {-scan.best:+.2f} s are added to the video's times (start_s of "
         f"[keypoints]); no offset within {LIMIT:g} s explains the video nearly as well "
-        f"({scan.gain:.0f} nats, ± {scan.sigma:.2g} s).{rival}",
-        cause=(
-            f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about {abs(scan.best):.1f} s"
-        ),
+        f"({scan.gain:.0f} nats, ± {scan.sigma:.2g} s).{rival}"
     )
+    cause = f"video and sensors are more than {LIMIT:g} s apart: the clocks are off by about {abs(scan.best):.1f} s"
+    return Check(NAME, what, abs(scan.best), LIMIT, "s", advice, cause=cause)
 
 
 def sensed_bones(bone_imus: BoneImuSequence, skeleton: SkeletonModel) -> list[tuple[int, int, int]]:

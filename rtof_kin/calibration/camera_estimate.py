@@ -247,7 +247,6 @@ class _Search:
         _, self.y, self.now = min(found, key=lambda one: one[0])
 
     def _unlikely(self, now: Evidence, y: Array) -> float:
-        """Twice the negative logarithm of the posterior."""
         r, weight = now.weighted
         return float(weight @ r**2 + np.sum((y / np.where(self.prior > 0, self.prior, 1.0)) ** 2))
 

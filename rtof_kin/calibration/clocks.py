@@ -146,7 +146,6 @@ def find_clock(
 
 
 def _carriers(skeleton: SkeletonModel, joints: Mapping[str, str] | None) -> list[str]:
-    """Segments that carry sensors, or may."""
     if joints is None:
         return sorted({joint for joint, _ in skeleton.sensors.values()}, key=skeleton.names.index)
     indices_of("segment", list(joints.values()), skeleton.names)
@@ -154,7 +153,6 @@ def _carriers(skeleton: SkeletonModel, joints: Mapping[str, str] | None) -> list
 
 
 def _within(log: SensorLog, start: float, stop: float) -> SensorLog:
-    """The part of a log that can overlap with the video."""
     kept = []
     for stream in log.streams:
         part = stream.between(start, stop)
@@ -227,7 +225,6 @@ def _line(seen: AngularVelocities, sensed: AngularVelocities, best: float) -> Cl
 
 
 def _common(seen: AngularVelocities, sensed: AngularVelocities, offset: float) -> tuple[float, float]:
-    """Common time on the video's clock, s."""
     ends = [len(one.w_world) * STEP + one.start for one in (seen, sensed)]
     return max(seen.start, sensed.start + offset), min(ends[0], ends[1] + offset)
 

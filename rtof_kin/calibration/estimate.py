@@ -32,22 +32,21 @@ from rtof_kin.calibration.unknowns import (
     Bones,
     Delay,
     Focal,
-    Heading,
     ImageBias,
-    LeverArm,
-    Mounting,
     Places,
     Posture,
     Sampled,
     Tilt,
     Unknown,
+    items_of,
+    open_sensors,
 )
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.inertial.outlier_rejection import mask_faults
 from rtof_kin.recording.recording import Recording
-from rtof_kin.solve.joint_space.observations import bone_axis, low_passed, sensor_data
+from rtof_kin.solve.joint_space.observations import low_passed, sensor_data
 from rtof_kin.solve.settings import JointSpaceSettings
 
 _NORMAL_MEDIAN = 1.177  # Median norm of a normal error in two dimensions, in standard deviations of an axis
@@ -107,7 +106,6 @@ def shared_fragments(
 
 
 def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpaceSettings) -> SharedFragments:
-    """The problem of an excerpt."""
     sensors = excerpt.data[0].sensors
     slow = [
         low_passed(even_noise(mask_faults(_sensed(part.recording), excerpt.left_out)), settings)
@@ -122,17 +120,11 @@ def _fragments(excerpt: Excerpt, priors: CalibrationPriors, settings: JointSpace
     unknowns = _unknowns(excerpt, priors, sampled)
     seconds = len(excerpt.times) / excerpt.data[0].rate_hz
     share = priors.effective_seconds / max(seconds, priors.effective_seconds)
-    weights = Weights(
-        vision=share * priors.weight_vision,
-        sensors=share * priors.weight_sensors,
-        motion=share,
-        prior=share * priors.weight_poses,
-    )
-    return SharedFragments(excerpt, unknowns, weights)
+    vision, sensed, prior = (share * w for w in (priors.weight_vision, priors.weight_sensors, priors.weight_poses))
+    return SharedFragments(excerpt, unknowns, Weights(vision, sensed, share, prior))
 
 
 def _sensed(recording: Recording) -> BoneImuSequence:
-    """Sensors at their own rate, as they are calibrated approximately."""
     assert recording.imus is not None
     assert recording.calibration is not None
     return recording.calibration.apply(recording.imus)
@@ -165,35 +157,22 @@ def _check_long_enough(slices: Sequence[Slice], priors: CalibrationPriors) -> No
 
 
 def _unknowns(excerpt: Excerpt, priors: CalibrationPriors, sampled: Sampled) -> list[Unknown]:
-    """The unknowns, in the order in which they correct the observations."""
     data, skeleton = excerpt.data[0], excerpt.slices[0].recording.skeleton
     p, found = priors, list[Unknown]()
     if p.sigma_delay is not None:
         found.append(Delay(p.sigma_delay, p.sigma_clock_drift, sampled))
-    if p.sigma_heading is not None:
-        found.append(Heading(data.sensors, p.sigma_heading, p.sigma_heading_drift))
-    if p.sigma_swing is not None:
-        axes = np.array([bone_axis(skeleton, joint) for joint in data.sensors])
-        found.append(Mounting(data.sensors, axes, p.sigma_swing, p.sigma_twist))
-    if p.sigma_lever_arm is not None:
-        found.append(LeverArm(data.sensors, p.sigma_lever_arm))
+    found += open_sensors(p, skeleton, data.sensors)
     if p.sigma_size is not None:
         names = ("all",) if p.sigma_proportion is None else tuple(BONE_GROUPS)
         groups = bone_groups(skeleton, names)
         found.append(Bones(tuple(skeleton.parents), groups, p.sigma_size, p.sigma_proportion or 0.0, data.attached))
     if p.sigma_image_bias is not None:
-        tall = _height_px(excerpt.slices)
-        sigma_px = p.sigma_image_bias * tall / _USUAL_HEIGHT_PX * data.points.sizes
-        found.append(ImageBias(data.names, sigma_px))
+        sizes = p.sigma_image_bias * _height_px(excerpt.slices) / _USUAL_HEIGHT_PX * data.points.sizes
+        found.append(ImageBias(data.names, sizes))
     if p.sigma_place is not None:
-        slopes = excerpt.joined(
-            [
-                data.points.slopes(part.recording.video.camera, start.p_world_joint, start.R_world_bone)
-                for part in excerpt.slices
-                for start in [part.guess.poses]
-            ]
-        )
-        found.append(Places(data.names, p.sigma_place, slopes))
+        starts = [(part.recording.video.camera, part.guess.poses) for part in excerpt.slices]
+        slopes = [data.points.slopes(camera, s.p_world_joint, s.R_world_bone) for camera, s in starts]
+        found.append(Places(data.names, p.sigma_place, excerpt.joined(slopes)))
     if p.sigma_focal is not None:
         found.append(Focal(p.sigma_focal))
     if p.sigma_tilt is not None:
@@ -247,12 +226,7 @@ def quantities_of(
     variance = np.diag(np.linalg.inv(P)) if variance_prior is None else variance_prior
     known = np.clip(1 - np.diag(inverse) / variance, 0.0, 1.0)
     claimed = np.minimum(np.diag(inverse @ (P + overcount * (S - P)) @ inverse), variance)
-    parts, first = list[tuple[str, str, slice]](), 0
-    for unknown in unknowns:
-        width = len(unknown.covariance) // len(unknown.items)
-        for item in unknown.items:
-            parts.append((unknown.name, item, slice(first, first + width)))
-            first += width
+    parts = items_of(unknowns)
 
     def listed(y: Array, variance_now: Array) -> tuple[Quantity, ...]:
         return tuple(
@@ -276,11 +250,8 @@ def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Qua
     """A delay in doubt, by the search or by `check_clocks` of most slices, gets its prior's standard deviation."""
     if quantity.kind != "delay" or quantity.verdict is Verdict.PRIOR:
         return quantity
-    checks = [
-        check_clocks(own.video, _sensed(own), part.guess.poses, own.skeleton)
-        for part in slices
-        for own in [part.recording]
-    ]
+    given = [(part.recording, part.guess.poses) for part in slices]
+    checks = [check_clocks(own.video, _sensed(own), start, own.skeleton) for own, start in given]
     causes = [clocks.cause for clocks in checks if clocks.failed]
     apart = len(causes) > sum(clocks.passed for clocks in checks)
     doubt = causes[0] if apart else next(iter(shared.doubts.values()), "")

@@ -188,7 +188,6 @@ class ProfiledFragment:
 
 
 def _eliminated(own: UnknownsHessian, slope: Array, factor: Factor) -> Slices[tuple[Array, Array]]:
-    """Hessian and gradient without the states."""
     G = len(own.gradient)
     right = np.column_stack([own.columns.reshape(-1, G), slope.ravel()])
     half = np.empty_like(right)  # L^-1 of it, where A = L L^T

@@ -47,44 +47,29 @@ def single_features(motions: SensorMotions) -> Array:
     dot = np.sum(w[..., :2] * a[..., :2], axis=-1)
     cross = w[..., 0] * a[..., 1] - w[..., 1] * a[..., 0]
     even = [
-        np.log(_rms(w_z) + _W0),
-        np.log(_rms(w_h) + _W0),
-        np.log(_rms(a_z) + _A0),
-        np.log(_rms(a_h) + _A0),
+        *(np.log(_rms(x) + rest) for x, rest in ((w_z, _W0), (w_h, _W0), (a_z, _A0), (a_h, _A0))),
         np.log(_rms(turning) / (_rms(speed) + _W0) + 0.1),
         np.log(_rms(jerk) / (_rms(size) + _A0) + 0.1),
         np.log(tilt + 1e-3),
-        tilts[:, 0],
-        tilts[:, 1],
-        about[:, 0],
-        about[:, 1],
+        *(shares[:, i] for shares in (tilts, about) for i in (0, 1)),
         np.log(_rms(speed**2) / (_rms(speed) ** 2 + _W0**2)),
         np.log(_rms(size**2) / (_rms(size) ** 2 + _A0**2)),
         np.log((np.quantile(speed, 0.2, axis=0) + 0.02) / (_rms(speed) + _W0)),
         np.log((np.quantile(size, 0.2, axis=0) + 0.05) / (_rms(size) + _A0)),
         _skewness(a_z),
-        _correlation(a_z, speed),
-        _correlation(a_z, size),
-        _correlation(speed, size),
+        *(_correlation(x, y) for x, y in ((a_z, speed), (a_z, size), (speed, size))),
         _mean_ratio(cross, w_h * a_h),
         _correlation(np.abs(w_z), w_h),
         np.log(_rms(np.gradient(a_z, axis=0) * RATE_HZ) / (_rms(a_z) + _A0) + 0.1),
     ]
-    return np.stack([*even, *_odd(w_z, dot, w_h, a_z, speed, size)], axis=-1)
-
-
-def _odd(w_z: Array, dot: Array, w_h: Array, a_z: Array, speed: Array, size: Array) -> list[Array]:
     rise = np.gradient(speed, axis=0)
-    return [
+    odd = [
         _skewness(w_z),
-        _correlation(w_z, w_h),
-        _correlation(w_z, a_z),
-        _correlation(w_z, size),
-        _correlation(w_z, rise),
-        _correlation(dot, w_h),
-        _correlation(dot, a_z),
+        *(_correlation(w_z, x) for x in (w_h, a_z, size, rise)),
+        *(_correlation(dot, x) for x in (w_h, a_z)),
         _mean_ratio(dot, speed * size),
     ]
+    return np.stack([*even, *odd], axis=-1)
 
 
 def pair_features(motions: SensorMotions) -> Array:
@@ -95,11 +80,9 @@ def pair_features(motions: SensorMotions) -> Array:
     w_c, a_c = w[..., 0] + 1j * w[..., 1], a[..., 0] + 1j * a[..., 1]
     turn, push = _coherence(w_c), _coherence(a_c)
     joint, gain, arm, heading = _common_joint(motions)
+    w_z, a_z = w[..., 2], a[..., 2]
     both = [
-        _correlations(speed, speed),
-        _correlations(size, size),
-        _correlations(w[..., 2], w[..., 2]),
-        _correlations(a[..., 2], a[..., 2]),
+        *(_correlations(x, x) for x in (speed, size, w_z, a_z)),
         np.abs(turn),
         np.abs(push),
         gain,
@@ -109,22 +92,8 @@ def pair_features(motions: SensorMotions) -> Array:
         _lagged(speed),
         np.sin(np.angle(turn) - heading) * np.abs(turn),
     ]
-    ordered = [
-        joint,
-        joint.T,
-        arm,
-        arm.T,
-        _correlations(a[..., 2], speed),
-        _correlations(speed, a[..., 2]),
-        _correlations(w[..., 2], speed),
-        _correlations(speed, w[..., 2]),
-        _correlations(w[..., 2], rise),
-        _correlations(rise, w[..., 2]),
-        _correlations(w[..., 2], a[..., 2]),
-        _correlations(a[..., 2], w[..., 2]),
-        _correlations(w[..., 2], size),
-        _correlations(size, w[..., 2]),
-    ]
+    crossed = ((a_z, speed), (w_z, speed), (w_z, rise), (w_z, a_z), (w_z, size))
+    ordered = [joint, joint.T, arm, arm.T, *(_correlations(*way) for x, y in crossed for way in ((x, y), (y, x)))]
     return np.stack([*both, *ordered], axis=-1)
 
 

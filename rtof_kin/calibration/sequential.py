@@ -34,17 +34,25 @@ from rtof_kin.calibration.offset_scan import OffsetScan
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations
 from rtof_kin.calibration.result import Quantity, SelfCalibration, Verdict
-from rtof_kin.calibration.unknowns import Delay, Heading, Mounting, Posture, Sampled, Unknown
+from rtof_kin.calibration.unknowns import (
+    Delay,
+    Posture,
+    Sampled,
+    Unknown,
+    columns_of,
+    corrected,
+    items_of,
+    open_sensors,
+)
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
 from rtof_kin.core.numerics.banded import Factor
 from rtof_kin.solve.joint_space.fragment import FragmentEnergy
-from rtof_kin.solve.joint_space.observations import bone_axis
 from rtof_kin.solve.joint_space.state import Limits
 from rtof_kin.solve.settings import JointSpaceSettings
 
-Sensors = tuple[Array, Array, Array, Array]  # What `sensor_unknowns.Sampled` returns
+Sensors = tuple[Array, Array, Array, Array]  # What `Sampled` returns
 _REACH = 2.0  # Delays that are tried reach so many standard deviations of the prior to both sides
 _COARSEST = 1 / 3  # [sigma] Largest step between them; one frame where that is smaller
 _FINE = np.linspace(-_REACH, _REACH, 401)  # [sigma] Delays of the posterior, between which energies are interpolated
@@ -229,13 +237,12 @@ class SequentialCalibration:
         self.unknowns = _opened(problem, priors)
         if not self.unknowns and priors.sigma_delay is None:
             raise CalibrationError("nothing is left open: give at least one standard deviation")
-        stops = np.cumsum([len(u.covariance) for u in self.unknowns]).astype(int).tolist()
-        self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=False))
-        covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(stops[-1:])]
+        self.columns = columns_of(self.unknowns)
+        covariance = block_diag(*(u.covariance for u in self.unknowns))[: sum(len(u.covariance) for u in self.unknowns)]
         self._usual = np.array(np.diag(covariance))
         saved = {(q.kind, q.item): q for q in (start.quantities if start else ()) if _is_known(q)}
         self._mean = _started(self.unknowns, covariance, saved)
-        self._prior = np.asarray(np.linalg.inv(covariance) if stops else covariance)
+        self._prior = np.asarray(np.linalg.inv(covariance) if self.unknowns else covariance)
         self.y, self.windows, self._seconds = self._mean.copy(), 0, 0.0
         self._information, self._vector = np.zeros_like(self._prior), np.zeros_like(self._mean)
         self.delay = _delay(priors.sigma_delay, saved.get(("delay", "video")))
@@ -257,22 +264,20 @@ class SequentialCalibration:
         given, N = window.given, len(window.x)
         late = self.delay.around(given.times, given.rate_hz, window.sampled) if self.delay else None
         yield
-        corrected = self._by(self.y, given, late.sensors(0) if late else None)
+        now = self._by(self.y, given, late.sensors(0) if late else None)
         yield
-        fragment = ProfiledFragment(
-            self._problem, self._limits, self._settings, corrected, 0, window.x, window.multipliers
-        )
-        self._problem.bind(corrected.fragment(0, N))
+        fragment = ProfiledFragment(self._problem, self._limits, self._settings, now, 0, window.x, window.multipliers)
+        self._problem.bind(now.fragment(0, N))
         yield
         fragment, factor = yield from self._settled(fragment)
         energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
         told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
-            fragment = replace(fragment, observations=self._weighted(corrected))
+            fragment = replace(fragment, observations=self._weighted(now))
             self._problem.bind(fragment.observations.fragment(0, N))
             yield
             told, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
-        self._account(N / corrected.rate_hz, told, force, energies)
+        self._account(N / now.rate_hz, told, force, energies)
         yield
         self._quantities = self._listed()
 
@@ -286,7 +291,9 @@ class SequentialCalibration:
         most, step = self._pace.turn * seconds, self._pace.delay * seconds
         self._applied += np.clip(wanted - self._applied, -most, most)
         self._applied_delay += float(np.clip(delay - self._applied_delay, -step, step))
-        own = {kind: self._applied_of(kind) for kind in ("heading", "mounting", "posture")}
+        own: dict[str, dict[str, Array]] = {"heading": {}, "mounting": {}, "posture": {}}
+        for kind, item, part in items_of(self.unknowns):
+            own[kind][item] = self._applied[part]
         return Corrections(
             self._applied_delay,
             {item: float(value[0]) for item, value in own["heading"].items()},
@@ -315,12 +322,9 @@ class SequentialCalibration:
         """Observations corrected by y (G,), with the sensors sampled anew where there is a delay."""
         if sampled is not None:
             given = Delay(1.0, None, lambda _: sampled).correct(given, np.zeros(1))
-        for unknown, part in zip(self.unknowns, self.columns, strict=True):
-            given = unknown.correct(given, y[part])
-        return given
+        return corrected(given, self.unknowns, y)
 
     def _weighted(self, given: CalibrationObservations) -> CalibrationObservations:
-        """Observations with the weights of a calibration."""
         p, rows = self._priors, given.rows
         return given.changed(
             w_visual=p.weight_vision * rows["w_visual"],
@@ -331,7 +335,6 @@ class SequentialCalibration:
         )
 
     def _settled(self, fragment: ProfiledFragment) -> Slices[tuple[ProfiledFragment, Factor]]:
-        """The window after some steps of its states, and the last factor."""
         problem = self._problem
         energy = problem.total(fragment.x)
         for _ in range(_STEPS):
@@ -348,7 +351,6 @@ class SequentialCalibration:
         return fragment, factor
 
     def _searched(self, given: CalibrationObservations, late: LateSensors, x: Array, factor: Factor) -> Slices[Array]:
-        """Energies of a window at other delays, each after a step of the states."""
         assert self.delay is not None
         problem, energies = self._problem, np.zeros(len(late.steps))
         for i, k in enumerate(late.steps.tolist()):
@@ -359,7 +361,6 @@ class SequentialCalibration:
         return self.delay.interpolated(late, energies)
 
     def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
-        """Add the information of a window."""
         if not all(np.isfinite(values).all() for values in (told, force, energies)):
             return
         kept = max(0.0, 1 - seconds / self._pace.memory_s)
@@ -380,7 +381,6 @@ class SequentialCalibration:
         return min(1.0, self._priors.effective_seconds / max(self._seconds, 1e-9))
 
     def _listed(self, significant: float | None = None) -> tuple[Quantity, ...]:
-        """Every item."""
         found = [self.delay.quantity] if self.delay else []
         if self.unknowns:
             hessian = self._prior + self._share * self._information
@@ -412,14 +412,6 @@ class SequentialCalibration:
                 wanted[own] = q.value
         return wanted, delay
 
-    def _applied_of(self, kind: str) -> dict[str, Array]:
-        """Item -> its applied numbers."""
-        for unknown, part in zip(self.unknowns, self.columns, strict=True):
-            if unknown.name == kind:
-                values = self._applied[part].reshape(len(unknown.items), -1)
-                return dict(zip(unknown.items, values, strict=True))
-        return {}
-
 
 def _turning(given: CalibrationObservations) -> float:
     """Largest angle of the sensors from their first orientation, in the mean of those with data, rad."""
@@ -433,26 +425,20 @@ def _turning(given: CalibrationObservations) -> float:
 
 
 def _is_known(quantity: Quantity) -> bool:
-    """Whether a quantity is known better than before and not in doubt."""
     return quantity.verdict in (Verdict.OBSERVED, Verdict.WEAKLY)
 
 
 def _opened(problem: FragmentEnergy, priors: CalibrationPriors) -> tuple[Unknown, ...]:
     """The unknowns but the delay, in the order in which they correct the observations."""
     skeleton, found = problem.space.skeleton, list[Unknown]()
-    sensors = tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors)
-    if priors.sigma_heading is not None and sensors:
-        found.append(Heading(sensors, priors.sigma_heading, None))
-    if priors.sigma_swing is not None and sensors:
-        axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
-        found.append(Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist))
+    if sensors := tuple(skeleton.names[j] for j in problem.energy["orientation"].sensors):
+        found += open_sensors(replace(priors, sigma_heading_drift=None, sigma_lever_arm=None), skeleton, sensors)
     if priors.sigma_posture is not None:
         found.append(Posture.of(problem.space.names, priors.sigma_posture))
     return tuple(found)
 
 
 def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None:
-    """Posterior of a delay that is open."""
     if usual is None or saved is None:
         return None if usual is None else DelayPosterior(usual, 0.0, usual)
     sigma = min(usual, float(np.hypot(saved.sigma[0], _KEPT_DELAY * usual)))
@@ -461,15 +447,12 @@ def _delay(usual: float | None, saved: Quantity | None) -> DelayPosterior | None
 
 def _started(unknowns: Sequence[Unknown], covariance: Array, saved: Mapping[tuple[str, str], Quantity]) -> Array:
     """Means (G,) of the prior; narrows its covariance (G, G) of items that are saved."""
-    mean, first = np.zeros(len(covariance)), 0
-    for unknown in unknowns:
-        width = len(unknown.covariance) // len(unknown.items)
-        for item in unknown.items:
-            own, known = slice(first, first + width), saved.get((unknown.name, item))
-            first += width
-            if known is not None:
-                usual = np.sqrt(np.diag(covariance)[own])
-                share = np.minimum(1.0, np.hypot(known.sigma[:width] / usual, _KEPT))
-                mean[own] = known.value[:width]
-                covariance[own, own] *= np.outer(share, share)
+    mean = np.zeros(len(covariance))
+    for kind, item, own in items_of(unknowns):
+        known, width = saved.get((kind, item)), own.stop - own.start
+        if known is not None:
+            usual = np.sqrt(np.diag(covariance)[own])
+            share = np.minimum(1.0, np.hypot(known.sigma[:width] / usual, _KEPT))
+            mean[own] = known.value[:width]
+            covariance[own, own] *= np.outer(share, share)
     return mean

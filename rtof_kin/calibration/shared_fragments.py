@@ -28,7 +28,7 @@ from scipy.optimize import minimize_scalar
 from rtof_kin.calibration.excerpt import Excerpt
 from rtof_kin.calibration.fragment_profile import ProfiledFragment, UnknownsHessian, finished
 from rtof_kin.calibration.residuals import CalibrationObservations
-from rtof_kin.calibration.unknowns import Unknown
+from rtof_kin.calibration.unknowns import Unknown, columns_of, corrected
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu_stream import StreamFault
@@ -84,8 +84,7 @@ class SharedFragments:
         self._given = excerpt.observations
         self._start = excerpt.joined([own.start for own in excerpt.data])
         self.confidence = excerpt.joined([own.confidence for own in excerpt.data])
-        stops = np.cumsum([len(u.covariance) for u in unknowns]).tolist()
-        self.columns = tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True))
+        self.columns = columns_of(self.unknowns)
         self.prior = _precision(self.unknowns)
         self._solver = LevenbergMarquardt(self.data.problem, self.data.limits)
         self._firsts = list(excerpt.firsts)
@@ -117,8 +116,8 @@ class SharedFragments:
         best, step, given = (np.inf, y), np.zeros_like(y), self.prior
         shrinking = [c for u, c in zip(self.unknowns, self.columns, strict=True) if u.shrinks]
         for done in range(rounds + 1):
-            corrected = self.corrected(y)
-            of_data = self.settle(corrected)
+            given_y = self.corrected(y)
+            of_data = self.settle(given_y)
             energy, before = of_data + self._unlikely(y), best[0] + self._unlikely(best[1])
             report(done + 1, rounds + 1)
             if energy > before * (1 + _ENOUGH):  # too far
@@ -130,7 +129,7 @@ class SharedFragments:
             best = of_data, y
             if converged:  # the Hessian is that of the step before
                 break
-            information, slope = self.profile(corrected, y)
+            information, slope = self.profile(given_y, y)
             self.prior = learned_precision(given, information, slope, y, shrinking, overcount)
             hessian = information + self.prior
             step = -cho_solve(cho_factor(hessian), slope + self.prior @ y)
@@ -141,7 +140,6 @@ class SharedFragments:
         return Shared(y, hessian, self._sigma_px, residuals, tuple(energies), converged, self._doubts)
 
     def _unlikely(self, y: Array) -> float:
-        """The prior's energy."""
         return 0.5 * float(y @ self.prior @ y)
 
     def _searched(self) -> Array:
@@ -178,9 +176,7 @@ class SharedFragments:
 
     def corrected(self, y: Array, weights: Weights | None = None) -> CalibrationObservations:
         """Return the weighted observations corrected by y (G,)."""
-        given, weights = self._given, weights or self.weights
-        for unknown, part in zip(self.unknowns, self.columns, strict=True):
-            given = unknown.correct(given, y[part])
+        given, weights = corrected(self._given, self.unknowns, y), weights or self.weights
         rows, s = given.rows, self.data.settings
         knee = s.robust_reprojection / s.largest_correlation_factor * np.sqrt(weights.vision)
         return replace(given, weight_of_motion=weights.motion).changed(

@@ -1,4 +1,4 @@
-"""Unknown errors of a recording, one class for each kind; sensors and vision have modules of their own.
+"""Unknown errors of a recording, one class for each kind: of bones, sensors, camera, detector, floor and posture.
 
 An unknown corrects the observations and has the derivatives of what residuals compare. All numbers y are
 zero without an error; their prior is normal about zero.
@@ -21,7 +21,7 @@ zero without an error; their prior is normal about zero.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -29,12 +29,14 @@ from typing import Self
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import JOINTS
+from rtof_kin.body.pose_prior import JOINTS
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes
 from rtof_kin.core import quaternions as quat
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Index
-from rtof_kin.solve.joint_space.observations import Attached
+from rtof_kin.solve.joint_space.observations import Attached, bone_axis
 
 
 class Unknown(ABC):
@@ -167,6 +169,30 @@ class Bones(Unknown):
             accelerations=at.a_sensors[..., None] * by_scale,
             jerk=-at.root_jerk[:, None, :, None] * by_scale,
         )
+
+
+def columns_of(unknowns: Sequence[Unknown]) -> tuple[slice, ...]:
+    """Return the columns of each kind in y (G,)."""
+    stops = np.cumsum([len(u.covariance) for u in unknowns]).astype(int).tolist()
+    return tuple(slice(a, b) for a, b in zip([0, *stops], stops, strict=False))
+
+
+def items_of(unknowns: Sequence[Unknown]) -> list[tuple[str, str, slice]]:
+    """Return kind and name of every item, and its columns in y (G,)."""
+    out, first = list[tuple[str, str, slice]](), 0
+    for unknown in unknowns:
+        width = len(unknown.covariance) // len(unknown.items)
+        for item in unknown.items:
+            out.append((unknown.name, item, slice(first, first + width)))
+            first += width
+    return out
+
+
+def corrected(given: CalibrationObservations, unknowns: Sequence[Unknown], y: Array) -> CalibrationObservations:
+    """Return observations corrected by y (G,) of all kinds, one after the other."""
+    for unknown, part in zip(unknowns, columns_of(unknowns), strict=True):
+        given = unknown.correct(given, y[part])
+    return given
 
 
 def powers_of_time(times: Array, all_times: Array, count: int) -> Array:
@@ -466,3 +492,14 @@ class Posture(Isotropic):
         items = np.arange(len(own))
         out[:, own, :, items] = np.moveaxis(turned, 1, 0)
         return Changes(posture=out.reshape(len(r), 1, 3 * at.from_means.shape[1], -1))
+
+
+def open_sensors(priors: CalibrationPriors, skeleton: SkeletonModel, sensors: tuple[str, ...]) -> Iterator[Unknown]:
+    """Yield the unknowns of sensors on segments that priors leave open, in the order in which they correct."""
+    if priors.sigma_heading is not None:
+        yield Heading(sensors, priors.sigma_heading, priors.sigma_heading_drift)
+    if priors.sigma_swing is not None:
+        axes = np.array([bone_axis(skeleton, joint) for joint in sensors])
+        yield Mounting(sensors, axes, priors.sigma_swing, priors.sigma_twist)
+    if priors.sigma_lever_arm is not None:
+        yield LeverArm(sensors, priors.sigma_lever_arm)

@@ -43,10 +43,8 @@ def batch(
         shard: only this one of N parts, for arrays of jobs, as 3/10
     """
     import rtof_kin
-    from rtof_kin.batch.chain import read_chain
-    from rtof_kin.batch.index import INDEX_PAGE
-    from rtof_kin.batch.recordings import Shard, find_recordings
-    from rtof_kin.batch.rows import ERROR, WORST_FIRST
+    from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
+    from rtof_kin.batch.rows import ERROR, INDEX_PAGE, WORST_FIRST
     from rtof_kin.batch.run import TABLE, Batch, check_chain, run_batch
     from rtof_kin.batch.work import process  # noqa: F401  # what workers do is loaded before they start
     from rtof_kin.cli import OLD_COMMANDS, check, command_names, dispatch

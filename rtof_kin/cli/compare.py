@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -148,10 +147,9 @@ def study(
     """
     from lifting.predict import Lifter
     from rtof_kin.core.jobs import open_runs
-    from rtof_kin.core.packages import can_draw
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.sensor_study.files import remove_results, unused_removed, write_study
-    from rtof_kin.reporting.sensor_study.sentences import sentences
+    from rtof_kin.reporting.document import show
+    from rtof_kin.reporting.sensor_study.document import document, remove_results, unused_removed, write_study
     from rtof_kin.reporting.sensor_study.study import identity_of, number_of_runs, study_sensors
 
     limit_threads(threads)
@@ -176,15 +174,8 @@ def study(
             progress=update,
         )
     print_headline(found.verdict, "all sensors: ")
-    written = []
-    if figures and can_draw():
-        from rtof_kin.reporting.sensor_study.figures import write_study_figures
-
-        written += write_study_figures(found, output / "figures")
-    written += write_study(found, output)
-    _print_way_down(found)
-    for sentence in sentences(found):
-        out.print(sentence, soft_wrap=True)
+    written = write_study(found, output, figures)
+    show(document(found), out)
     out.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
 
 
@@ -198,16 +189,6 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(before)
-
-
-def _print_way_down(study: Any) -> None:
-    what = "error" if study.has_truth else "difference"
-    table = Table("sensors", "without", f"mean {what} [deg]", "angles kept")
-    for before, found in zip((study.path[0], *study.path), study.path, strict=False):
-        gone = [study.segments[name] for name in before.sensors if name not in found.sensors]
-        kept = f"{int(study.kept(found).sum())} of {len(study.angles)}"
-        table.add_row(str(len(found.sensors)), *gone or ("",), f"{math.degrees(found.loss):.1f}", kept)
-    out.print(table)
 
 
 @command

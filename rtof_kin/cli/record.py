@@ -257,7 +257,7 @@ def detect(
         camera_motion: estimate how the camera turned from the background, and write it
         phone_log: gyroscope and accelerometer of the phone that filmed by hand: adds the tilt to --camera-motion
     """
-    from rtof_kin.vision.recognise import recognise
+    from rtof_kin.vision.landmark_regression import recognise
     from rtof_kin.vision.video import detect_video, write_detections
 
     if output.suffix.lower() != ".npz":
@@ -290,17 +290,16 @@ def detect(
 
 def _write_camera_motion(video: str, found: Detections, target: Path, phone: Path | None, overwrite: bool) -> None:
     from rtof_kin.formats.camera_motion import write_camera_motion
-    from rtof_kin.setup.camera import assumed_camera, turning_of_video
+    from rtof_kin.setup.camera import assumed_camera, rotation_of_video
     from rtof_kin.setup.recording_text import Field
-    from rtof_kin.vision.lens_prior import lens_prior
-    from rtof_kin.vision.video_metadata import read_video_metadata
+    from rtof_kin.vision.video_metadata import lens_prior, read_video_metadata
 
     metadata = read_video_metadata(video)
     size = metadata.width_px, metadata.height_px
     lens = lens_prior(*size, metadata)
     camera = assumed_camera(*size, lens, Field(None)).camera
     with progress() as update:
-        turned = turning_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
+        turned = rotation_of_video(video, found, camera, lens.sigma_focal, phone=phone, progress=update)
     write_camera_motion(target, turned.motion, overwrite)
     out.print(f"wrote {target}: {turned.summary}", soft_wrap=True)
     if turned.turning().passed:

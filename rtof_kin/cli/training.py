@@ -16,7 +16,7 @@ from rtof_kin.cli.terminal import err, out
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from lifting.corpus import Corpus
+    from lifting.training.corpus import Corpus
 
 DEFAULT_MINUTES: Final = 45.0
 """How long a lifter is trained where neither minutes nor windows are given."""
@@ -58,7 +58,7 @@ def train(
             "deterministic",
             "same_windows",
             threads="draw-threads",
-            of="lifting.settings:TrainConfig",
+            of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),
     ],
@@ -83,10 +83,10 @@ def train(
             alone, or all of these
         camera_at: one location of all virtual cameras, m, from any side; if not given, each window has its own
     """
-    from lifting.curves import figure_file
-    from lifting.data import augmentation
-    from lifting.settings import TrainConfig
-    from lifting.train import train as learn
+    from lifting.training.data import augmentation
+    from lifting.training.settings import TrainConfig
+    from lifting.training.train import figure_file
+    from lifting.training.train import train as learn
 
     usual = {} if {"minutes", "windows"} & {*settings} else {"minutes": DEFAULT_MINUTES}
     config = TrainConfig.for_model(network, **usual, **settings, augment=augmentation(noise, camera_at))
@@ -123,7 +123,7 @@ def _first() -> bool:
 
 def _corpus(corpus: Path | None, total_capture: Path | None, human36m: Path | None) -> Corpus | str:
     """What to train on: a dataset's training takes, or the path of a corpus."""
-    from lifting.datasets import human36m_corpus, total_capture_corpus
+    from lifting.training.corpus import human36m_corpus, total_capture_corpus
 
     if sum(one is not None for one in (corpus, total_capture, human36m)) != 1:
         raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")

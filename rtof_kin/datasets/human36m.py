@@ -8,7 +8,7 @@ VideoPose3D (Pavllo et al., CVPR 2019) makes of them are read from one folder::
                                   metadata: num_joints, keypoints_symmetry, layout_name
 
 where ``<keypoints>`` is ``gt`` (projected), ``cpn_ft_h36m_dbb`` or ``detectron_ft_h36m`` (detected), and a
-file of cameras, see `rtof_kin.datasets.human36m_cameras`. A recording ends with the shorter of the two.
+file of cameras, see `rtof_kin.datasets.human36m_files`. A recording ends with the shorter of the two.
 """
 
 from __future__ import annotations

@@ -21,12 +21,10 @@ from typing import Any, Final
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.data.camera import Camera
-from rtof_kin.datasets.joint_centres import hinge_table
-from rtof_kin.datasets.public_sets import Movement, Take, TakeInputs, Truth, checked_root, kind_of, natural, some
+from rtof_kin.datasets.public_sets import Movement, PublicSet, Take, TakeInputs, Truth, hinge_table, kind_of, natural
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
 CENTRES: Final = (
@@ -73,30 +71,26 @@ _KINDS: Final[dict[str, Movement]] = {
 }
 _CAMERAS: Final = ("PG1", "PG2")
 _MARKERS: Final = re.compile(r"F_v3d_Subject_(\d+)\.mat", re.IGNORECASE)
-_LAYOUT: Final = "F_v3d_Subject_1.mat beside F_PG1_Subject_1_L.avi and cameraParams_PG1.npz, at any depth"
 _MISSING: Final = 1e-3
 _MM: Final = 0.001
 
 
-class Movi:
+class Movi(PublicSet):
     """Adapter of round F of BML-MoVi."""
 
     name = "movi"
+    archive = "BML-MoVi"
+    layout = "F_v3d_Subject_1.mat beside F_PG1_Subject_1_L.avi and cameraParams_PG1.npz, at any depth"
     title = "BML-MoVi, round F"
-    mode: Mode = "rto"
+    mode = "rto"
     caution = (
         "joint centres define the flexion of knees and elbows alone; their zero is a straight limb, so "
         "that an offset of a few degrees is one of definition"
     )
 
     def __init__(self, root: Path):
-        """Take the folder with the unpacked archives."""
-        self.root = checked_root(root, "BML-MoVi")
+        super().__init__(root)
         self._read: dict[Path, dict[str, Any]] = {}
-
-    def takes(self) -> tuple[Take, ...]:
-        """See `PublicSet.takes`: every motion in every camera; files of markers are read for their names."""
-        return some(self._takes(), self.root, self.title, _LAYOUT)
 
     def _takes(self) -> Iterator[Take]:
         files = [path for path in self.root.rglob("*.mat") if _MARKERS.fullmatch(path.name)]

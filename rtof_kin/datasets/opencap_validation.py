@@ -16,20 +16,9 @@ from typing import Any, Final
 
 import yaml
 
-from rtof_kin.core.choices import Mode
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import read_text
-from rtof_kin.datasets.public_sets import (
-    Movement,
-    Take,
-    TakeInputs,
-    Truth,
-    checked_root,
-    existing,
-    kind_of,
-    natural,
-    some,
-)
+from rtof_kin.datasets.public_sets import Movement, PublicSet, Take, TakeInputs, Truth, existing, kind_of, natural
 from rtof_kin.formats.opensim import read_opensim_table
 
 CAMERAS: Final = ("Cam0", "Cam1", "Cam2", "Cam3", "Cam4")
@@ -57,24 +46,16 @@ _MEASURED: Final = (
         )
     ),
 )
-_LAYOUT: Final = "subjectN/VideoData/SessionN/CamN/TRIAL/ and subjectN/OpenSimData/Mocap/IK/TRIAL.mot"
 
 
-class OpenCapValidation:
+class OpenCapValidation(PublicSet):
     """Adapter of LabValidation_withVideos."""
 
     name = "opencap"
+    archive = "LabValidation_withVideos"
+    layout = "subjectN/VideoData/SessionN/CamN/TRIAL/ and subjectN/OpenSimData/Mocap/IK/TRIAL.mot"
     title = "OpenCap's laboratory validation"
-    mode: Mode = "rto"
-    caution = ""
-
-    def __init__(self, root: Path):
-        """Take the folder with ``subject2`` and so on, at any depth of one."""
-        self.root = checked_root(root, "LabValidation_withVideos")
-
-    def takes(self) -> tuple[Take, ...]:
-        """See `PublicSet.takes`: the trials of every camera that have a reference or a video."""
-        return some(self._takes(), self.root, self.title, _LAYOUT)
+    mode = "rto"
 
     def _takes(self) -> Iterator[Take]:
         subjects = [*self.root.glob("subject*"), *self.root.glob("*/subject*")]

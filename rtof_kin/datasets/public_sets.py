@@ -8,16 +8,21 @@ An adapter reads a folder that the user has downloaded and unpacked. It lists ta
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, Protocol, get_args
+from typing import ClassVar, Final, Literal, get_args
 
+import numpy as np
+
+from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
-from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.camera import Camera
-from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.data.imu_stream import Declaration, SensorLog
 from rtof_kin.formats.opensim import OpenSimTable
+from rtof_kin.formats.sensors.readings import Readings, sensor_log
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
 MOVEMENTS: Final[tuple[Movement, ...]] = get_args(Movement)
@@ -80,39 +85,45 @@ class Truth:
     """[s] largest difference of the clocks of take and reference that is searched."""
 
 
-class PublicSet(Protocol):
+class PublicSet(ABC):
     """Adapter of one data set."""
 
-    name: str
+    name: ClassVar[str]
     """On the command line."""
-    title: str
-    mode: Mode
+    title: ClassVar[str]
+    mode: ClassVar[Mode]
     """Mode of reconstruction whose inputs the set has, see `rtof_kin.core.choices`."""
-    caution: str
+    caution: ClassVar[str] = ""
     """What its reference cannot show; '' if nothing."""
+    layout: ClassVar[str]
+    """Where its files are."""
+    archive: ClassVar[str]
+    """What is unpacked into the folder."""
+
+    def __init__(self, root: Path):
+        """Take the folder of the set, or one above; raises FileFormatError where there is none."""
+        if not root.is_dir():
+            raise FileFormatError(root, f"there is no such folder; give the one into which {self.archive} was unpacked")
+        self.root = root
 
     def takes(self) -> tuple[Take, ...]:
         """Return all takes, in a fixed order; raises FileFormatError where there is none."""
-        ...
+        found = tuple(self._takes())
+        if not found:
+            expected = f"expected {self.layout} (docs/validate.md)"
+            raise FileFormatError(self.root, f"no take of {self.title} in it; {expected}")
+        return found
 
+    @abstractmethod
+    def _takes(self) -> Iterator[Take]: ...
+
+    @abstractmethod
     def inputs(self, take: Take) -> TakeInputs:
         """Return what a recording is made from; raises FileFormatError for missing or damaged files."""
-        ...
 
+    @abstractmethod
     def truth(self, take: Take) -> Truth:
         """Return the reference; raises FileFormatError for a missing or damaged file."""
-        ...
-
-
-def checked_root(root: Path, title: str) -> Path:
-    """Return the folder of a set.
-
-    Raises:
-        FileFormatError: there is no such folder.
-    """
-    if not root.is_dir():
-        raise FileFormatError(root, f"there is no such folder; give the one into which {title} was unpacked")
-    return root
 
 
 def existing(path: Path, what: str, remedy: str) -> Path:
@@ -129,16 +140,24 @@ def existing(path: Path, what: str, remedy: str) -> Path:
     return path
 
 
-def some(takes: Iterable[Take], root: Path, title: str, layout: str) -> tuple[Take, ...]:
-    """Return the takes of a set.
+def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Array]]) -> SensorLog:
+    """Return the sensors of a file that has orientations alone.
+
+    Args:
+        what: the format. sensors: name -> times (T,), s, and quaternions w, x, y, z (T, 4).
 
     Raises:
-        FileFormatError: there is none.
+        FileFormatError: no quaternions, or no sensors.
     """
-    found = tuple(takes)
-    if not found:
-        raise FileFormatError(root, f"no take of {title} in it; expected {layout} (docs/validate.md)")
-    return found
+    for sensor, (_, quaternions) in sensors.items():
+        norm = float(np.nanmedian(np.linalg.norm(quaternions, axis=1)))
+        if not 0.9 < norm < 1.1:
+            raise FileFormatError(path, f"{sensor}: quaternions have a norm of {norm:.3g}, not 1: another unit?")
+    readings = [Readings(name, times, quaternions=quat) for name, (times, quat) in sensors.items()]
+    try:
+        return sensor_log([path], what, readings, Declaration())
+    except InvalidInputError as error:
+        raise FileFormatError(path, str(error)) from error
 
 
 def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:
@@ -155,3 +174,54 @@ def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:
 def natural(text: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers in names by their value."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", text) if part]
+
+
+HINGES: Final = {
+    "knee_angle_r": ("right_hip", "right_knee", "right_ankle"),
+    "knee_angle_l": ("left_hip", "left_knee", "left_ankle"),
+    "elbow_flex_r": ("right_shoulder", "right_elbow", "right_wrist"),
+    "elbow_flex_l": ("left_shoulder", "left_elbow", "left_wrist"),
+}
+"""Coordinate of OpenSim -> joint centres before, at and after the hinge."""
+
+
+def hinge_table(times: Array, centres: Mapping[str, Array]) -> OpenSimTable:
+    """Return the flexion, rad, of the hinges whose three centres are known.
+
+    Args:
+        times: (T,) s. centres: joint -> (T, 3) in any one unit; NaN where unknown.
+    """
+    found = {
+        name: _flexion(*(centres[joint] for joint in joints))
+        for name, joints in HINGES.items()
+        if all(joint in centres for joint in joints)
+    }
+    values = np.stack(list(found.values()), axis=1) if found else np.empty((len(times), 0))
+    return OpenSimTable(times, tuple(found), values, in_degrees=False)
+
+
+def _flexion(before: Array, at: Array, after: Array) -> Array:
+    upper, lower = at - before, after - at
+    cross = np.linalg.norm(np.cross(upper, lower), axis=-1)
+    return np.asarray(np.arctan2(cross, np.sum(upper * lower, axis=-1)))
+
+
+def hip_centres(markers: Mapping[str, Array]) -> dict[str, Array]:
+    """Return both hip centres (T, 3) m from the pelvis (Harrington et al. 2007, simple regressions).
+
+    Args:
+        markers: 'right_asis', 'left_asis', 'right_psis', 'left_psis' -> (T, 3) m, any axes.
+    """
+    front = (markers["right_asis"] + markers["left_asis"]) / 2
+    back = (markers["right_psis"] + markers["left_psis"]) / 2
+    to_right = markers["right_asis"] - markers["left_asis"]
+    width = np.linalg.norm(to_right, axis=-1, keepdims=True)
+    right = to_right / width
+    forward = front - back
+    depth = np.linalg.norm(forward, axis=-1, keepdims=True)
+    forward = forward - np.sum(forward * right, axis=-1, keepdims=True) * right
+    forward = forward / np.linalg.norm(forward, axis=-1, keepdims=True)
+    up = np.cross(right, forward)
+    middle = front - (0.24 * depth + 0.0099) * forward - (0.30 * width + 0.0109) * up
+    out = (0.33 * width + 0.0073) * right
+    return {"right_hip": middle + out, "left_hip": middle - out}

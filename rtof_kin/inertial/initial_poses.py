@@ -108,7 +108,6 @@ class _Neutral:
         return so3.exp(share * missing @ beyond.T)
 
     def _path(self, above: int, joint: int) -> list[int]:
-        """Return the joints from below one to another, outwards; empty if the one is not above."""
         path: list[int] = []
         while joint != above:
             if joint < 0:

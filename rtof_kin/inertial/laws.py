@@ -145,7 +145,6 @@ def turning_checks(stream: SensorStream) -> tuple[Check, ...]:
 
 
 def _jumps(stream: SensorStream, shift: float, agreeing: bool) -> Check:
-    """Check the largest rotation between two samples that an agreeing gyroscope does not measure."""
     name, pair = "jump of the orientation", _both_rates(stream, shift) if agreeing else None
     if pair is None:
         why = "gyroscope and orientation do not agree, or one is missing"
@@ -175,7 +174,6 @@ def _quaternion_norm(stream: SensorStream) -> Check:
 
 
 def _described(R_sensor_oriented: Array) -> str:
-    """Describe a constant change of axes in words."""
     nearest = np.round(R_sensor_oriented)
     if np.abs(R_sensor_oriented - nearest).max() < 0.1:
         rows = [(int(np.argmax(np.abs(row))), row) for row in nearest]
@@ -282,7 +280,6 @@ def turning_acceleration(stream: SensorStream) -> float:
 
 
 def _specific_force(stream: SensorStream, rest: Mask) -> Check:
-    """Check the deviation of the specific force at rest, or else the factor of its median in motion."""
     if stream.f_sensor is None:
         return Check.unknown(FORCE, stream.name, "m/s2", "there are no accelerations")
     size = np.linalg.norm(stream.f_sensor, axis=-1)
@@ -321,7 +318,6 @@ def _mean_force(stream: SensorStream, rest: Mask) -> tuple[Check, ...]:
 
 
 def _lever_arm(stream: SensorStream, per_metre: float) -> Check:
-    """Check the factor between the lever arm of acceleration and rotation and a body's."""
     f, R = stream.f_sensor, stream.R_inertial_sensor
     if f is None or R is None or np.isnan(per_metre):
         why = _missing(stream) or "the sensor hardly turns, or is too short"

@@ -408,7 +408,6 @@ def _grid(count: int) -> Array:
 
 
 def _refined(score: Score, angle: float, step: float) -> float:
-    """Return the best angle within two steps."""
     around = angle + step * np.arange(-2, 3)
     return float(around[int(np.argmax([score(float(h)) for h in around]))])
 

@@ -72,7 +72,6 @@ def missing_samples(imus: ImuSequence, start: float, stop: float) -> Iterator[St
 
 
 def _without(times: Array, start: float, stop: float) -> list[tuple[float, float]]:
-    """Gaps longer than `_GONE` between samples within a span."""
     inside = times[(times > start) & (times < stop)]
     edges = np.array([start, *inside, stop])
     return [(float(edges[i]), float(edges[i + 1])) for i in np.flatnonzero(np.diff(edges) > _GONE)]
@@ -195,7 +194,6 @@ class _Mistake(NamedTuple):
 
 
 def _from_xyzw(R: Array) -> Array:
-    """Return the rotations of quaternions x, y, z, w that were read as w, x, y, z."""
     return so3.from_quat_wxyz(np.roll(so3.to_quat_wxyz(R), 1, axis=-1))
 
 

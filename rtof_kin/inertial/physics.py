@@ -81,7 +81,6 @@ def _broken(checks: Sequence[Check]) -> list[Check]:
 def _explanation(
     stream: SensorStream, declared: Declaration, broken: Sequence[Check], changes: Sequence[Mapping[str, str]]
 ) -> tuple[str, Mapping[str, Any]]:
-    """Return why laws do not hold, as a sentence and, if unique, as a change of the declaration."""
     if changes:
         text = "; or with ".join(_declared(change) for change in changes)
         return f"It would hold with {text}", changes[0] if len(changes) == 1 else {}
@@ -99,7 +98,6 @@ def _explanation(
 
 
 def _then(stream: SensorStream, declared: Declaration) -> str:
-    """Return what else a stream needs once its orientation is of its own axes."""
     wrong = _broken(_laws(stream, declared))
     if not wrong:
         return "with that rotation gravity points up"
@@ -201,12 +199,10 @@ def _part(stream: SensorStream, samples: slice) -> SensorStream:
 
 
 def _excess(check: Check) -> float:
-    """Return value over limit, 0 where unknown."""
     return float(np.nan_to_num(check.value / check.limit))
 
 
 def _sampling(stream: SensorStream, declared: Declaration) -> list[Check]:
-    """Check the clock and all channels of a sensor."""
     checks = _clock(stream, declared)
     for name, values in _as_filed(stream, declared).items():
         checks += [_missing(stream, name, values), _stuck(stream, name, values)]
@@ -230,7 +226,6 @@ def _as_filed(stream: SensorStream, declared: Declaration) -> dict[str, Array]:
 
 
 def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:
-    """Check rate, jitter and lost samples of the time stamps."""
     names = ("rate against the declared one", "jitter of time stamps", "samples lost")
     steps = np.diff(stream.times)
     if len(steps) < 2:

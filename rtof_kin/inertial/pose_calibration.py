@@ -313,7 +313,6 @@ def _hold(
     still: tuple[float, float] | None,
     levers: Mapping[str, ArrayLike] | None,
 ) -> _Held:
-    """Average the orientations of sensors during the pose."""
     if not joints:
         raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")
     segments = tuple(joints.values())

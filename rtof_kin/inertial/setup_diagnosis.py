@@ -182,7 +182,6 @@ def _scores(bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSeq
 def _likeliest(
     scores: _Scores, motions: Sequence[SegmentMotion], setup: _Setup, faults: Sequence[Fault]
 ) -> Fault | None:
-    """Return the fault with the largest ratio above its threshold, with its alternatives."""
     base = scores.total(motions)
     ratios = np.array([scores.total(fault._read(motions)) - base for fault in faults])
     least = [LEAST_RATIO * (_LONE_FACTOR if setup.is_lone(fault) else 1.0) for fault in faults]

@@ -108,7 +108,6 @@ class Refinement:
         return self.corrections
 
     def _update(self) -> Generator[None, None, None]:
-        """Work on the last frames, slice by slice."""
         times = self._times.copy()
         q, w, a, w_a = self._sampled(times)
         yield
@@ -119,7 +118,7 @@ class Refinement:
         yield from self.calibration.update(WindowObservations(given, self._x.copy(), self._sampled))
 
     def _sampled(self, times: Array) -> tuple[Array, Array, Array, Array]:
-        """Sensors as measured; see `sensor_unknowns.Sampled`."""
+        """Sensors as measured; see `unknowns.Sampled`."""
         q, known, a, moved = self._sensors.at(times, corrected=False)
         own = self._window.order
         weight = moved[:, own] / self._settings.sigma_acceleration**2

@@ -26,9 +26,17 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.jobs import JobResult, Outcome
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.datasets.detections import read_detections
-from rtof_kin.datasets.total_capture import SUBJECTS, TEST, TRAIN, Take, TotalCapture
-from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
+from rtof_kin.datasets.total_capture import (
+    SUBJECTS,
+    TEST,
+    TRAIN,
+    Take,
+    TotalCapture,
+    check_camera,
+    check_keypoints,
+    check_take,
+)
+from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.protocols import published
 from rtof_kin.protocols.measures import (
     CameraProtocol,

@@ -108,7 +108,6 @@ def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: Sel
 
 
 def _prior_body(job: Job, known: SelfCalibration | None) -> Job:
-    """The job on the body from which the calibration starts."""
     recording = job.recording
     check_height(recording)
     if job.skeleton is not None:
@@ -375,7 +374,6 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
 
 
 def _delay(value: Sequence[float], sigma: Sequence[float], doubt: str = "") -> Quantity:
-    """Delay of the video, s, and its rate; all offsets that are tried were as likely before."""
     prior = np.array([0.29, 0.01])[: len(value)]
     sigmas = np.minimum(sigma, prior)
     known = float(1 - (sigmas[0] / prior[0]) ** 2)
@@ -398,7 +396,6 @@ def _angular_velocities(jobs: Sequence[Job]) -> tuple[AngularVelocities, Angular
 
 
 def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
-    """The delay by the energy of an excerpt, within two standard deviations of the first estimate."""
     only = CalibrationPriors(
         sigma_delay=float(delay.sigma[0]),
         sigma_swing=None,
@@ -419,7 +416,6 @@ def _refined(jobs: Sequence[Job], delay: Quantity, middle: float) -> Quantity:
 def _check_belonging(
     job: Job, seen: AngularVelocities, sensed: AngularVelocities, columns: list[int], found: ClockEstimate
 ) -> Check:
-    """Check that the sensors move as the image shows where and when they are declared."""
     S = len(columns)
     least, explained = _EXPLAINED[S >= _FEW], found.explained
     cause = "the sensors do not belong to this video"
@@ -455,7 +451,6 @@ def _check_belonging(
 def _sentences(
     delay: Quantity, applied: SelfCalibration | None, found: ClockEstimate, seconds: float, sensors: int
 ) -> list[str]:
-    """What is said about the clocks, the drift first."""
     said, ms = [], 1000 * delay.sigma[0]
     if len(delay.value) > 1 and abs(delay.value[1]) * seconds / 2 > _NAMED:
         rate, sigma = -100 * delay.value[1], 100 * delay.sigma[1]

@@ -134,7 +134,6 @@ def _on_path(start: PoseSequence, path: RootPath, contacts: Contacts, skeleton: 
 
 
 def _warnings(start: PoseSequence, contacts: Contacts, skeleton: SkeletonModel, ankle_height: float) -> tuple[str, ...]:
-    """Describe the limitations of the root path."""
     if not contacts.joints:
         return ("no sensor on a foot or shank: the root stays at its first position, whatever the person does",)
     out, rate = [], start.rate_hz

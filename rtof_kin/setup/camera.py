@@ -28,7 +28,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 from rtof_kin.vision.background_motion import BackgroundMotion, estimate_camera_motion
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.lens_prior import LensPrior
+from rtof_kin.vision.video_metadata import LensPrior
 
 HEIGHT, SIGMA_HEIGHT = 1.2, 0.4  # Height of an assumed camera over the floor and its standard deviation, m
 SIGMA_PITCH_DEG, SIGMA_ROLL_DEG = 10.0, 4.0
@@ -105,7 +105,6 @@ def calibrated_camera(path: str | Path, name: str | None, size_px: tuple[int, in
 
 
 def _placed(camera: Camera, size: Field, optics: dict[str, Field], sigma_focal: float, sigma_k1: float) -> SetupCamera:
-    """Return a camera with the assumed pose and its standard deviations."""
     unsure = Origin.ASSUMED
     pitch, roll = (float(np.radians(deg)) for deg in (SIGMA_PITCH_DEG, SIGMA_ROLL_DEG))
     sigma = CameraUncertainty(sigma_focal, pitch, SIGMA_HEIGHT, sigma_k1, roll)
@@ -211,7 +210,7 @@ def filming_camera(
         return FilmingCamera(camera)
     unsure = camera.camera.uncertainty
     try:
-        found = turning_of_video(
+        found = rotation_of_video(
             video, people, camera.camera, unsure.focal if unsure else 0.0, phone=phone, progress=progress
         )
     except FileFormatError:
@@ -233,7 +232,7 @@ def filming_camera(
     return FilmingCamera(SetupCamera(camera.camera, fields), found.motion)
 
 
-def turning_of_video(
+def rotation_of_video(
     video: str | Path,
     people: Detections | KeypointSequence | None,
     camera: Camera,

@@ -15,12 +15,13 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.camera_unknowns import refocused
 from rtof_kin.calibration.clocks import ClockEstimate, find_video_offset
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array, Index
 from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.camera import Camera
+from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.lift import LifterLike, lift
@@ -99,7 +100,7 @@ def adjust(cameras: tuple[Camera, Camera], images: Images, p_world_joint: Array,
             break
     system = _System(now, x, images, p, p_world_joint, settings)
     covariance = np.linalg.inv(np.diag(prior) + system.information / settings.frames_as_one)
-    first, second = (_longer(camera, change) for camera, change in zip(now, x[FOCAL], strict=True))
+    first, second = (refocused(camera, np.expm1(change)) for camera, change in zip(now, x[FOCAL], strict=True))
     return Adjusted((first, second), p, x, covariance, system.size)
 
 
@@ -114,13 +115,6 @@ def _moved(camera: Camera, turn: Array, move: Array) -> Camera:
     """The camera turned by a rotation vector in world, about its centre, and moved."""
     R = so3.nearest_rotation(camera.R_camera_world @ so3.exp(-turn))
     return replace(camera, R_camera_world=R, t_camera_world=-R @ (camera.center_world + move))
-
-
-def _longer(camera: Camera, log_factor: float) -> Camera:
-    """The camera with its focal lengths times a factor."""
-    K = camera.K.copy()
-    K[:2, :2] *= np.exp(log_factor)
-    return replace(camera, K=K)
 
 
 class _System:
@@ -169,7 +163,7 @@ class _System:
 
     def _add_image(self, c: int, camera: Camera, images: Images, p: Array, sigma: float) -> Array:
         """Add the residuals of a camera, and return them relative to the focal length."""
-        camera = _longer(camera, self._x[FOCAL][c])
+        camera = refocused(camera, np.expm1(self._x[FOCAL][c]))
         at, R = camera.to_camera(p), camera.R_camera_world
         depth = np.maximum(at[..., 2:], 0.1)
         flat = at[..., :2] / depth
@@ -235,18 +229,8 @@ def _lost(images: Images) -> float:
 
 JOINTS: Final = (
     "Head",
-    "RightArm",
-    "RightForeArm",
-    "RightHand",
-    "LeftArm",
-    "LeftForeArm",
-    "LeftHand",
-    "RightUpLeg",
-    "RightLeg",
-    "RightFoot",
-    "LeftUpLeg",
-    "LeftLeg",
-    "LeftFoot",
+    *(side + joint for side in ("Right", "Left") for joint in ("Arm", "ForeArm", "Hand")),
+    *(side + joint for side in ("Right", "Left") for joint in ("UpLeg", "Leg", "Foot")),
 )
 """Joints that detectors show; those of the trunk are only interpolated."""
 _FEWEST_JOINTS = 6  # Joints that both cameras see in a used frame
@@ -318,13 +302,15 @@ def find_second_camera(
     view = second.on_clock(second.times + clock.offset)
     camera, own = _placed(second.camera, poses, replace(own, times=view.times))
     view, frames = replace(view, camera=camera), _frames(first, view.resample(first.times))
+    usual = (CameraUncertainty(_USUAL_FOCAL, tilt) for tilt in (0.0, _USUAL_TILT))
+    stated = [own.uncertainty or other for own, other in zip((first.camera, camera), usual, strict=True)]
     found = adjust(
         (first.camera, camera),
         _images(first, view, frames, skeleton, (poses, own)),
         poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
-            sigma_focal=sigma_focal or (_focal(first.camera), _focal(camera)),
-            sigma_tilt=float(np.hypot(_tilt(first.camera, 0.0), _tilt(camera, _USUAL_TILT))),
+            sigma_focal=sigma_focal or (stated[0].focal, stated[1].focal),
+            sigma_tilt=float(np.hypot(stated[0].tilt, stated[1].tilt)),
             sigma_shapes=(_SENSED if sensed else _SEEN, _LIFTED),
             frames_as_one=max(1.0, _MEMORY * len(frames) / float(np.ptp(first.times[frames]))),
         ),
@@ -353,18 +339,7 @@ def _result(found: Adjusted, view: KeypointSequence, clock: ClockEstimate) -> Se
     )
 
 
-def _focal(camera: Camera) -> float:
-    """Relative standard deviation of a focal length."""
-    return _USUAL_FOCAL if camera.uncertainty is None else camera.uncertainty.focal
-
-
-def _tilt(camera: Camera, usual: float) -> float:
-    """Standard deviation of a camera's pitch and roll, rad."""
-    return usual if camera.uncertainty is None else camera.uncertainty.tilt
-
-
 def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[Camera, PoseSequence]:
-    """The second camera and its lift, on its own clock and in its own world, in the first one's world."""
     times = first.times[(first.times >= second.times[0]) & (first.times <= second.times[-1])]
     p, q = (signals.interpolate(s.times, s.p_world_joint, times) for s in (first, second))
     H = np.einsum("tji,tjk->ik", p[:, 1:] - p[:, :1], q[:, 1:] - q[:, :1])
@@ -378,7 +353,6 @@ def _placed(camera: Camera, first: PoseSequence, second: PoseSequence) -> tuple[
 
 
 def _frames(first: KeypointSequence, seen: KeypointSequence) -> Index:
-    """Used frames: evenly distributed ones in which both cameras see enough."""
     common = first.select(JOINTS).seen & seen.select(JOINTS).seen
     frames = np.flatnonzero(common.sum(axis=1) >= _FEWEST_JOINTS)
     if len(frames) < _FEWEST_FRAMES:
@@ -397,7 +371,6 @@ def _images(
     skeleton: SkeletonModel,
     shapes: Sequence[PoseSequence],
 ) -> Images:
-    """The joints in both images, as each camera's poses have them, and the bones between them."""
     times, index = first.times[frames], skeleton.index(*JOINTS)
     seen = [keypoints.resample(times).select(JOINTS) for keypoints in (first, view)]
     straight = [k.camera.normalise(k.uv_px) @ k.camera.K[:2, :2].T + k.camera.K[:2, 2] for k in seen]
@@ -407,19 +380,15 @@ def _images(
         uv_px=np.nan_to_num(np.stack(straight)),
         weight=np.stack([k.confidence for k in seen]),
         drift=np.nan_to_num((later - earlier) / (2 * _STEP)),
-        shapes=np.stack([_at(poses, times)[:, index] for poses in shapes]),
+        shapes=np.stack(
+            [signals.interpolate(s.times, s.p_world_joint, np.clip(times, *s.times[[0, -1]]))[:, index] for s in shapes]
+        ),  # constant beyond the ends
         bones=[
             (JOINTS.index(parents[name]), i, skeleton.bone_lengths[name])
             for i, name in enumerate(JOINTS)
             if parents[name] in JOINTS
         ],
     )
-
-
-def _at(poses: PoseSequence, times: Array) -> Array:
-    """Positions (T, J, 3) at other times, constant beyond the ends."""
-    inside = np.clip(times, poses.times[0], poses.times[-1])
-    return signals.interpolate(poses.times, poses.p_world_joint, inside)
 
 
 def _doubt(found: Adjusted, sigma: Array) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -51,15 +51,6 @@ class SetupSensors:
     doubts: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Take:
-    """What the sensors are found by."""
-
-    poses: PoseSequence
-    keypoints: KeypointSequence
-    skeleton: SkeletonModel
-
-
 def set_up_sensors(
     log: SensorLog,
     sensor_map: Path | None,
@@ -78,13 +69,14 @@ def set_up_sensors(
         InvalidInputError: no sensor moves, or video and sensors have nothing in common.
         CalibrationError: nothing relates the sensors to the video. Errors of the map.
     """
-    take = _Take(poses, keypoints, skeleton)
+    search = partial(find_clock, poses, keypoints, skeleton=skeleton)
     places = known_places(log, sensor_map, skeleton)
     log = log if places is None else log.select(list(places))
     log, still = _moving(log_with_orientation(log))
-    log = _from_zero(log)
-    told = None if places is None else {name: str(places[name].value) for name in log.names}
-    clock = _clock(log, take, told, start_utc)
+    first = min(stream.times[0] for stream in log.streams)
+    log = _on_clock(log, lambda times: times - first)
+    joints = None if places is None else {name: str(places[name].value) for name in log.names}
+    clock = _clock(partial(search, log=log, joints=joints), log, float(np.ptp(poses.times)), start_utc)
     apart = _days_apart(log.start_utc, start_utc)
     if clock.explained < _BELONGING or (apart and clock.doubt):
         raise InvalidInputError(
@@ -94,29 +86,37 @@ def set_up_sensors(
         )
     _check_overlap(clock.apply(log), keypoints.times)
     doubts = [apart, *still, f"{CLOCK_DOUBT}: {clock.doubt}" if clock.doubt else ""]
-    if places is None or told is None:
-        places, unsure = _assigned(clock.apply(log), take)
-        told = {name: str(field.value) for name, field in places.items()}
-        log = log.select(list(told))
-        clock = _refined(clock, log, told, take)
+    if places is None or joints is None:
+        places, unsure = _assigned(clock.apply(log), skeleton, poses)
+        joints = {name: str(field.value) for name, field in places.items()}
+        log = log.select(list(joints))
+        # With the segments known, within half a stride; a doubt of the first search stays.
+        again = search(log=log, joints=joints, around=clock.offset, reach=APART)
+        sigma = clock.sigma if clock.doubt else min(clock.sigma, again.sigma)
+        clock = replace(again, doubt=clock.doubt, sigma=sigma)
         doubts += unsure
     else:
-        checked = check_assignment(clock.apply(log), told, skeleton, poses)
+        checked = check_assignment(clock.apply(log), joints, skeleton, poses)
         doubts += [f"sensor {wrong}; correct the map, or the name" for wrong in checked.wrong]
         doubts += [f"which sensor is where: {checked.doubt}"] if checked.doubt else []
-    found = align_sensors(poses, keypoints, clock.apply(log), told, skeleton, calibrate_recording)
+    found = align_sensors(poses, keypoints, clock.apply(log), joints, skeleton, calibrate_recording)
     doubts += found.warnings
-    clock = _delayed(clock, found)
-    imus = imus_of_log(_drifted(log, clock))
+    if (delay := found.delay) is not None:  # what the self-calibration has left
+        sigma = clock.sigma if clock.doubt else float(delay.sigma[0])
+        clock = replace(clock, offset=clock.offset + float(delay.value[0]), sigma=sigma)
+    imus = imus_of_log(_on_clock(log, lambda times: times * (1 + clock.drift)))  # without drift, still from 0 on
     fields = _fields(imus, clock, found, places)
     return SetupSensors(imus, fields, tuple(dict.fromkeys(doubt for doubt in doubts if doubt)))
 
 
-def _clock(log: SensorLog, take: _Take, told: dict[str, str] | None, start_utc: datetime | None) -> ClockEstimate:
-    """Find the clock by the motion; where video and sensors state when they began, near that first."""
-    search = partial(find_clock, take.poses, take.keypoints, log, take.skeleton, told)
+def _on_clock(log: SensorLog, clock: Callable[[Array], Array]) -> SensorLog:
+    return replace(log, streams=tuple(replace(s, times=clock(s.times)) for s in log.streams))
+
+
+def _clock(
+    search: Callable[..., ClockEstimate], log: SensorLog, seconds: float, start_utc: datetime | None
+) -> ClockEstimate:
     if start_utc is not None and log.start_utc is not None:
-        seconds = float(take.poses.times[-1] - take.poses.times[0])
         stated = (log.start_utc - start_utc).total_seconds()
         with suppress(CalibrationError):
             near = search(around=stated, reach=_NEAR + seconds)
@@ -152,7 +152,6 @@ def known_places(log: SensorLog, sensor_map: Path | None, skeleton: SkeletonMode
 
 
 def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
-    """Return the sensors that move, and a sentence about the others."""
     moving = [stream.name for stream in log.streams if _speed(stream) > _STILL]
     still = [name for name in log.names if name not in moving]
     if not moving:
@@ -167,18 +166,11 @@ def _moving(log: SensorLog) -> tuple[SensorLog, list[str]]:
 
 
 def _speed(stream: SensorStream) -> float:
-    """Return the 95th percentile of a sensor's angular speed, rad/s."""
     assert stream.R_inertial_sensor is not None
     every = max(1, round(_STEP * stream.rate_hz))
     R, times = stream.R_inertial_sensor[::every], stream.times[::every]
     speed = so3.angle_between(R[1:], R[:-1]) / np.diff(times)
     return float(np.nanpercentile(speed, 95)) if np.isfinite(speed).any() else 0.0
-
-
-def _from_zero(log: SensorLog) -> SensorLog:
-    """Return the sensors with times from the first sample on."""
-    first = min(stream.times[0] for stream in log.streams)
-    return replace(log, streams=tuple(replace(s, times=s.times - first) for s in log.streams))
 
 
 def _check_overlap(log: SensorLog, times: Array) -> None:
@@ -193,13 +185,13 @@ def _check_overlap(log: SensorLog, times: Array) -> None:
         )
 
 
-def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]:
+def _assigned(log: SensorLog, skeleton: SkeletonModel, poses: PoseSequence) -> tuple[dict[str, Field], list[str]]:
     """Return the segments of the sensors that are sure, and sentences about the others.
 
     Raises:
         InvalidInputError: none is sure.
     """
-    found = assign_sensors(log, take.skeleton, take.poses)
+    found = assign_sensors(log, skeleton, poses)
     places, left = dict[str, Field](), list[str]()
     for name, joint in found.joints.items():
         sure = found.probabilities[name]
@@ -217,27 +209,6 @@ def _assigned(log: SensorLog, take: _Take) -> tuple[dict[str, Field], list[str]]
             f"{log.path}: the motion does not tell which sensor is where, {', '.join(left)}; {remedy}"
         )
     return places, [f"left out, as their segments are not sure: {', '.join(left)}; {remedy}"]
-
-
-def _refined(clock: ClockEstimate, log: SensorLog, joints: Mapping[str, str], take: _Take) -> ClockEstimate:
-    """Return the clock with the segments known, within half a stride; a doubt of the first search stays."""
-    again = find_clock(take.poses, take.keypoints, log, take.skeleton, joints, around=clock.offset, reach=APART)
-    return replace(again, doubt=clock.doubt, sigma=clock.sigma if clock.doubt else min(clock.sigma, again.sigma))
-
-
-def _delayed(clock: ClockEstimate, found: Alignment) -> ClockEstimate:
-    """Return the clock with the delay of the video that the self-calibration has left."""
-    delay = found.delay
-    if delay is None:
-        return clock
-    sigma = clock.sigma if clock.doubt else float(delay.sigma[0])
-    return replace(clock, offset=clock.offset + float(delay.value[0]), sigma=sigma)
-
-
-def _drifted(log: SensorLog, clock: ClockEstimate) -> SensorLog:
-    """Return the sensors with the drift of their clock removed; they still begin at 0."""
-    factor = 1 + clock.drift
-    return replace(log, streams=tuple(replace(s, times=s.times * factor) for s in log.streams))
 
 
 def _fields(

@@ -39,7 +39,6 @@ def exchange(bone_imus: BoneImuSequence) -> float:
 def test_image_and_sensors_agree_where_nothing_is_wrong() -> None:
     seen = planted.keypoints(waved().poses, 3.0)
     images = bone_images(seen, sensed(), waved().poses, BODY)
-    assert images is not None
     assert np.nanmax(images.by_sensor()) < 0.5
     assert check_clocks(seen, sensed(), waved().poses, BODY).verdict is Verdict.PASSED
     assert exchange(sensed()) == 0.0
@@ -52,7 +51,6 @@ def test_an_exchange_of_two_sensors_is_what_explains_the_image_better() -> None:
     wrong = replace(sensed(), joints=tuple(joints))
     assert exchange(wrong) > 2.0
     images = bone_images(planted.keypoints(waved().poses), wrong, waved().poses, BODY)
-    assert images is not None
     assert set(np.argsort(-images.by_sensor())[:2].tolist()) == {a, b}
 
 
@@ -62,7 +60,6 @@ def test_a_shift_of_the_clocks_is_measured(seconds: float) -> None:
     images = bone_images(planted.keypoints(waved().poses, 3.0), late, waved().poses, BODY)
     assert images is not None
     scan = scan_clocks(images)
-    assert scan is not None
     assert scan.best == pytest.approx(-seconds, abs=0.03)
     assert scan.rival[1] < scan.gain - 10
 

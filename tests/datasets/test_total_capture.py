@@ -21,9 +21,18 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
 from rtof_kin.datasets import total_capture_truth
-from rtof_kin.datasets.detections import read_detections
-from rtof_kin.datasets.total_capture import CAMERAS, SUBJECTS, TEST, TRAIN, Take, TotalCapture
-from rtof_kin.datasets.total_capture_checks import check_camera, check_keypoints, check_take
+from rtof_kin.datasets.total_capture import (
+    CAMERAS,
+    SUBJECTS,
+    TEST,
+    TRAIN,
+    Take,
+    TotalCapture,
+    check_camera,
+    check_keypoints,
+    check_take,
+)
+from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.simulation.mocap import NAMES, PARENTS
 
 ONE = ("S5", "acting3")

@@ -116,16 +116,8 @@ def test_written_cameras_are_read_back(tmp_path: Path, camera: Camera) -> None:
     "old, new, message",
     [
         ("fisheye = false", "fisheye = true", r"\[cam_01\] fisheye: .*undistort"),
-        ("translation =", "t =", r"\[cam_01\] translation: missing"),
-        ("rotation =", "r =", r"\[cam_01\] rotation: missing"),
-        ("distortions =", "d =", r"\[cam_01\] distortions: missing; add 4 numbers"),
         ("1.688, 1.048, -0.42", "1.688, 1.048", r"\[cam_01\] rotation: expected 3 numbers"),
-        ("1.688, 1.048, -0.42", "1.688, nan, -0.42", r"rotation: .*not finite"),
-        ("[[1681.0", "[[-1681.0", r"\[cam_01\]: camera K"),
         ("size = [1088.0, 1920.0]", "size = [0, 0]", r"\[cam_01\]: .*positive"),
-        (", 0.001, -0.002]", "]", r"\[cam_01\] distortions: expected 4 numbers.*k1, k2, p1, p2"),
-        ("[metadata]", '[other]\nname = "left"\nsize = [1, 1]', r"\[other\] matrix: missing; add 3 x 3 numbers"),
-        ("[cam_01]", "cam_01", "not readable as TOML"),
         (POSE2SIM, "version = 3\n[project]\nframe_rate = 60\n", "no camera in it"),
     ],
 )

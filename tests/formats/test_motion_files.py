@@ -20,12 +20,19 @@ from opensim_support import read_by_opensim
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.core.errors import InvalidInputError, RtofError, UnknownNameError
+from rtof_kin.core.errors import InvalidInputError, OutputExistsError, RtofError, UnknownNameError
 from rtof_kin.core.rotations import angle_between
 from rtof_kin.data.poses import Provenance
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.formats.markers import read_c3d
-from rtof_kin.formats.motion_files import DEFAULT, FORMATS, write_motion_files
+from rtof_kin.formats.motion_files import (
+    DEFAULT,
+    FORMATS,
+    motion_columns,
+    write_motion_csv,
+    write_motion_files,
+    write_motion_parquet,
+)
 from rtof_kin.simulation.mocap import read_mocap
 
 Array = NDArray[np.float64]
@@ -320,3 +327,24 @@ def test_parquet_extra(motion: Motion, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(RtofError, match=r"\[parquet\]"):
         write_motion_files(tmp_path, motion, ["parquet"])
+
+
+def test_columns_have_different_names_and_a_row_per_frame(motion: Motion) -> None:
+    columns = motion_columns(motion)
+    names = [column.name for column in columns]
+    # A revolute LeftLeg_y and the y of the landmark LeftLeg are two things.
+    assert len(set(names)) == len(names) == 1 + 7 + 60 + 3 * 33 + 2 * 21 + 1 + 60 + 12
+    assert {len(column.values) for column in columns} == {60}
+    assert {column.unit for column in columns} == {"s", "m", "1", "rad", ""}
+    hip = columns[names.index("RightUpLeg_y")]
+    assert hip.also == {"clinical": "-right hip flexion", "opensim": "-hip_flexion_r"}
+
+
+@pytest.mark.parametrize("write", [write_motion_csv, write_motion_parquet])
+def test_existing_table_is_not_overwritten(write: object, motion: Motion, tmp_path: Path) -> None:
+    assert callable(write)
+    path = tmp_path / "motion.table"
+    write(path, motion)
+    with pytest.raises(OutputExistsError, match=r"motion\.table"):
+        write(path, motion)
+    write(path, motion[:2], overwrite=True)

@@ -108,12 +108,8 @@ def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Pa
     ("old", "new", "count", "message"),
     [
         ("13\t", "thirteen\t", 1, "line 1"),
-        ("\n2\n", "\n3\n", 1, "line 16"),
         ("Pelvis\t", "Pelvic\t", 1, "line"),
-        ("Pelvis\t", "Pelvis\tx", 1, "line 5"),
-        ("Pelvis\t", "Head\t", 1, "line"),
         ("Pelvis", "Head", -1, "line 3: .*twice"),
-        ("13\t90", "13\t80", 1, "line .*announces 80 frames of 13 .* holds 90"),
         ("13\t90", "12\t90", 1, "line .*90 frames of 12 sensors"),
     ],
     ids=["count", "frame number", "renamed once", "no number", "twice once", "twice", "frames", "sensors"],
@@ -136,12 +132,8 @@ def test_calibration_by_hand_is_x_y_z_w(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("2\nHead 0 0 0 1\n", "1"),
-        ("1\nHead 0 0 0 1\nPelvis 0 0 0 1\n", "2"),
         ("1\nHead 0 0 0\n", "line 2"),
-        ("1\nHead 0 0 0 one\n", "line 2.*one"),
-        ("1\nHead 0 0 0 2\n", "line 2.*(norm|unit)"),
         ("2\nHead 0 0 0 1\nHead 0 0 0 1\n", "line 3.*Head"),
-        ("Head 0 0 0 1\n", "line 1"),
         ("1\nHead nan 0 0 1\n", "line 2"),
     ],
 )
@@ -193,13 +185,8 @@ def test_camera_by_hand(tmp_path: Path) -> None:
     ("changed", "message"),
     [
         ({"head": "2 1"}, "2"),
-        ({"t": "-1 2"}, "cut|end|numbers"),
-        ({"t": "-1 2 5 7"}, "23.*24"),
         ({"x": "1 0 0.5"}, "rotation"),
-        ({"focal": "0 1210 959.5 539.5"}, "focal"),
         ({"focal": "nan 1210 959.5 539.5"}, "nan|finite|focal"),
-        ({"distortion": "none"}, "none"),
-        ({"head": "0 1"}, "camera"),
         ({"head": "1.5 1"}, "numbers of cameras"),
     ],
 )

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import planted
 import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
-from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
-from rtof_kin.data.poses import Provenance
-from rtof_kin.inertial.initial_poses import poses_from_sensors
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.inertial.initial_poses import poses_from_sensors, refit_root
 
 BODY = SkeletonModel.default()
 TRUTH = planted.human(BODY, 60).poses
@@ -87,3 +90,116 @@ def test_sensors_without_data_or_segment_are_refused() -> None:
         poses_from_sensors(BODY, replace(imus, R_world_bone=np.full_like(imus.R_world_bone, np.nan)))
     with pytest.raises(UnknownNameError, match="Tail"):
         poses_from_sensors(BODY, replace(imus, joints=("Tail",)))
+
+
+Array = NDArray[np.float64]
+SKELETON = SkeletonModel.default()
+
+
+@pytest.fixture(scope="module")
+def truth() -> Motion:
+    return planted.moving(SKELETON, 12)
+
+
+def moved(poses: PoseSequence, by: Array) -> PoseSequence:
+    return replace(poses, p_world_joint=poses.p_world_joint + by)
+
+
+def offsets(seed: int = 0) -> Array:
+    """(12, 1, 3) m, the root wrong by some 20 cm."""
+    return np.random.default_rng(seed).normal(size=(12, 1, 3)) * 0.2
+
+
+def test_the_true_root_is_found_from_exact_keypoints(truth: Motion) -> None:
+    out = refit_root(moved(truth.poses, offsets()), planted.keypoints(truth.poses), sigma_depth=100.0, iterations=8)
+    np.testing.assert_allclose(out.p_world_joint, truth.poses.p_world_joint, atol=1e-4)
+    np.testing.assert_array_equal(out.R_world_bone, truth.poses.R_world_bone)
+
+
+def test_the_minimum_equals_scipys_with_cauchy_loss(truth: Motion) -> None:
+    # The re-weighted normal equations solve sum 4 log(1 + r^2 / 4) + |shift|^2 / sigma_depth^2.
+    seen = planted.keypoints(truth.poses, sigma_px=5.0)
+    start, camera = moved(truth.poses, offsets(1)), planted.camera()
+    out = refit_root(start, seen, sigma_px=8.0, sigma_depth=0.2, iterations=40)
+    for t in (0, 7):
+
+        def residuals(shift: Array, t: int = t) -> Array:
+            r = (camera.project(start.p_world_joint[t] + shift) - seen.uv_px[t]) / 8.0
+            # r (log(1 + s / 4) 4 / s)^(1/2) has the Cauchy loss as its square.
+            s = np.sum(r**2, axis=-1, keepdims=True)
+            return np.concatenate([(r * np.sqrt(4 * np.log1p(s / 4) / s)).ravel(), shift / 0.2])
+
+        peer = least_squares(residuals, np.zeros(3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        shift = (out.p_world_joint - start.p_world_joint)[t, 0]
+        np.testing.assert_allclose(shift, peer.x, atol=1e-5)
+
+
+def test_noise_does_not_bias_the_depth() -> None:
+    truth = planted.moving(SKELETON, 400).poses
+    seen = planted.keypoints(truth, sigma_px=10.0)
+    shift = (refit_root(truth, seen, sigma_depth=100.0, iterations=6).p_world_joint - truth.p_world_joint)[:, 0]
+    # 80 mm per frame, so 4 mm in the mean of 400; linear equations are biased by 50 mm.
+    assert abs((shift @ planted.camera().R_camera_world[2]).mean()) < 0.015
+
+
+def test_frames_without_keypoints_are_unchanged(truth: Motion) -> None:
+    start = moved(truth.poses, 0.5 * offsets())
+    every = planted.keypoints(truth.poses)
+    out, whole = refit_root(start, planted.unseen(every, slice(3, 6))), refit_root(start, every)
+    np.testing.assert_array_equal(out.p_world_joint[3:6], start.p_world_joint[3:6])
+    np.testing.assert_array_equal(out.p_world_joint[6:], whole.p_world_joint[6:])
+    before = planted.mpjpe_mm(start.p_world_joint, truth.poses.p_world_joint)
+    assert planted.mpjpe_mm(whole.p_world_joint, truth.poses.p_world_joint) < 0.6 * before
+    fixed = refit_root(start, every, sigma_depth=1e-6)
+    np.testing.assert_allclose(fixed.p_world_joint, start.p_world_joint, atol=1e-6)
+
+
+def test_outliers_have_little_weight(truth: Motion) -> None:
+    seen = planted.keypoints(truth.poses)
+    uv = np.array(seen.uv_px)
+    uv[:, [2, 10, 17]] += [150.0, -90.0]
+    start = moved(truth.poses, 0.3 * offsets())
+    out = refit_root(start, replace(seen, uv_px=uv), sigma_px=5.0, sigma_depth=1.0, iterations=10)
+    assert planted.mpjpe_mm(out.p_world_joint, truth.poses.p_world_joint) < 20
+
+
+def test_missing_poses_do_not_affect_others(truth: Motion) -> None:
+    p = np.array(moved(truth.poses, offsets()).p_world_joint)
+    p[4] = np.nan
+    p[5, 10:] = np.nan
+    seen = planted.keypoints(truth.poses)
+    out = refit_root(replace(truth.poses, p_world_joint=p), seen, sigma_px=5.0, sigma_depth=1.0)
+    assert np.isnan(out.p_world_joint[4]).all()
+    assert np.isfinite(out.p_world_joint[5, :10]).all()
+    known = np.delete(np.arange(12), [4])
+    error = out.p_world_joint[known, :10] - truth.poses.p_world_joint[known, :10]
+    assert np.linalg.norm(error, axis=-1).max() < 0.1
+
+
+def test_distortion_is_modelled_and_other_landmarks_are_ignored(truth: Motion) -> None:
+    straight, start = planted.keypoints(truth.poses), moved(truth.poses, offsets())
+    lens: Camera = replace(straight.camera, distortion=np.array([-0.2, 0.05, 0.001, -0.002, 0.0]))
+    bent = replace(straight, camera=lens, uv_px=lens.project(truth.poses.p_world_joint))
+    expected = refit_root(start, straight).p_world_joint
+    np.testing.assert_allclose(refit_root(start, bent).p_world_joint, expected, atol=1e-5)
+    out = refit_root(start, replace(straight, names=(*straight.names[:-1], "Nose")))
+    same = refit_root(start, planted.unseen(straight, slice(None), 20))
+    np.testing.assert_array_equal(out.p_world_joint, same.p_world_joint)
+    shift = out.p_world_joint - start.p_world_joint
+    np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-12)
+
+
+def test_a_second_camera_gives_the_depth(truth: Motion) -> None:
+    side = Camera.looking_at([0.5, -4.0, 1.2], [0.0, 0.0, 1.0], focal_px=900.0)
+    first = planted.keypoints(truth.poses, sigma_px=5.0)
+    uv = side.project(truth.poses.p_world_joint)
+    second = replace(first, camera=side, uv_px=uv + 5.0 * np.random.default_rng(1).normal(size=uv.shape))
+    start = moved(truth.poses, offsets())
+    one, two = refit_root(start, first), refit_root(start, first, (second,))
+    errors = [planted.mpjpe_mm(p.p_world_joint, truth.poses.p_world_joint) for p in (one, two)]
+    assert errors[1] < 0.15 * errors[0]
+    np.testing.assert_allclose(
+        refit_root(start, planted.unseen(first, slice(None)), (second,)).p_world_joint,
+        refit_root(start, second).p_world_joint,
+        atol=1e-6,
+    )

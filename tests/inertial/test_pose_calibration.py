@@ -4,17 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from inertial_support import Worn, exercising, walking
+from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
 from rtof_kin.data.imu import ImuSequence
-from rtof_kin.inertial.pose_calibration import PoseCalibration, calibrate_by_pose, facing_of, pose_rotations
+from rtof_kin.data.imu_stream import Declaration, SensorLog, SensorStream
+from rtof_kin.inertial.likelihood import orientation_rate
+from rtof_kin.inertial.pose_calibration import (
+    POSES,
+    PoseCalibration,
+    calibrate_by_pose,
+    facing_of,
+    pose_rotations,
+    turned_to,
+)
 from rtof_kin.simulation.noise import ImuNoise
 
 LEGS = ("L_UpLeg", "R_UpLeg", "L_LowLeg", "R_LowLeg", "Pelvis")
@@ -156,3 +167,116 @@ def test_a_pose_alone_does_not_determine_headings() -> None:
         calibrate(worn, "N", imus, facing=None, still=None)
     found = calibrate(worn, "N", imus, still=None)
     np.testing.assert_allclose(found.calibration.R_sensor_bone, worn.truth.R_sensor_bone, atol=1e-6)
+
+
+DOWN, AHEAD = [0, 0, -1], [1, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("pose", "joint", "direction"),
+    [
+        ("T", "LeftArm", [0, 1, 0]),
+        ("N", "LeftArm", DOWN),
+        ("N", "RightForeArm", DOWN),
+        ("N", "LeftLeg", DOWN),
+        ("seated", "LeftUpLeg", AHEAD),
+        ("seated", "RightLeg", DOWN),
+        ("seated", "RightArm", DOWN),
+    ],
+)
+def test_limbs_point_where_the_pose_says(
+    pose: str, joint: str, direction: list[float], skeleton: SkeletonModel
+) -> None:
+    R = pose_rotations(pose, skeleton)
+    child = next(i for i, p in enumerate(skeleton.parents) if p == skeleton.index(joint)[0])
+    bone = R[skeleton.index(joint)[0]] @ so3.unit(skeleton.joint_offsets[child])
+    assert bone @ np.array(direction) > 0.95
+
+
+def test_palms_face_the_thighs_in_an_n_pose_and_feet_are_flat_when_seated(skeleton: SkeletonModel) -> None:
+    R = pose_rotations("N", skeleton)
+    for hand, inward in (("LeftHand", -1.0), ("RightHand", 1.0)):
+        palm = R[skeleton.index(hand)[0]] @ np.array(DOWN)  # palms are down in the T-pose
+        np.testing.assert_allclose(palm, [0, inward, 0], atol=1e-9)
+    seated = pose_rotations("seated", skeleton)
+    np.testing.assert_allclose(seated[skeleton.index("LeftFoot")[0]], np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_a_named_pose_faces_x_and_can_be_turned(pose: str, skeleton: SkeletonModel) -> None:
+    R = pose_rotations(pose, skeleton)
+    assert facing_of(R) == pytest.approx(0.0)
+    turned = turned_to(R, 2.0)
+    assert facing_of(turned) == pytest.approx(2.0)
+    relative = (np.swapaxes(M[:1], -1, -2) @ M for M in (turned, R))
+    np.testing.assert_allclose(*relative, atol=1e-12)
+
+
+def test_invalid_poses_are_refused(skeleton: SkeletonModel) -> None:
+    with pytest.raises(UnknownNameError, match="unknown calibration pose 'TT'.*Known: T, N, seated"):
+        pose_rotations("TT", skeleton)
+    with pytest.raises(InvalidInputError, match=r"expected shape \(21, 3, 3\)"):
+        pose_rotations(np.eye(3), skeleton)
+    measured = so3.exp(np.random.default_rng(0).standard_normal((21, 3)))
+    np.testing.assert_array_equal(pose_rotations(measured, skeleton), measured)
+    R = np.tile(np.eye(3), (21, 1, 1))
+    R[4] = np.nan
+    with pytest.raises(InvalidInputError, match="Spine3"):
+        pose_rotations(R, skeleton)
+    lying = np.tile(so3.about_axis("y", np.pi / 2), (21, 1, 1))
+    with pytest.raises(InvalidInputError, match="vertical"):
+        facing_of(lying)
+
+
+Array = NDArray[np.float64]
+SEGMENTS = ("LeftLeg", "Hips")
+
+
+def stream(still: tuple[float, float], rate: float = 100.0, gyroscope: bool = True, first: float = 0.0) -> SensorStream:
+    """A sensor that rotates by 1 rad/s about its z axis except in one interval."""
+    times = first + np.arange(0, 10, 1 / rate)
+    speed = np.where((times >= still[0]) & (times < still[1]), 0.0, 1.0)
+    R = so3.about_axis("z", np.cumsum(speed) / rate)
+    return SensorStream("s", times, None, R, speed[:, None] * [0, 0, 1] if gyroscope else None)
+
+
+def held(*streams: SensorStream) -> tuple[float, float]:
+    """Interval in which the pose is held."""
+    named = tuple(
+        SensorStream(name, s.times, None, s.R_inertial_sensor, s.w_sensor)
+        for name, s in zip("ab", streams, strict=False)
+    )
+    log = SensorLog(Path("log"), "planted", named, Declaration())
+    joints = dict(zip("ab", SEGMENTS[: len(streams)], strict=False))
+    return calibrate_by_pose(log, joints, "N", SkeletonModel.default(), facing=0.0).still
+
+
+def test_the_rate_of_an_orientation_is_its_angular_velocity() -> None:
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.005, 0.015, 500))
+    w = np.array([0.4, -1.1, 2.0])
+    R = so3.exp(rng.standard_normal(3)) @ so3.exp(times[:, None] * w)
+    np.testing.assert_allclose(orientation_rate(times, R), np.tile(w, (500, 1)), atol=1e-9)
+    R[4] = np.nan
+    known = np.isfinite(orientation_rate(times, R)).all(axis=1)
+    assert np.flatnonzero(~known).tolist() == [3, 5]
+
+
+@pytest.mark.parametrize("gyroscope", [True, False])
+def test_the_first_second_in_which_all_are_still_is_found(gyroscope: bool) -> None:
+    start, stop = held(stream((2.0, 6.0), gyroscope=gyroscope), stream((3.0, 8.0), 61.0, gyroscope))
+    assert start == pytest.approx(3.3, abs=0.1)
+    assert stop == pytest.approx(5.7, abs=0.1)
+    start, stop = held(stream((4.0, 5.1), gyroscope=gyroscope))
+    assert (start, stop) == (pytest.approx(4.05, abs=0.06), pytest.approx(5.05, abs=0.06))
+
+
+def test_gaps_short_pauses_and_separate_sensors_are_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"even around 4\.\d\d s sensors turn at .* deg/s, a most"):
+        held(stream((4.0, 4.6)), stream((0.0, 10.0)))
+    with pytest.raises(CalibrationError, match="have 0 s in common"):
+        held(stream((0.0, 10.0)), stream((100.0, 110.0), first=100.0))
+    whole = stream((20.0, 30.0), gyroscope=False)
+    keep = (whole.times < 4) | (whole.times > 7)
+    with pytest.raises(CalibrationError, match="without rotation"):
+        held(SensorStream("a", whole.times[keep], None, whole.R_inertial_sensor[keep]))

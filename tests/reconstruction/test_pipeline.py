@@ -39,7 +39,6 @@ def results(case: Case) -> Results:
 
 
 def floor_energy(result: Reconstruction) -> float:
-    assert result.solution is not None
     return result.solution.energy["floor"]
 
 
@@ -81,7 +80,7 @@ def test_unobserved_joints_follow_the_prior_of_the_lifter(case: Case, mode: str)
     mean = so3.from_quat_wxyz(mean)
     mean[clavicle - 1], mean[arm - 1] = mean[clavicle - 1] @ so3.exp(turn), so3.exp(-turn) @ mean[arm - 1]
     lifter, own = case.lifter(), case.lifter()
-    own.prior = replace(BODY.table.prior, mean_quat_wxyz=so3.to_quat_wxyz(mean))  # type: ignore[attr-defined]
+    own.prior = replace(BODY.table.prior, mean_quat_wxyz=so3.to_quat_wxyz(mean))
     bent = {}
     for name, options in {
         "shipped": {"lifter": lifter},
@@ -98,16 +97,15 @@ def test_unobserved_joints_follow_the_prior_of_the_lifter(case: Case, mode: str)
 
 def test_calibration_keeps_the_prior_of_the_lifter(case: Case) -> None:
     lifter = case.lifter()
-    lifter.prior = replace(BODY.table.prior, sigma_root_jerk=50.0)  # type: ignore[attr-defined]
+    lifter.prior = replace(BODY.table.prior, sigma_root_jerk=50.0)
     result = case.run(calibrate=True, priors=QUICK_PRIORS, lifter=lifter)
     assert result.calibration is not None
-    assert result.motion.skeleton.table.prior is lifter.prior  # type: ignore[attr-defined]
+    assert result.motion.skeleton.table.prior is lifter.prior
 
 
 @pytest.mark.parametrize("mode, start, seen", [("rto", "lift", "camera"), ("rtof", "sf2", "fused")])
 def test_covariance_grows_with_the_distance_from_the_start(results: Results, mode: str, start: str, seen: str) -> None:
     motion = results[mode].motion
-    assert motion.confidence is not None
     apart = disagreement(motion.poses, results[mode].stages[start], motion.confidence.pairs).relative[:, 1:]
     added = CovarianceInflation.shipped().shares[seen]["relative"] ** 2 * np.trace(apart, axis1=2, axis2=3)
     stated = np.trace(motion.confidence.relative_covariance[:, 1:], axis1=2, axis2=3)
@@ -200,7 +198,6 @@ def test_settings_reach_sf2_and_the_fragment_solver(case: Case) -> None:
     result = case.run(settings=ReconstructionSettings(inertial_ik=never, fragment=once, frames=8))
     expected = InertialGuidedIK(BODY, never).refine(result.stages["lift"], result.bone_imus)
     np.testing.assert_allclose(result.stages["sf2"].p_world_joint, expected.p_world_joint, atol=1e-9)
-    assert result.solution is not None
     assert len(result.solution.fragments) == FRAMES // 4 + 1
     assert result.solution.status is SolverStatus.ITERATION_LIMIT
 
@@ -229,7 +226,6 @@ def test_calibrated_ankles_stand_above_the_floor(case: Case) -> None:
 
 def test_sensors_without_samples_are_warned_of(case: Case) -> None:
     imus = case.recording.imus
-    assert imus is not None
     R, f = (np.full_like(x, np.nan) for x in (imus.R_inertial_sensor, imus.f_sensor))
     silent = case.changed(imus=replace(imus, R_inertial_sensor=R, f_sensor=f))
     assert any("no sensor" in warning for warning in silent.run().warnings)
@@ -240,7 +236,6 @@ def test_recording_is_calibrated_first_where_asked() -> None:
     given = planted.recording(truth, sigma_px=1.0)
     late = Case(truth, replace(given, keypoints=replace(given.video, times=given.video.times + 0.03)))
     result = late.run(calibrate=True)
-    assert result.calibration is not None
     delay = result.calibration["delay", "video"].value[0]
     assert delay == pytest.approx(0.03, abs=0.01)
     np.testing.assert_allclose(result.motion.times, late.recording.video.times - delay)
@@ -256,7 +251,6 @@ def test_known_person_keeps_bones_and_estimates_the_delay_anew(case: Case) -> No
 
     earlier = SelfCalibration((estimated("bones", "thighs", 0.02), estimated("delay", "video", 0.2)))
     found = case.run(calibrate=True, priors=QUICK_PRIORS, known=earlier)
-    assert found.calibration is not None
     assert found.calibration["bones", "thighs"].value[0] == 0.02
     assert abs(found.calibration["delay", "video"].value[0]) < 0.05
     vision = case.run("rto", known=earlier)
@@ -303,7 +297,6 @@ def test_a_mounting_from_the_video_leaves_the_zero_of_flexion_open(case: Case) -
 
 def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_once(case: Case) -> None:
     given, legs = case.recording.calibration, ("LeftUpLeg", "LeftLeg")
-    assert given is not None
     sd = np.array([9.0 if joint in legs else np.nan for joint in given.joints])
     stated = case.changed(calibration=replace(given, mounting_sd_deg=sd))
     found = SelfCalibration(
@@ -311,7 +304,6 @@ def test_a_mounting_that_the_recording_states_as_uncertain_widens_the_angles_onc
     )
 
     def knee_variance(result: Reconstruction) -> float:
-        assert result.motion.confidence is not None
         return float(result.motion.confidence.turn(*legs)[:, 1, 1].mean())
 
     usual, wide = case.run("rtof"), stated.run("rtof")
@@ -335,7 +327,6 @@ def test_keypoints_of_the_legs_that_are_off_are_named_first_and_in_their_bands()
     failed = [check for check in off.checks if check.failed]
     assert failed[0].cause.startswith("the keypoints of the legs are off by ")
     stated = off.motion.confidence
-    assert stated is not None
     p, q = off.motion.poses.p_world_joint, truth.poses.p_world_joint
     error = ((p - p[:, :1]) - (q - q[:, :1]))[:, BODY.index(*feet)]
     sigma = np.sqrt(np.diagonal(stated.relative_covariance, axis1=-2, axis2=-1))[:, BODY.index(*feet)]

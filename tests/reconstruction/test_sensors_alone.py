@@ -62,7 +62,6 @@ def walked(walk: Motion) -> Reconstruction:
 
 
 def test_exact_sensors_recover_a_walk(walk: Motion, walked: Reconstruction) -> None:
-    assert walked.solution is not None
     assert walked.solution.status is SolverStatus.CONVERGED
     assert walked.warnings == ()
     assert walked.checks
@@ -80,7 +79,6 @@ def test_walk_drifts_by_less_than_three_percent_and_standing_feet_do_not_slip(
     length = float(np.ptp(walk.poses.p_world_joint[:, 0, 0]))
     assert length == pytest.approx(2.0, rel=0.02)
     assert np.linalg.norm(shift(walked, walk)[-1]) < 0.03 * length
-    assert walked.root_sigma is not None
     assert 0 < walked.root_sigma[-1] < 0.2 * length
     _, stands = planted.walking(BODY, 2.5)
     p = walked.motion.poses.p_world_joint[:, BODY.index("LeftFoot", "RightFoot")]
@@ -153,7 +151,6 @@ def test_flight_is_warned_of(walk: Motion) -> None:
 def test_paused_sensor_leaves_its_orientation_unobserved(walk: Motion) -> None:
     recording = recorded(walk)
     imus, (j,) = recording.imus, BODY.index("LeftLeg")
-    assert imus is not None
     R = np.array(imus.R_inertial_sensor)
     R[60:90, imus.names.index("imu_LeftLeg")] = np.nan
     f = np.where(np.isnan(R[..., 0]), np.nan, imus.f_sensor)
@@ -164,7 +161,6 @@ def test_paused_sensor_leaves_its_orientation_unobserved(walk: Motion) -> None:
 
 def test_scores_and_figures_begin_at_the_truth(walk: Motion) -> None:
     recording = recorded(walk)
-    assert recording.truth is not None
     far = replace(recording.truth, p_world_joint=recording.truth.p_world_joint + np.array([5.0, 3, 1]))
     here, there = solved(recording), solved(replace(recording, truth=far))
     assert there.stage_metrics["imu"] == pytest.approx(here.stage_metrics["imu"], rel=1e-9)
@@ -177,7 +173,6 @@ def test_scores_and_figures_begin_at_the_truth(walk: Motion) -> None:
 @pytest.mark.parametrize("asked, expected", [(30, 30), (60, 60), (100, 60)])
 def test_frame_times_are_even_at_the_lower_rate(walk: Motion, asked: float, expected: float) -> None:
     imus = recorded(walk).imus
-    assert imus is not None
     times = frame_times(imus, asked)
     np.testing.assert_allclose(np.diff(times), 1 / expected)
     assert times[0] == imus.times[0]

@@ -53,7 +53,6 @@ def results(mode: str) -> tuple[Reconstruction, Reconstruction]:
 @pytest.mark.parametrize("mode", ["rtof", "rto"])
 def test_a_planted_tilt_is_found_within_what_is_stated(mode: str) -> None:
     _, found = results(mode)
-    assert found.camera is not None
     off = found.camera.value + PLANTED
     assert (np.abs(off)[:4] < 3 * found.camera.sigma[:4]).all()
     assert (np.abs(off)[1:3] < np.radians(4.0)).all()
@@ -70,11 +69,8 @@ def test_joint_angles_are_those_of_the_known_camera(mode: str) -> None:
 def test_what_remains_is_in_the_covariances(mode: str) -> None:
     """Of the distance: the share of the focal length; and the true one lies inside."""
     true, found = results(mode)
-    assert found.camera is not None
     stated = found.motion.confidence
     known = true.motion.confidence
-    assert stated is not None
-    assert known is not None
     camera = found.camera.found
     ray = found.motion.poses.p_world_joint[:, 0] - camera.center_world
     distance = np.linalg.norm(ray, axis=-1)
@@ -103,7 +99,6 @@ def test_the_camera_alone_is_what_a_lift_finds() -> None:
     wrong = replace(corrected(demo().video.camera, PLANTED), uncertainty=UNSURE)
     recording = with_camera(demo(), wrong)
     alone, lifted = calibrate_camera(recording), reconstruct(recording, mode="lift").camera
-    assert lifted is not None
     np.testing.assert_array_equal(alone.value, lifted.value)
     np.testing.assert_array_equal(alone.covariance, lifted.covariance)
 
@@ -120,7 +115,6 @@ def test_covariances_are_those_of_solutions_with_other_cameras() -> None:
     true, _ = results("rtof")
     motion = true.motion
     before = motion.confidence
-    assert before is not None
     shifted = replace(motion.poses, p_world_joint=motion.poses.p_world_joint + np.array([0.3, 0, 0]))
     after = with_camera_uncertainty(before, motion.poses, [shifted, shifted])
     added = after.position_covariance - before.position_covariance

@@ -24,11 +24,8 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.audit_results import Grade, Headline, SectionVerdict
 from rtof_kin.reporting.sensor_study import runs as sensor_runs
-from rtof_kin.reporting.sensor_study.accuracy import PARTS, measure_set
-from rtof_kin.reporting.sensor_study.figures import error_by_number, write_study_figures
-from rtof_kin.reporting.sensor_study.files import study_data, write_study
-from rtof_kin.reporting.sensor_study.part import Part, liveliest_part
-from rtof_kin.reporting.sensor_study.sentences import NO_ERROR, sentences
+from rtof_kin.reporting.sensor_study.accuracy import PARTS, Part, liveliest_part, measure_set
+from rtof_kin.reporting.sensor_study.document import NO_ERROR, document, error_by_number, sentences, write_study
 from rtof_kin.reporting.sensor_study.study import SensorStudy, identity_of, number_of_runs, study_sensors
 from rtof_kin.solve.joint_space import fragment as fragment_energy
 
@@ -162,7 +159,7 @@ def test_an_interrupted_study_goes_on_with_the_same_results(
     monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles, tmp_path: Path
 ) -> None:
     recording, runs = fake(monkeypatch, angles, LOSSES)
-    whole = study_data(study_sensors(recording))
+    whole = document(study_sensors(recording)).plain()
     every, done = runs.copy(), 5
     runs.clear()
 
@@ -176,7 +173,7 @@ def test_an_interrupted_study_goes_on_with_the_same_results(
     progress: list[tuple[int, int, str]] = []
     study = study_sensors(recording, folder=tmp_path, progress=lambda *event: progress.append(event))
     assert runs == every
-    assert study_data(study) == whole
+    assert document(study).plain() == whole
     assert study.verdict.line == "warn: doubtful"
     assert study.verdict.sections[0].reasons == ("too tall",)
     assert any("which one is removed" in what for _, _, what in progress)
@@ -270,7 +267,7 @@ def test_a_sensor_that_hardly_changes_an_angle_is_not_called_needed(study: Senso
 
 
 def test_sentences_say_what_the_numbers_are(study: SensorStudy) -> None:
-    data = study_data(study)
+    data = document(study).plain()
     assert (data["compared_with"], data["note"]) == ("the full set of sensors", NO_ERROR)
     assert [found["left_out"] for found in data["without"]] == ["S0", "S1", "S2"]
     assert NO_ERROR in data["sentences"][1]
@@ -282,7 +279,7 @@ def test_sentences_say_what_the_numbers_are(study: SensorStudy) -> None:
     assert "errors against the truth" in found[1]
     assert "Beyond 5 deg even with all 3 sensors" in found[-1]
     assert "knee flexion (11.5 deg)" in found[-1]
-    assert study_data(off)["compared_with"] == "the truth"
+    assert document(off).plain()["compared_with"] == "the truth"
 
 
 def test_without_a_camera_one_sensor_remains(monkeypatch: pytest.MonkeyPatch, angles: ClinicalAngles) -> None:
@@ -349,7 +346,7 @@ def test_sentences_state_the_part_that_was_studied(study: SensorStudy) -> None:
 
 
 def test_table_and_figures_have_all_sets_and_angles(study: SensorStudy, tmp_path: Path) -> None:
-    write_study(study, tmp_path)
+    paths = write_study(study, tmp_path)
     with (tmp_path / "study.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == (1 + 3 + 3) * 3
@@ -357,9 +354,8 @@ def test_table_and_figures_have_all_sets_and_angles(study: SensorStudy, tmp_path
     assert float(row["difference_deg"]) == pytest.approx(8.0, abs=1e-4)
     assert (row["number"], row["kept"], row["error_deg"]) == ("2", "no", "")
     json.loads((tmp_path / "study.json").read_text())
-    paths = write_study_figures(study, tmp_path / "figures")
-    assert [path.name for path in paths] == ["sensors.png", "number.png"]
-    assert all(path.stat().st_size > 10_000 for path in paths)
+    assert [path.name for path in paths] == ["sensors.png", "number.png", "study.csv", "study.json"]
+    assert all(path.stat().st_size > 10_000 for path in paths[:2])
     figure = error_by_number(study)
     FigureCanvasAgg(figure).draw()
     ticks = [tick for ax in figure.axes for tick in ax.get_xticks()]
@@ -404,7 +400,9 @@ def test_study_of_two_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for path in tmp_path.glob("[01][01].*"):
         if path.stem != "11":
             path.unlink()
-    assert study_data(study_sensors(recording, lifter=lifter, folder=tmp_path, workers=2)) == study_data(study)
+    assert (
+        document(study_sensors(recording, lifter=lifter, folder=tmp_path, workers=2)).plain() == document(study).plain()
+    )
 
 
 def test_identity_of_a_study_depends_on_the_data_and_the_settings() -> None:

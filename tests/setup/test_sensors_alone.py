@@ -39,7 +39,6 @@ def test_a_still_pose_gives_the_planted_mounting(worn: Worn, files: tuple[Path, 
     recording = Recording.load(tmp_path / "rec")
     assert recording.usual_mode == "imu"
     assert recording.height == 1.72
-    assert recording.calibration is not None
     assert worn.errors_deg(recording.calibration).max() < 2.0
     stated = recording.calibration.mounting_sd_deg
     assert stated is not None

@@ -11,8 +11,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from rtof_kin.batch.chain import read_chain
-from rtof_kin.batch.recordings import Shard, find_recordings
+from rtof_kin.batch.recordings import Shard, find_recordings, read_chain
 from rtof_kin.batch.run import Batch
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.files.folder import new_folder

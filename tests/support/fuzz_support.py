@@ -30,9 +30,9 @@ from rtof_kin.body.skeleton_table import read_skeleton_table
 from rtof_kin.core.files.arrays import read_csv, read_npz
 from rtof_kin.core.files.pickles import read_object_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.datasets.detections import read_detections
 from rtof_kin.datasets.human36m import Human36M
-from rtof_kin.datasets.human36m_cameras import read_cameras as read_human36m_cameras
+from rtof_kin.datasets.human36m_files import read_cameras as read_human36m_cameras
+from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.formats import total_capture
 from rtof_kin.formats.asf_amc import read_asf_amc
 from rtof_kin.formats.bvh import read_bvh
@@ -192,8 +192,7 @@ def _learning() -> tuple[Reader, ...]:
     import lifting_support
 
     from lifting.checkpoint import load_checkpoint
-    from lifting.corpus import read_corpus
-    from lifting.splits import read_split
+    from lifting.training.corpus import read_corpus, read_split
 
     return (
         Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),

@@ -16,7 +16,7 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import SUBJECTS_TEST, SUBJECTS_TRAIN
-from rtof_kin.datasets.human36m_cameras import CAMERA_IDS
+from rtof_kin.datasets.human36m_files import CAMERA_IDS
 
 Array = NDArray[np.float64]
 Positions = dict[str, dict[str, Array]]

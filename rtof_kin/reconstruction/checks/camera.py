@@ -76,16 +76,12 @@ def check_bones(bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> C
         return Check.unknown(_SCALE, "bones", "times", "no two sensors at one joint that turns fast enough")
     found = min(max(1.0, bounds[0]), bounds[1])  # the nearest to 1 that both directions of regression allow
     word = "long" if found < 1 else "short"
-    return Check(
-        _SCALE,
-        "bones",
-        max(1 / found, found),
-        LARGEST_SCALE,
-        "times",
+    advice = (
         f"Accelerations are those of bones {found:.2f} times as long; give the subject's height or bones "
-        "in m, or look at the sensors' places",
-        cause=f"the bones are probably too {word}, or the sensors sit elsewhere on them than declared",
+        "in m, or look at the sensors' places"
     )
+    cause = f"the bones are probably too {word}, or the sensors sit elsewhere on them than declared"
+    return Check(_SCALE, "bones", max(1 / found, found), LARGEST_SCALE, "times", advice, cause=cause)
 
 
 def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float, float] | None:
@@ -148,15 +144,9 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
         why = "its estimates differ, or the person stays near the picture's middle"
         return Check.unknown(_PERSPECTIVE, what, "times", why)
     share = max(float(_PERSPECTIVES[best]), 0.05)
-    return Check(
-        _PERSPECTIVE,
-        what,
-        1 / share,
-        1 / FLATTEST,
-        "times",
-        f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size",
-        cause=picture.small or "the focal length is probably too short",
-    )
+    advice = f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size"
+    cause = picture.small or "the focal length is probably too short"
+    return Check(_PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times", advice, cause=cause)
 
 
 FURTHEST = 100.0  # [m] of a camera from the world's origin; beyond it the unit is wrong
@@ -247,33 +237,20 @@ def _own_sensors(recording: Recording) -> BoneImuSequence | None:
 def _check_unit(camera: Camera) -> Check:
     far = float(np.linalg.norm(camera.t_camera_world))
     unit = "millimetres" if far > 10 * FURTHEST else "centimetres"
-    return Check(
-        "distance from the world's origin",
-        "camera",
-        far,
-        FURTHEST,
-        "m",
-        "Give t_camera_world in m, of a world whose origin is near",
-        cause=f"the camera's translation is probably in {unit}, not metres",
-    )
+    advice = "Give t_camera_world in m, of a world whose origin is near"
+    cause = f"the camera's translation is probably in {unit}, not metres"
+    return Check("distance from the world's origin", "camera", far, FURTHEST, "m", advice, cause=cause)
 
 
 def _check_view(camera: Camera) -> Check:
     view = float(np.degrees(2 * np.arctan(camera.width_px / 2 / camera.K[0, 0])))
     limit = WIDEST_DEG if not np.any(camera.distortion) else 130.0
-    return Check(
-        "view of the lens",
-        "camera",
-        view,
-        limit,
-        "deg",
-        "So wide a lens distorts; give the focal length in px, of images of this size",
-        cause="the focal length is probably too short",
-    )
+    advice = "So wide a lens distorts; give the focal length in px, of images of this size"
+    cause = "the focal length is probably too short"
+    return Check("view of the lens", "camera", view, limit, "deg", advice, cause=cause)
 
 
 def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
-    """Check the camera's parameters by themselves and against the points."""
     camera = keypoints.camera
     causes = (
         "the focal length is of another unit or picture",
@@ -284,15 +261,8 @@ def _declared(keypoints: KeypointSequence) -> Iterator[Check]:
         yield replace(check, cause=cause)
     yield _check_outside(keypoints)
     assumed = camera.assumed if camera.uncertainty is None else ()  # its unknowns are estimated
-    yield Check(
-        "assumed, not measured",
-        "camera",
-        float(len(assumed)),
-        0.0,
-        "quantities",
-        f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed",
-        cause=UNVERIFIED,
-    )
+    advice = f"Not measured: {', '.join(assumed) or 'nothing'}; calibrate, then take it out of assumed"
+    yield Check("assumed, not measured", "camera", float(len(assumed)), 0.0, "quantities", advice, cause=UNVERIFIED)
 
 
 def _check_outside(keypoints: KeypointSequence) -> Check:
@@ -301,14 +271,10 @@ def _check_outside(keypoints: KeypointSequence) -> Check:
         return Check.unknown(name, "keypoints", "%", "the camera turned, and its picture has no borders")
     uv = keypoints.uv_px[keypoints.seen]
     outside = ((uv < 0) | (uv > [camera.width_px, camera.height_px])).any(axis=-1)
+    advice = "Give the camera of the picture that was detected in"
+    cause = "the keypoints are of a larger picture than the camera's"
     return Check(
-        name,
-        "keypoints",
-        100 * float(outside.mean()) if len(uv) else np.nan,
-        MOST_OUTSIDE,
-        "%",
-        "Give the camera of the picture that was detected in",
-        cause="the keypoints are of a larger picture than the camera's",
+        name, "keypoints", 100 * float(outside.mean()) if len(uv) else np.nan, MOST_OUTSIDE, "%", advice, cause=cause
     )
 
 
@@ -317,15 +283,9 @@ def _check_outside(keypoints: KeypointSequence) -> Check:
 
 def _check_body(recording: Recording, skeleton: SkeletonModel) -> Iterator[Check]:
     tall = skeleton.height
-    yield Check(
-        "height of the bones",
-        "body",
-        max(tall / BODY, BODY / tall),
-        BODY_FACTOR,
-        "times",
-        f"They make a body {tall:.2f} m tall, usual is {BODY} m",
-        cause=f"the bones are probably too {'long' if tall > BODY else 'short'}",
-    )
+    advice = f"They make a body {tall:.2f} m tall, usual is {BODY} m"
+    cause = f"the bones are probably too {'long' if tall > BODY else 'short'}"
+    yield Check("height of the bones", "body", max(tall / BODY, BODY / tall), BODY_FACTOR, "times", advice, cause=cause)
     declared = recording.height
     if declared is not None:
         yield Check(
@@ -432,12 +392,6 @@ def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
         return Check.unknown(name, "keypoints", "mm", "the sensors may be wrong instead")
     px, t = value * misfit.px_per_m / 1000, times[worst]
     bones = ", the bones and the sensors" if sensed else " and the bones"
-    return Check(
-        name,
-        "keypoints",
-        value,
-        _LEGS_MM,
-        "mm",
-        "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out",
-        cause=f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: they do not fit the hips{bones}",
-    )
+    advice = "Look at the legs on the video at that time; detect again, or leave the points of knees and feet out"
+    cause = f"the keypoints of the legs are off by {px:.0f} px or more at {t:.1f} s: they do not fit the hips{bones}"
+    return Check(name, "keypoints", value, _LEGS_MM, "mm", advice, cause=cause)

@@ -74,16 +74,12 @@ def check_tilt(native: BoneImuSequence, poses: PoseSequence) -> Check:
     if np.median(np.linalg.norm(every - shared, axis=1)) > _APART:
         return Check.unknown(TILT, "sensors", "deg", "the sensors do not share one vertical")
     tilt = float(np.degrees(np.arctan2(np.hypot(x, y), STANDARD_GRAVITY)))
-    return Check(
-        TILT,
-        "sensors",
-        tilt,
-        _TILT_DEG + _TILT_DEG_S / seconds,
-        "deg",
+    advice = (
         f"On average the accelerometers' vertical leans by {tilt:.0f} deg; correct R_world_inertial, "
-        "or calibrate the sensors again",
-        cause=f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity",
+        "or calibrate the sensors again"
     )
+    cause = f"the references of all sensors are tilted by about {tilt:.0f} deg against gravity"
+    return Check(TILT, "sensors", tilt, _TILT_DEG + _TILT_DEG_S / seconds, "deg", advice, cause=cause)
 
 
 def _velocity(poses: PoseSequence) -> Array:
@@ -102,49 +98,37 @@ def check_turned(images: BoneImages, camera: Camera, upright: bool) -> tuple[Che
         One check of horizontal axes and one of the vertical.
     """
     found = _rotation(images, camera)
+
+    def unknown(why: str) -> tuple[Check, Check]:
+        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
+
     if found is None:
-        why = f"less than {_FEWEST} bones with sensors are visible"
-        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
-    w = np.degrees(found[0])
+        return unknown(f"less than {_FEWEST} bones with sensors are visible")
     if found[2] > _AGREEING:
-        why = "image and sensors show different motion"
-        return Check.unknown(VIEW, "camera", "deg", why), Check.unknown(HEADING, "sensors", "deg", why)
+        return unknown("image and sensors show different motion")
+    w = np.degrees(found[0])
     tilt, turn = float(np.hypot(*w[:2])), float(w[2])
     level = np.array([*w[:2], 0.0]) / max(tilt, 1e-9)
-    spreads = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]]))
-    about_view = float(w @ camera.R_camera_world[2])
-    rolled = abs(about_view) > tilt / 2
-    how = "about its line of sight" if rolled else "up or down"
-    checks = []
+    across, about = np.degrees(np.sqrt([level @ found[1] @ level, found[1][2, 2]])).tolist()
+    rolled = abs(float(w @ camera.R_camera_world[2])) > tilt / 2
     whose = "the camera" if upright else "the camera, or all sensors' references,"
-    for name, subject, value, spread, least, cause, advice in (
-        (
-            VIEW,
-            "camera",
-            tilt,
-            float(spreads[0]),
-            _ROLL_DEG if rolled else _PITCH_DEG,
-            f"{whose} is probably turned by about {tilt:.0f} deg {how}",
-            "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
-            "calibrate the camera again, or hold it level",
-        ),
-        (
-            HEADING,
-            "sensors",
-            abs(turn),
-            float(spreads[1]),
-            _HEADING_DEG,
-            f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera",
-            f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
-            "or set the headings anew in a known pose",
-        ),
-    ):
-        limit = max(least, _SIGMAS * spread)
-        if spread > _VAGUE_DEG:
-            checks.append(Check.unknown(name, subject, "deg", "the movement does not show it"))
-        else:
-            checks.append(Check(name, subject, value, limit, "deg", advice, cause=cause))
-    return tuple(checks)
+    cause = (
+        f"{whose} is probably turned by about {tilt:.0f} deg {'about its line of sight' if rolled else 'up or down'}"
+    )
+    advice = (
+        "Bones with sensors, whose vertical gravity gives, have other directions in the picture; "
+        "calibrate the camera again, or hold it level"
+    )
+    limit = max(_ROLL_DEG if rolled else _PITCH_DEG, _SIGMAS * across)
+    view = Check(VIEW, "camera", tilt, limit, "deg", advice, cause=cause)
+    cause = f"all sensors' headings are off by about {abs(turn):.0f} deg against the camera"
+    advice = (
+        f"Turn R_world_inertial of all sensors by {turn:+.0f} deg about the vertical, or the camera; "
+        "or set the headings anew in a known pose"
+    )
+    heading = Check(HEADING, "sensors", abs(turn), max(_HEADING_DEG, _SIGMAS * about), "deg", advice, cause=cause)
+    vague = unknown("the movement does not show it")
+    return vague[0] if across > _VAGUE_DEG else view, vague[1] if about > _VAGUE_DEG else heading
 
 
 def _rotation(images: BoneImages, camera: Camera) -> tuple[Array, Array, float] | None:
@@ -209,17 +193,15 @@ def check_frame_rate(images: BoneImages, keypoints: KeypointSequence) -> Check:
             best, gain, ratio = found, own, other
     alike = best[1] < min(_SAME_MOTION, _EXPLAINED * as_given[1])
     rate_hz = declared_hz / ratio
-    return Check(
-        RATE,
-        subject,
-        gain if alike else 0.0,
-        _SURE_RATE,
-        "nats",
+    advice = (
         f"At {rate_hz:.3g} frames a second the limbs turn as fast as the sensors measure; give the times "
-        "of the frames as they were recorded, or look at the sensors' rate",
-        cause=f"the video runs {max(ratio, 1 / ratio):.2g} times too {'fast' if ratio > 1 else 'slow'}: "
-        f"it has probably {rate_hz:.3g} frames a second, not {declared_hz:.3g}",
+        "of the frames as they were recorded, or look at the sensors' rate"
     )
+    cause = (
+        f"the video runs {max(ratio, 1 / ratio):.2g} times too {'fast' if ratio > 1 else 'slow'}: "
+        f"it has probably {rate_hz:.3g} frames a second, not {declared_hz:.3g}"
+    )
+    return Check(RATE, subject, gain if alike else 0.0, _SURE_RATE, "nats", advice, cause=cause)
 
 
 def _at_speed(images: BoneImages, ratio: float) -> tuple[Array, float] | None:
@@ -278,16 +260,12 @@ def check_still(native: BoneImuSequence, skeleton: SkeletonModel) -> Check:
                     worst = value, s, times[window.start], times[window.stop - 1]
     value, s, start, stop = worst
     name = native.joints[s]
-    return Check(
-        STILL,
-        f"sensor on {name}",
-        value,
-        _STILL_LIMIT,
-        "m/s2",
+    advice = (
         f"Its orientation rests from {start:.1f} to {stop:.1f} s, while the joint that it shares with the "
-        "next sensor moves; leave it out, or record again",
-        cause=f"the sensor on {name} is frozen, but for noise",
+        "next sensor moves; leave it out, or record again"
     )
+    cause = f"the sensor on {name} is frozen, but for noise"
+    return Check(STILL, f"sensor on {name}", value, _STILL_LIMIT, "m/s2", advice, cause=cause)
 
 
 def _smooth(values: Array, times: Array) -> Array:
@@ -327,12 +305,6 @@ def check_twist(poses: PoseSequence, bone_imus: BoneImuSequence, skeleton: Skele
         limit = _TWIST_ARM_DEG if "Arm" in joint else _TWIST_DEG
         worst = max(worst, (twist, joint, limit), key=lambda own: abs(own[0]) / own[2])
     twist, joint, limit = worst
-    return Check(
-        TWIST,
-        f"sensor on {joint}",
-        abs(twist),
-        limit,
-        "deg",
-        "Put it back as it was, or calibrate the sensors again as they sit now",
-        cause=f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its calibration",
-    )
+    advice = "Put it back as it was, or calibrate the sensors again as they sit now"
+    cause = f"the sensor on {joint} is turned by about {abs(twist):.0f} deg about its bone against its calibration"
+    return Check(TWIST, f"sensor on {joint}", abs(twist), limit, "deg", advice, cause=cause)

@@ -314,7 +314,6 @@ class _Look:
         return LEAST_GAIN if self.bone_imus is None else LEAST_GAIN_SENSED
 
     def _check(self, name: str, gains: Mapping[str, float], certain: Mapping[str, float], advice: str) -> Check:
-        """The hypotheses that gain most, of those that the lifter does not speak against."""
         possible = {c: g for c, g in gains.items() if certain[c] > _CONTRADICTED}
         most = max(possible.values(), default=0.0)
         named = sorted((c for c, g in possible.items() if g > most - _CLOSE), key=lambda c: -gains[c])
@@ -322,7 +321,6 @@ class _Look:
         return Check(name, "keypoints", value, self._limit, "gain in likelihood", advice, cause=", or ".join(named))
 
     def _gain(self, undo: Undo) -> float:
-        """Gain in certainty; minus infinity where no person is left."""
         assert self.given is not None
         assert self.lifter is not None
         other = certainty(undo(self.keypoints), self.skeleton, self.lifter)
@@ -331,7 +329,6 @@ class _Look:
         return other.certainty - self.given.certainty
 
     def _with_sensors(self, gain: float, undo: Undo, any_heading: bool = False) -> float:
-        """The gain in certainty, and in what the sensors agree."""
         if self.bone_imus is None:
             return _CERTAINTY * gain
         other = self._misfit(undo(self.keypoints), _HEADINGS if any_heading else _HEADINGS[:1])

@@ -37,22 +37,19 @@ which unusual movement resembles."""
 _OF_ALL, _OF_ONE = (FaultKind.WORLD, FaultKind.FACING), (FaultKind.SEGMENT, FaultKind.MOUNTING)
 """Faults of all sensors together, reported from `LEAST_RATIO`, and of a single one."""
 _THINNED = 0.05  # [s] between the samples in which exchanged sensors are looked for
-_LEAST_SECONDS = 2.0  # [s] Shortest movement by which placement and references of sensors can be checked
+_LEAST_SECONDS = 2.0  # [s] of movement by which placement and references of sensors can be checked, at least
 _OF_MOVEMENT = tuple(kind for kind in FaultKind if kind is not FaultKind.WORLD)
-"""Faults looked for where nothing else was found; a turned world is measured by `check_turned`."""
+"""Faults looked for where nothing else was found; a rotated world is measured by `check_turned`."""
 _ELSEWHERE = (FaultKind.SIDES, FaultKind.NEIGHBOURS, FaultKind.SWAPPED, FaultKind.SEGMENT)
 """Faults whose evidence differs where the sensors were calibrated in an N-pose."""
 _DISAGREES, _EXCHANGED = 2.8, 0.7
 """Nats a frame by which a sensor contradicts the image, and by which an exchange of two reduces that, from
 which the setup is diagnosed: one correct recording in twenty reaches one of them."""
+_CONTRADICTED = 10.0  # [nats] by which calibrated motion may favour the map as declared
 
 
 def check_sensor_form(recording: Recording) -> tuple[Check, ...]:
-    """Check by physics that the samples have the units, signs and frames of a recording.
-
-    Args:
-        recording: with or without IMUs; without, there are no checks.
-    """
+    """Check by physics that the samples have the units, signs and frames of a recording; nothing without IMUs."""
     imus, calibration = recording.imus, recording.calibration
     if imus is None or calibration is None or not set(imus.names) <= set(calibration.sensors):
         return ()
@@ -78,85 +75,54 @@ def check_sensor_evidence(
     Returns:
         Every check that the recording allows; failed ones name a likely cause.
     """
-    form = check_sensor_form(recording)
-    if not form or recording.imus is None or recording.calibration is None:
-        return form
+    found = check_sensor_form(recording)
+    if not found or recording.imus is None or recording.calibration is None:
+        return found
+    skeleton, lifted, video = prepared.skeleton, prepared.stages["lift"], prepared.recording.video
+
+    def unknown_setup(why: str) -> Check:
+        return Check.unknown(SETUP, "sensors", "nats", why)
+
     native = recording.calibration.apply(recording.imus)
-    tilt = check_tilt(native, prepared.stages["lift"])
-    if tilt.failed and not any(check.failed and check.name == FROZEN for check in form):
-        form = (tilt, *(check for check in form if not check.cause.startswith(UNEXPLAINED)))
-    if wrong := next((check for check in form if check.failed), None):
+    tilt = check_tilt(native, lifted)
+    if tilt.failed and not any(check.failed and check.name == FROZEN for check in found):
+        found = (tilt, *(check for check in found if not check.cause.startswith(UNEXPLAINED)))
+    if wrong := next((check for check in found if check.failed), None):
         why = f"the samples are not as declared: {wrong.cause}"
-        unknown = ((CLOCKS, "video and sensors", "s"), (SETUP, "sensors", "nats"))
-        return (*form, *(Check.unknown(*what, why) for what in unknown))
-    seen, lifted, skeleton = _as_seen(recording, prepared), prepared.stages["lift"], prepared.skeleton
+        return (*found, Check.unknown(CLOCKS, "video and sensors", "s", why), unknown_setup(why))
+    declared = recording.video
+    seen = replace(video, times=np.interp(video.video_times, declared.video_times, declared.times))
     images = bone_images(seen, native, lifted, skeleton)
     if images is not None:
-        rate = check_frame_rate(images, seen)
-        form = (*form, rate)
-        if rate.failed:
-            return (*form, Check.unknown(SETUP, "sensors", "nats", f"first {rate.cause}"))
+        found = (*found, check_frame_rate(images, seen))
+        if found[-1].failed:
+            return (*found, unknown_setup(f"first {found[-1].cause}"))
     clocks = check_clocks(seen, native, lifted, skeleton)
     if clocks.failed:
-        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {clocks.cause}"))
-    still, camera = check_still(native, skeleton), recording.video.camera
-    shared = _measured([still, tilt], prepared, poses, skeleton, images, camera, view_suspect)
-    form, wrong = (*form, *shared), next((check for check in shared if check.failed), None)
-    if wrong:
-        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", f"first {wrong.cause}"))
-    off = np.full(1, np.nan) if images is None else images.by_sensor()
-    if np.isnan(off).all() and not suspect:
-        why = "no bone with a sensor is visible in the image"
-        return (*form, clocks, Check.unknown(SETUP, "sensors", "nats", why))
-    suspect = suspect or bool(np.nanmax(off, initial=0.0) > _DISAGREES)
-    readings = (_exchanged_segments(native), _exchanged_samples(recording.imus, recording.calibration))
-    if not suspect and all(best_exchange(seen, reading, lifted, skeleton) <= _EXCHANGED for reading in readings):
-        return (*form, clocks, Check(SETUP, "sensors", 0.0, _SURE, "nats"))
-    if prepared.bone_imus is None and prepared.calibration is None:
-        image_only = prepared
-    else:
-        image_only = prepare(recording, skeleton, "lift", lifter, prepared.settings, lambda *_: None)
-    setup = _check_setup(image_only, recording.calibration, view_suspect)
-    return (*form, clocks, setup)
+        return (*found, clocks, unknown_setup(f"first {clocks.cause}"))
+    shared = [check_still(native, skeleton), tilt]
+    if not view_suspect:
+        shared += list(_against_image(images, prepared, poses, shared, recording.video.camera))
+    found = (*found, *shared)
+    if wrong := next((check for check in shared if check.failed), None):
+        return (*found, clocks, unknown_setup(f"first {wrong.cause}"))
+    return (*found, clocks, _check_setup(recording, prepared, seen, images, native, lifter, suspect, view_suspect))
 
 
-def _measured(
-    found: list[Check],
-    prepared: Prepared,
-    poses: PoseSequence,
-    skeleton: SkeletonModel,
-    images: BoneImages | None,
-    camera: Camera,
-    view_suspect: bool,
-) -> list[Check]:
-    """Checks of a still sensor and of the vertical, with what is measured beside them in the image."""
-    still, tilt = found
-    if images is not None and not view_suspect and not (still.failed or tilt.failed):
-        found += check_turned(images, camera, tilt.passed)
-    if prepared.bone_imus is not None and not view_suspect:
-        found.append(check_twist(poses, prepared.bone_imus, skeleton))
-    return found
-
-
-def _as_seen(recording: Recording, prepared: Prepared) -> KeypointSequence:
-    """Return the lifted keypoints on the declared clock."""
-    lifted, declared = prepared.recording.video, recording.video
-    times = np.interp(lifted.video_times, declared.video_times, declared.times)
-    return replace(lifted, times=times)
-
-
-def _exchanged_segments(native: BoneImuSequence) -> Iterator[BoneImuSequence]:
-    """Yield the sensors with their segments exchanged, for `best_exchange`."""
-    for joints in _rolled(native.joints):
-        yield replace(native, joints=joints)
+def _against_image(
+    images: BoneImages | None, prepared: Prepared, poses: PoseSequence, still_and_tilt: list[Check], camera: Camera
+) -> Iterator[Check]:
+    """Yield checks of the rotation of all sensors against the image, and of one about its bone."""
+    if images is not None and not any(check.failed for check in still_and_tilt):
+        yield from check_turned(images, camera, still_and_tilt[-1].passed)
+    if prepared.bone_imus is not None:
+        yield check_twist(poses, prepared.bone_imus, prepared.skeleton)
 
 
 def _exchanged_samples(imus: ImuSequence, calibration: ImuCalibration) -> Iterator[BoneImuSequence]:
     """Yield the samples with their calibrations exchanged, for `best_exchange`."""
     step = float(np.median(np.diff(imus.times))) if len(imus) > 1 else _THINNED
-    few = slice(None, None, max(1, int(_THINNED / step)))
-    R, f = imus.R_inertial_sensor[few], imus.f_sensor[few]
-    thin = replace(imus, times=imus.times[few], R_inertial_sensor=R, f_sensor=f)
+    thin = imus[:: max(1, int(_THINNED / step))]
     for names in _rolled(imus.names):
         yield calibration.apply(replace(thin, names=names))
 
@@ -166,48 +132,66 @@ def _rolled(names: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         yield names[shift:] + names[:shift]
 
 
-def _check_setup(image_only: Prepared, calibration: ImuCalibration, view_suspect: bool) -> Check:
-    """Diagnose placement and world frame of the sensors from movement and a lift without sensors."""
-    bone_imus, visual = image_only.recording.bone_imus(), image_only.stages["lift"]
-    if bone_imus is None or not _long_enough(bone_imus):
+def _check_setup(
+    recording: Recording,
+    prepared: Prepared,
+    seen: KeypointSequence,
+    images: BoneImages | None,
+    native: BoneImuSequence,
+    lifter: LifterLike | None,
+    suspect: bool,
+    view_suspect: bool,
+) -> Check:
+    """Diagnose placement and world frame of the sensors from movement and a lift without sensors, where image and
+    sensors disagree, or agree better with two of them exchanged.
+    """
+    imus, calibration, skeleton = recording.imus, recording.calibration, prepared.skeleton
+    assert imus is not None
+    assert calibration is not None
+    off = np.full(1, np.nan) if images is None else images.by_sensor()
+    if np.isnan(off).all() and not suspect:
+        return Check.unknown(SETUP, "sensors", "nats", "no bone with a sensor is visible in the image")
+    segments = (replace(native, joints=joints) for joints in _rolled(native.joints))
+    if not (suspect or np.nanmax(off, initial=0.0) > _DISAGREES) and all(
+        best_exchange(seen, reading, prepared.stages["lift"], skeleton) <= _EXCHANGED
+        for reading in (segments, _exchanged_samples(imus, calibration))
+    ):
+        return Check(SETUP, "sensors", 0.0, _SURE, "nats")
+    if prepared.bone_imus is not None or prepared.calibration is not None:
+        prepared = prepare(recording, skeleton, "lift", lifter, prepared.settings, lambda *_: None)
+    bone_imus, visual = prepared.recording.bone_imus(), prepared.stages["lift"]
+    times = np.zeros(0)
+    if bone_imus is not None:
+        known = np.asarray(np.isfinite(bone_imus.R_world_bone).all(axis=(-2, -1)))
+        times = bone_imus.times[known.any(axis=1)]
+    if bone_imus is None or not len(times) or np.ptp(times) < _LEAST_SECONDS:
         why = f"video and sensors have less than {_LEAST_SECONDS:g} s in common"
         return Check.unknown(SETUP, "sensors", "nats", why)
     found = [
         fault
         for pose, kinds in (("T", _OF_MOVEMENT), ("N", _ELSEWHERE))
         for fault in diagnose_setup(
-            bone_imus, image_only.skeleton, pose=pose, visual=visual, calibration=calibration, kinds=kinds, most=1
+            bone_imus, skeleton, pose=pose, visual=visual, calibration=calibration, kinds=kinds, most=1
         )
     ]
     if not found:
         return Check(SETUP, "sensors", 0.0, _SURE, "nats")
-    fault = max(found, key=lambda fault: fault.log_likelihood_ratio / _least(fault))
+
+    def least(fault: Fault) -> float:
+        return LEAST_RATIO if fault.kind in _OF_ALL else _SURE_OF_ONE if fault.kind in _OF_ONE else _SURE
+
+    fault = max(found, key=lambda fault: fault.log_likelihood_ratio / least(fault))
     if view_suspect and fault.kind in _OF_ALL:
-        why = "all sensors seem rotated, which the camera may explain"
-        return Check.unknown(SETUP, "sensors", "nats", why)
-    others = f". Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else ""
-    return Check(
-        SETUP, "sensors", fault.log_likelihood_ratio, _least(fault), "nats", f"{fault.remedy}{others}", cause=fault.what
-    )
-
-
-def _least(fault: Fault) -> float:
-    """Log-likelihood ratio from which a fault is reported."""
-    if fault.kind in _OF_ALL:
-        return LEAST_RATIO
-    return _SURE_OF_ONE if fault.kind in _OF_ONE else _SURE
-
-
-def _long_enough(bone_imus: BoneImuSequence) -> bool:
-    known = np.isfinite(bone_imus.R_world_bone).all(axis=(-2, -1)).any(axis=-1)
-    return bool(known.any() and np.ptp(bone_imus.times[known]) >= _LEAST_SECONDS)
-
-
-_CONTRADICTED = 10.0  # [nats] by which calibrated motion may favour the map as declared
+        return Check.unknown(SETUP, "sensors", "nats", "all sensors seem rotated, which the camera may explain")
+    advice = f"{fault.remedy}. Or else: {'; '.join(fault.alternatives)}" if fault.alternatives else fault.remedy
+    return Check(SETUP, "sensors", fault.log_likelihood_ratio, least(fault), "nats", advice, cause=fault.what)
 
 
 def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
-    """Check the sensors of a recording with its video, if it has one whose clock agrees.
+    """Check which segments the sensors of a recording are on, with its video if it has one whose clock agrees.
+
+    How the calibration has to change is chosen by the likelihood of the calibrated motion: the sensors were calibrated
+    on the wrong segments, in a T-pose or an N-pose, or their samples are filed under each other's names.
 
     Returns:
         The check, and the recording with the correction, or as it is where nothing is wrong.
@@ -219,22 +203,20 @@ def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
     imus, calibration = recording.imus, recording.calibration
     if imus is None or calibration is None:
         raise InvalidInputError(f"{recording.name} has no calibrated sensors whose places could be checked")
-    calibration = calibration.select(imus.names)
+    calibration, skeleton = calibration.select(imus.names), recording.skeleton
     joints = dict(zip(calibration.sensors, calibration.joints, strict=True))
-    skeleton = recording.skeleton
     poses = None if recording.keypoints is None else lift(evenly_spaced(recording.video), skeleton).poses
-    if poses is not None:
-        clocks = check_clocks(recording.video, calibration.apply(imus), poses, skeleton)
-        poses = None if clocks.failed else poses
+    if poses is not None and check_clocks(recording.video, calibration.apply(imus), poses, skeleton).failed:
+        poses = None
     check = check_assignment(SensorLog.of_imus(imus, recording.name), joints, skeleton, poses)
     if not check.wrong:
         return check, recording
-    scores = [
+    declared, *scores = (
         (setup_log_likelihood(way.apply(imus), skeleton, poses), way)
         for way in (calibration, *_corrections(calibration, check.joints, skeleton))
-    ]
-    best, way = max(scores[1:], key=lambda pair: pair[0])
-    if best < scores[0][0] - _CONTRADICTED:
+    )
+    best, way = max(scores, key=lambda pair: pair[0])
+    if best < declared[0] - _CONTRADICTED:
         doubt = f"{'; '.join(map(str, check.wrong))}; but the calibration agrees with the declared places"
         return replace(check, joints=joints, wrong=(), doubt=doubt), recording
     return check, replace(recording, calibration=way)
@@ -243,7 +225,7 @@ def check_recording(recording: Recording) -> tuple[AssignmentCheck, Recording]:
 def _corrections(
     calibration: ImuCalibration, joints: Mapping[str, str], skeleton: SkeletonModel
 ) -> Iterator[ImuCalibration]:
-    """Generate calibrations with the sensors on other segments."""
+    """Yield calibrations with the sensors on other segments."""
     new = tuple(joints[sensor] for sensor in calibration.sensors)
     known = dict(zip(calibration.joints, calibration.p_bone_sensor, strict=True))
     levers = np.stack([known.get(j, usual_lever(j, skeleton)) for j in new])

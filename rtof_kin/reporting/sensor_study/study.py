@@ -29,8 +29,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.reporting.angle_names import SECOND_SHOULDER, label
 from rtof_kin.reporting.audit_results import Headline
 from rtof_kin.reporting.clinical_findings import SECOND_PELVIS
-from rtof_kin.reporting.sensor_study.accuracy import SensorSet, spread
-from rtof_kin.reporting.sensor_study.part import LONGEST, Part, liveliest_part
+from rtof_kin.reporting.sensor_study.accuracy import LONGEST, Part, SensorSet, liveliest_part, spread
 from rtof_kin.reporting.sensor_study.runs import Progress, Runs
 
 TOLERANCE: Final = np.radians(5.0)

@@ -1,0 +1,356 @@
+"""Two public sets with inertial sensors: GAITEX and VIDIMU.
+
+GAITEX (Spilz, Munz et al., Scientific Data 2025): nine IMUs and markers, gait and exercises, no camera.
+
+Files of a trial; exercises are rd (resisted dorsiflexion), rgs (resisted gait simulation), ng (normal gait)
+and gwo (gait with orthosis)::
+
+    austra/ng/xsens_imu_data_austra_ng.csv        'time [s]', XSens_Pelvis_QW, _QX, ...: orientations, 100 Hz
+    austra/ng/metadata_austra_ng.json             start_ts of the T-pose; segment -> imu_name, marker_names
+    austra/ng/qualisys_marker_data_austra_ng.csv  'time_[s]', R_IAS_X_[mm], ...; 0 where missing
+
+The files of IMU inverse kinematics that the set has are of the same sensors. The reference is therefore made
+from the markers: flexion of the knees from joint centres, or, where the user has run OpenSim's inverse
+kinematics of the markers, ``ik_markers/ik_austra_ng.mot``.
+
+VIDIMU (Martínez-Zarzuela et al., Scientific Data 10, 648, 2023): one camera, five IMUs, 13 activities.
+
+Files of a trial, subjects S40 to S57 with sensors::
+
+    dataset/videoandimus/S40/S40_A01_T01.mp4     video, 30 Hz, maybe without sound and in another folder
+    dataset/videoandimus/S40/S40_A01_T01.raw     CSV: QUAT,w,x,y,z,timestamp; five lines an instant, 50 Hz
+    dataset/videoandimus/S40/ik_S40_A01_T01.mot  OpenSim's inverse kinematics of those sensors
+
+The first instant of a ``.raw`` is the N-pose before the trial, with a time stamp of its own. A01 to A04 have sensors
+on pelvis, thighs and shanks, A05 to A13 on back, upper arms and forearms. There are no accelerations. The reference is
+computed from the same sensors: it tests what is found from the video alone (mode rto).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rtof_kin.core.array_types import Array
+from rtof_kin.core.errors import FileFormatError
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.core.files.text import load_json, measurable, read_text
+from rtof_kin.data.imu_stream import SensorLog
+from rtof_kin.datasets.public_sets import (
+    Movement,
+    PublicSet,
+    Take,
+    TakeInputs,
+    Truth,
+    existing,
+    hinge_table,
+    hip_centres,
+    orientation_log,
+)
+from rtof_kin.formats.opensim import read_opensim_table
+
+EXERCISES: Final[dict[str, Movement]] = {"rd": "other", "rgs": "other", "ng": "walk", "gwo": "walk"}
+SEGMENTS: Final = {
+    "pelvis": "pelvis",
+    "torso": "sternum",
+    "femur_r": "right thigh",
+    "femur_l": "left thigh",
+    "tibia_r": "right shank",
+    "tibia_l": "left shank",
+    "calcn_r": "right foot",
+    "calcn_l": "left foot",
+}
+"""Body of OpenSim in the metadata -> segment; the right foot's second sensor, on the toes, is left out."""
+POSE_SECONDS: Final = 1.0
+"""[s] of the T-pose from `start_ts` on that are used."""
+_QUATERNION: Final = re.compile(r"(.+)_Q([WXYZ])")
+_MARKER: Final = re.compile(r"(.+)_([XYZ])_\[mm\]")
+_MARKERS: Final[dict[str, tuple[str, ...]]] = {
+    "right_asis": ("R_IAS",),
+    "left_asis": ("L_IAS",),
+    "right_psis": ("R_IPS",),
+    "left_psis": ("L_IPS",),
+    "right_knee": ("R_FLE", "R_FME"),
+    "left_knee": ("L_FLE", "L_FME"),
+    "right_ankle": ("R_FAL", "R_TAM"),
+    "left_ankle": ("L_FAL", "L_TAM"),
+}
+"""Point -> the markers whose middle it is."""
+_OF_LEGS: Final = tuple(
+    f"{name}_{side}"
+    for side in "rl"
+    for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle", "ankle_angle", "subtalar_angle")
+)
+
+
+class Gaitex(PublicSet):
+    """Adapter of GAITEX."""
+
+    name = "gaitex"
+    archive = "GAITEX"
+    layout = "SUBJECT/ng/xsens_imu_data_SUBJECT_ng.csv with metadata and markers"
+    title = "GAITEX"
+    mode = "imu"
+    caution = (
+        "sensors give orientations alone, so that the root has no path; joint centres define the flexion "
+        "of the knees alone, with an offset of definition"
+    )
+
+    def _takes(self) -> Iterator[Take]:
+        for path in sorted(self.root.rglob("xsens_imu_data_*.csv")):
+            subject, exercise = path.parent.parent.name, path.parent.name
+            if exercise in EXERCISES and path.name == f"xsens_imu_data_{subject}_{exercise}.csv":
+                key = f"{subject}_{exercise}"
+                yield Take(key, subject, exercise, EXERCISES[exercise], path.parent)
+
+    def inputs(self, take: Take) -> TakeInputs:
+        """See `PublicSet.inputs`."""
+        start, bodies = _metadata(take)
+        log = read_orientations(take.folder / f"xsens_imu_data_{take.key}.csv")
+        places = {imu: SEGMENTS[body] for body, imu in bodies.items() if body in SEGMENTS}
+        missing = [imu for imu in places if imu not in log.names]
+        if missing:
+            raise FileFormatError(log.path, f"no columns of {', '.join(missing)}, which the metadata name")
+        return TakeInputs(
+            sensors=log.select(list(places)), places=places, pose="T", still=(start, start + POSE_SECONDS)
+        )
+
+    def truth(self, take: Take) -> Truth:
+        """See `PublicSet.truth`."""
+        own = take.folder / "ik_markers" / f"ik_{take.key}.mot"
+        if own.is_file():
+            source = "OpenSim inverse kinematics of optical markers, run by the user"
+            return Truth(read_opensim_table(own), _OF_LEGS, source, reach=0.5)
+        path = existing(
+            take.folder / f"qualisys_marker_data_{take.key}.csv",
+            "the positions of the markers",
+            "unpack the raw data of GAITEX",
+        )
+        times, points = read_markers(path)
+        centres = {name: _point(path, points, markers) for name, markers in _MARKERS.items()}
+        table = hinge_table(times, hip_centres(centres) | centres)
+        return Truth(table, table.names, "angles between joint centres of optical markers", reach=0.5)
+
+
+def _metadata(take: Take) -> tuple[float, dict[str, str]]:
+    """Return the time of the pose, s, and the sensor of each body."""
+    path = take.folder / f"metadata_{take.key}.json"
+    existing(path, "the metadata, which say where each sensor is,", "unpack the raw data of GAITEX")
+    found: Any = load_json(path)
+    start = found.get("start_ts") if isinstance(found, dict) else None
+    bodies = found.get("inverse_kinematics") if isinstance(found, dict) else None
+    if not isinstance(start, int | float) or not np.isfinite(start) or start < 0:
+        raise FileFormatError(path, f"start_ts: expected the time of the T-pose, s, found {start!r}")
+    if not isinstance(bodies, dict) or not all(
+        isinstance(one, dict) and isinstance(one.get("imu_name"), str) for one in bodies.values()
+    ):
+        raise FileFormatError(path, "inverse_kinematics: expected an imu_name for each body")
+    return float(start), {body: one["imu_name"] for body, one in bodies.items()}
+
+
+def read_orientations(path: Path) -> SensorLog:
+    """Read the orientation of every sensor; components by their names, as files order them differently.
+
+    Args:
+        path: ``xsens_imu_data_*.csv``.
+
+    Raises:
+        FileFormatError: no time, an incomplete sensor, no quaternions, or damaged.
+    """
+    times, sensors = _columns(path, "time [s]", _QUATERNION)
+    for sensor, own in sensors.items():
+        if missing := [f"{sensor}_Q{c}" for c in "WXYZ" if c not in own]:
+            raise FileFormatError(path, f"no column {', '.join(missing)}")
+    quaternions = {name: (times, np.stack([own[c] for c in "WXYZ"], axis=1)) for name, own in sensors.items()}
+    return orientation_log(path, "GAITEX orientations", quaternions)
+
+
+def read_markers(path: Path) -> tuple[Array, dict[str, Array]]:
+    """Read times (T,) s and each marker (T, 3) m; NaN where it is missing.
+
+    Args:
+        path: ``qualisys_marker_data_*.csv``.
+
+    Raises:
+        FileFormatError: no time, no marker in mm, or damaged.
+    """
+    times, markers = _columns(path, "time_[s]", _MARKER)
+    points = {
+        name: np.stack([own[a] for a in "XYZ"], axis=1) / 1000
+        for name, own in markers.items()
+        if set(own) == set("XYZ")
+    }
+    if not points:
+        raise FileFormatError(path, "no columns such as R_IAS_X_[mm]; is it of another unit or version?")
+    return times, {name: np.where((p == 0).all(axis=1, keepdims=True), np.nan, p) for name, p in points.items()}
+
+
+def _columns(path: Path, time: str, pattern: re.Pattern[str]) -> tuple[Array, dict[str, dict[str, Array]]]:
+    """Return the times of a CSV, and its columns by the two groups of their names' pattern."""
+    columns = {name.strip(): values for name, values in read_csv(path).items()}
+    if next(iter(columns)) != time:
+        raise FileFormatError(path, f"expected {time!r} as first column, found {next(iter(columns))!r}", 1)
+    if len(columns[time]) < 2:
+        raise FileFormatError(path, "has fewer than two rows: cut off?")
+    found: dict[str, dict[str, Array]] = {}
+    for name, values in columns.items():
+        if match := pattern.fullmatch(name):
+            found.setdefault(match[1], {})[match[2]] = values
+    return columns[time], found
+
+
+def _point(path: Path, points: dict[str, Array], markers: tuple[str, ...]) -> Array:
+    missing = [marker for marker in markers if marker not in points]
+    if missing:
+        raise FileFormatError(path, f"no marker {', '.join(missing)}, which the flexion of the knees needs")
+    return np.asarray(np.mean([points[marker] for marker in markers], axis=0))
+
+
+LOWER: Final = {
+    "qsHIPS": "pelvis",
+    "qsRUL": "right thigh",
+    "qsRLL": "right shank",
+    "qsLUL": "left thigh",
+    "qsLLL": "left shank",
+}
+UPPER: Final = {
+    "qsBACK": "sternum",
+    "qsRUA": "right upper arm",
+    "qsRLA": "right forearm",
+    "qsLUA": "left upper arm",
+    "qsLLA": "left forearm",
+}
+"""Sensors of A01 to A04 and of A05 to A13 -> segment."""
+ACTIVITIES: Final[dict[str, tuple[str, Movement]]] = {
+    "A01": ("walk forward", "walk"),
+    "A02": ("walk backward", "walk"),
+    "A03": ("walk along a line", "walk"),
+    "A04": ("sit to stand", "sit-to-stand"),
+    "A05": ("move a bottle, right arm", "arms"),
+    "A06": ("move a bottle, left arm", "arms"),
+    "A07": ("drink, right arm", "arms"),
+    "A08": ("drink, left arm", "arms"),
+    "A09": ("assemble a tower", "arms"),
+    "A10": ("throw and catch", "arms"),
+    "A11": ("reach up, right arm", "arms"),
+    "A12": ("reach up, left arm", "arms"),
+    "A13": ("tear paper and throw", "arms"),
+}
+_LEGS: Final = tuple(
+    f"{name}_{side}" for side in "rl" for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
+)
+_ARMS: Final = ("elbow_flex_r", "elbow_flex_l", "pro_sup_r", "pro_sup_l")
+_COLUMNS: Final = ("QUAT", "w", "x", "y", "z", "timestamp")
+_TRIAL: Final = re.compile(r"(S\d{2})_(A\d{2})_(T\d{2})")
+_RATE_HZ: Final = 50.0
+_OF_POSE: Final = 2
+"""Rows of the reference that belong to the N-pose, as the set's own scripts leave them out."""
+
+
+class Vidimu(PublicSet):
+    """Adapter of VIDIMU's subjects with video and sensors."""
+
+    name = "vidimu"
+    archive = "VIDIMU"
+    layout = "dataset/videoandimus/S40/S40_A01_T01.raw with .mp4 and ik_S40_A01_T01.mot"
+    title = "VIDIMU"
+    mode = "rto"
+    caution = (
+        "the reference is OpenSim's inverse kinematics of the same five sensors, not of markers: with "
+        "sensors in the mode the table shows agreement of two computations, not accuracy"
+    )
+
+    def _takes(self) -> Iterator[Take]:
+        found: dict[str, Path] = {}
+        for path in sorted([*self.root.rglob("*.raw"), *self.root.rglob("ik_S*.mot")]):
+            name = _TRIAL.fullmatch(path.stem.removeprefix("ik_"))
+            if name is None or path.parent.name != name[1] or name[2] not in ACTIVITIES:
+                continue
+            if not path.parent.parent.name.startswith("videoandimusync"):  # cut copies without videos of their own
+                found.setdefault(name[0], path.parent)
+        for key, folder in sorted(found.items()):
+            subject, activity, _ = key.split("_")
+            yield Take(key, subject, activity, ACTIVITIES[activity][1], folder, "camera")
+
+    def inputs(self, take: Take) -> TakeInputs:
+        """See `PublicSet.inputs`."""
+        path = existing(take.folder / f"{take.key}.raw", "the sensors' quaternions", "unpack dataset.zip of VIDIMU")
+        places = LOWER if take.movement in ("A01", "A02", "A03", "A04") else UPPER
+        log = read_raw(path, tuple(places))
+        return TakeInputs(video=self._video(take), rate_hz=30.0, sensors=log, places=places)
+
+    def _video(self, take: Take) -> Path | None:
+        if (beside := take.folder / f"{take.key}.mp4").is_file():
+            return beside
+        found = sorted(self.root.rglob(f"{take.subject}/{take.key}.mp4"))
+        return found[0] if found else None
+
+    def truth(self, take: Take) -> Truth:
+        """See `PublicSet.truth`."""
+        path = existing(
+            take.folder / f"ik_{take.key}.mot",
+            "OpenSim's inverse kinematics",
+            "unpack dataset.zip of VIDIMU; trials that failed have none: leave them out by --takes",
+        )
+        lower = take.movement in ("A01", "A02", "A03", "A04")
+        table = read_opensim_table(path)
+        if len(table.times) <= _OF_POSE + 1:
+            raise FileFormatError(path, f"has {len(table.times)} rows: cut off?")
+        table = replace(table, times=table.times[_OF_POSE:], values=table.values[_OF_POSE:])
+        source = "OpenSim inverse kinematics of the take's own sensors"
+        return Truth(table, _LEGS if lower else _ARMS, source, of_sensors=True, reach=2.0)
+
+
+def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
+    """Read the quaternions of one trial, without the N-pose in the first instant.
+
+    Args:
+        path: ``.raw`` file. sensors: names that it must have.
+
+    Raises:
+        FileFormatError: another header, an unknown or missing sensor, no numbers, or damaged.
+    """
+    lines = read_text(path, "VIDIMU's quaternions").splitlines()
+    header = tuple(name.strip() for name in lines[0].split(",")) if lines else ()
+    if header[:5] != _COLUMNS[:5]:
+        raise FileFormatError(
+            path,
+            f"expected the columns {','.join(_COLUMNS)}, found {','.join(header) or 'nothing'}; is it "
+            "of another version of the set?",
+            1,
+        )
+    rows: dict[str, list[list[float]]] = {name: [] for name in sensors}
+    for number, line in enumerate(lines[1:], 2):
+        cells = line.split(",")
+        if not line.strip():
+            continue
+        if cells[0] not in rows or len(cells) != len(header):
+            expected = f"one of {', '.join(sensors)} and {len(header) - 1} numbers"
+            raise FileFormatError(path, f"expected {expected}, found {line[:60]!r}", number)
+        try:
+            rows[cells[0]].append([float(cell) for cell in cells[1:]])
+        except ValueError as error:
+            raise FileFormatError(path, f"holds something else than numbers ({error})", number) from error
+    return _log(path, {name: np.array(own, dtype=float) for name, own in rows.items()})
+
+
+def _log(path: Path, rows: dict[str, Array]) -> SensorLog:
+    short = [name for name, own in rows.items() if len(own) < 3]
+    if short:
+        raise FileFormatError(path, f"fewer than two samples of {', '.join(short)} after the N-pose: cut off?")
+    if not all(measurable(own) for own in rows.values()):
+        raise FileFormatError(path, "holds a number that cannot be a quaternion or a time")
+    first = min(float(own[1, 4]) for own in rows.values()) if len(next(iter(rows.values()))[0]) == 5 else 0.0
+    return orientation_log(path, "VIDIMU .raw", {n: (_times(own[1:], first), own[1:, :4]) for n, own in rows.items()})
+
+
+def _times(rows: Array, first: float) -> Array:
+    """Time stamps from the first one, s, if they increase; else the nominal rate."""
+    if rows.shape[1] == 5 and (np.diff(rows[:, 4]) > 0).all():
+        return np.asarray(rows[:, 4] - first)
+    return np.arange(len(rows)) / _RATE_HZ

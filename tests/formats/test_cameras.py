@@ -1,0 +1,312 @@
+"""Cameras in OpenCV's YAML: files of OpenCV, files of people, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import planted
+import pytest
+import tomli_w
+from scipy.spatial.transform import Rotation
+
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnitError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.formats.camera_toml import write_camera_toml
+from rtof_kin.formats.cameras import read_camera, read_opencap, read_opencv_yaml
+from rtof_kin.recording.recording import Recording
+
+cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
+K = np.array([[1250.5, 0.0, 960.25], [0.0, 1240.125, 540.0], [0.0, 0.0, 1.0]])
+DISTORTION = np.array([-0.05, 0.1, 1e-5, -0.002, 0.01])
+RVEC = np.array([1.688, 1.048, -0.42])
+TVEC = np.array([0.32, 0.96, 2.9])
+R = cv2.Rodrigues(RVEC)[0]
+POSE = np.hstack([R, TVEC[:, None]])
+PLAIN = f"""
+image_width: 1920
+image_height: 1080
+K: {K.tolist()}
+dist: {DISTORTION.tolist()}
+rvec: {RVEC.tolist()}
+tvec: {TVEC.tolist()}
+"""
+PLACED = f"rvec: {RVEC.tolist()}\ntvec: {TVEC.tolist()}"
+
+
+def stored(path: Path, entries: dict[str, object]) -> Path:
+    """A file that OpenCV itself writes."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in entries.items():
+        storage.write(name, value)
+    storage.release()
+    return path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "camera.yml"
+    path.write_text(text)
+    return path
+
+
+def assert_same(a: Camera, b: Camera) -> None:
+    assert (a.width_px, a.height_px) == (b.width_px, b.height_px)
+    for field in ("K", "R_camera_world", "t_camera_world", "distortion"):
+        np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-7)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "yaml", "json"])
+@pytest.mark.parametrize("rotation", [R, RVEC, RVEC[:, None]], ids=["matrix", "row", "column"])
+def test_file_of_opencv_projects_as_opencv_does(rotation: np.ndarray, suffix: str, tmp_path: Path) -> None:
+    entries = {"image_width": 1920, "image_height": 1080, "camera_matrix": K, "R": rotation}
+    entries |= {"distortion_coefficients": DISTORTION[None], "T": TVEC[:, None]}
+    path = stored(tmp_path / f"left.{suffix}", entries)
+    cameras = read_opencv_yaml(path)
+    assert list(cameras) == ["left"]
+    p = np.array([[0.2, -0.3, 1.1], [-0.4, 0.6, 0.9]])
+    expected = cv2.projectPoints(p, RVEC, TVEC, K, DISTORTION)[0][:, 0]
+    np.testing.assert_allclose(read_camera(path).project(p), expected, atol=1e-6)
+
+
+def test_version_line_of_old_opencv_is_accepted(tmp_path: Path) -> None:
+    path = stored(tmp_path / "a.yml", {"image_width": 8, "image_height": 6, "M": K, "D": np.zeros(4)})
+    old = written(tmp_path, "%YAML:1.0\n---\n" + path.read_text().split("---\n")[1])
+    assert_same(read_opencv_yaml(old, up="-y")["camera"], read_opencv_yaml(path, up="-y")["a"])
+
+
+@pytest.mark.parametrize(
+    "old, new",
+    [
+        ("K:", "camera_matrix:"),
+        (f"K: {K.tolist()}", f"cameraMatrix: {{rows: 3, cols: 3, data: {K.ravel().tolist()}}}"),
+        ("dist:", "distortion_model: plumb_bob\ndistCoeffs:"),
+        (PLACED, f"extrinsics: {POSE.tolist()}"),
+        (PLACED, f"extrinsic_matrix: {[*POSE.tolist(), [0, 0, 0, 1]]}"),
+        ("image_width: 1920\nimage_height: 1080", "image_size: [1920, 1080]"),
+        (f"dist: {DISTORTION.tolist()}", f"dist: {[*DISTORTION.tolist(), 0, 0, 0.0]}"),
+        ("1e-05", "1.0E-05"),
+        ("\nimage_width", "\nflags: !!opencv-matrix {rows: 1, cols: 1, dt: d, data: [1]}\nimage_width"),
+    ],
+)
+def test_other_spellings_of_one_camera(old: str, new: str, tmp_path: Path) -> None:
+    plain = read_opencv_yaml(written(tmp_path, PLAIN))["camera"]
+    assert old in PLAIN
+    assert_same(read_opencv_yaml(written(tmp_path, PLAIN.replace(old, new)))["camera"], plain)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["left:{0}\nright:{0}", "cameras:\n  left:{0}\n  right:{0}", "cameras:\n  - name: left{0}\n  - name: right{0}"],
+)
+def test_several_cameras_in_one_file(text: str, tmp_path: Path) -> None:
+    plain = read_opencv_yaml(written(tmp_path, PLAIN))["camera"]
+    path = written(tmp_path, text.format(PLAIN.replace("\n", "\n    ")))
+    assert list(read_opencv_yaml(path)) == ["left", "right"]
+    assert_same(read_camera(path, "right"), plain)
+    with pytest.raises(FileFormatError, match="name one of left, right"):
+        read_camera(path)
+    with pytest.raises(UnknownNameError, match="'rigth'.*'right'"):
+        read_camera(path, "rigth")
+
+
+@pytest.mark.parametrize("table", [{"name": "left"}, {"name": "left", "metres_per_unit": 0.001}])
+def test_recording_takes_its_camera_from_a_file(table: dict[str, object], tmp_path: Path) -> None:
+    planted.recording(planted.moving(SkeletonModel.default(), 12)).save(tmp_path / "take")
+    written(tmp_path / "take", "left:" + PLAIN.replace("\n", "\n    "))
+    index = tmp_path / "take" / "recording.toml"
+    content = tomllib.loads(index.read_text()) | {"camera": {"file": "camera.yml", **table}}
+    index.write_text(tomli_w.dumps(content))
+    keypoints = Recording.load(tmp_path / "take").keypoints
+    unit = float(table.get("metres_per_unit", 1.0))  # type: ignore[arg-type]
+    np.testing.assert_allclose(keypoints.camera.t_camera_world, TVEC * unit)
+    index.write_text(tomli_w.dumps(content | {"camera": {"file": "camera.yml", "width_px": 9}}))
+    with pytest.raises(FileFormatError, match="width_px: stands beside file"):
+        Recording.load(tmp_path / "take")
+
+
+def test_read_camera_takes_the_reader_of_the_suffix(tmp_path: Path, camera: Camera) -> None:
+    write_camera_toml(tmp_path / "a.toml", {"only": camera})
+    assert_same(read_camera(tmp_path / "a.toml"), camera)
+    with pytest.raises(FileFormatError, match=r"known suffixes: \.toml, \.yml"):
+        read_camera(tmp_path / "a.xml")
+
+
+def test_stereo_pair_has_its_first_camera_as_world_and_ignores_rectification(tmp_path: Path) -> None:
+    intrinsics = {"image_width": 640, "image_height": 480, "M1": K, "D1": np.zeros((1, 5)), "M2": K}
+    inner = stored(tmp_path / "intrinsics.yml", intrinsics | {"D2": DISTORTION})
+    other = cv2.Rodrigues(np.array([0.1, 0.2, 0.3]))[0]
+    extrinsics = {"R": R, "T": TVEC, "R1": other, "R2": other, "P1": POSE, "P2": POSE, "Q": np.eye(4)}
+    outer = stored(tmp_path / "extrinsics.yml", extrinsics)
+    cameras = read_opencv_yaml(inner, extrinsics=outer, up="-y")
+    assert list(cameras) == ["camera_1", "camera_2"]
+    first, second = cameras.values()
+    p_first = np.array([0.3, 0.2, 2.0])
+    p_world = (p_first - first.t_camera_world) @ first.R_camera_world
+    np.testing.assert_allclose(second.to_camera(p_world), R @ p_first + TVEC, atol=1e-12)
+    np.testing.assert_allclose(first.rays_world(K[:2, 2])[2], 0, atol=1e-12)  # level
+    with pytest.raises(FileFormatError, match="viewing direction.*up='-y'"):
+        read_opencv_yaml(inner, extrinsics=outer)
+    with pytest.raises(FileFormatError, match="camera_2, R: missing"):
+        read_opencv_yaml(inner, up="-y")
+
+
+def test_two_cameras_with_their_own_poses_are_no_stereo_pair(tmp_path: Path) -> None:
+    both = {"K1": K, "R1": R, "T1": TVEC, "K2": K, "R2": R.T, "T2": TVEC}
+    path = stored(tmp_path / "two.yml", {"image_width": 640, "image_height": 480, **both})
+    first, second = read_opencv_yaml(path).values()
+    np.testing.assert_allclose(first.R_camera_world, R, atol=1e-12)
+    np.testing.assert_allclose(second.R_camera_world, R.T, atol=1e-12)
+
+
+def test_up_axis_unit_and_size_are_declared(tmp_path: Path) -> None:
+    path = written(tmp_path, PLAIN)
+    plain = read_opencv_yaml(path)["camera"]
+    turned = read_opencv_yaml(path, up="-y")["camera"]
+    np.testing.assert_allclose(turned.project([0, 0, 1]), plain.project([0, -1, 0]), atol=1e-9)
+    with pytest.raises(InvalidInputError, match="up: 'w'"):
+        read_opencv_yaml(path, up="w")
+    with pytest.raises(InvalidInputError, match="metres_per_unit: 0"):
+        read_opencv_yaml(path, metres_per_unit=0)
+    in_mm = written(tmp_path, PLAIN.replace("[0.32, 0.96, 2.9]", "[320.0, 960.0, 2900.0]"))
+    with pytest.raises(UnitError, match="3071 m away.*metres_per_unit, 0.001"):
+        read_opencv_yaml(in_mm)
+    assert_same(read_camera(in_mm, metres_per_unit=0.001), plain)
+    sizeless = written(tmp_path, PLAIN.replace("image_width: 1920\nimage_height: 1080", ""))
+    with pytest.raises(FileFormatError, match="camera, image_width: missing"):
+        read_opencv_yaml(sizeless)
+    assert_same(read_opencv_yaml(sizeless, size_px=(1920, 1080))["camera"], plain)
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        (PLAIN, "a: 1", "no camera in it: .*camera_matrix"),
+        (PLAIN, "[" * 50, "line 1: nested"),
+        ("1250.5", "-1250.5", "camera: camera K"),
+        ("dist:", "distortion_model: equidistant\ndist:", "'equidistant'; undistort"),
+    ],
+)
+def test_incomplete_camera_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+    assert old in PLAIN
+    with pytest.raises(FileFormatError, match=message):
+        read_opencv_yaml(written(tmp_path, PLAIN.replace(old, new)))
+
+
+CAMERA = planted.camera()
+BOARDS = {  # axis of the board that points up -> R_board_world of a board placed so
+    "-y": Rotation.from_euler("x", 90, degrees=True),
+    "y": Rotation.from_euler("x", -90, degrees=True),
+    "z": Rotation.from_euler("z", 70, degrees=True),
+    "-z": Rotation.from_euler("x", 180, degrees=True),
+    "x": Rotation.from_euler("y", 90, degrees=True),
+}
+
+
+def content(R_board_world: Rotation, camera: Camera = CAMERA) -> dict[str, Any]:
+    """What OpenCap writes for a camera whose checkerboard has this orientation in the world."""
+    R = camera.R_camera_world @ R_board_world.as_matrix().T
+    return {
+        "distortion": camera.distortion[None],
+        "intrinsicMat": camera.K,
+        "imageSize": np.array([[camera.height_px], [camera.width_px]], dtype=float),
+        "rotation": R,
+        "translation": 1000 * camera.t_camera_world[:, None],
+        "rotation_EulerAngles": Rotation.from_matrix(R).as_rotvec()[:, None],
+    }
+
+
+def write(folder: Path, entries: Any, protocol: int = 4) -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / "cameraIntrinsicsExtrinsics.pickle"
+    path.write_bytes(pickle.dumps(entries, protocol))
+    return path
+
+
+@pytest.mark.parametrize("protocol", [2, 4, 5])
+@pytest.mark.parametrize("up", BOARDS)
+def test_camera_sees_what_it_saw_however_the_board_was_put_up(tmp_path: Path, up: str, protocol: int) -> None:
+    path = write(tmp_path / "Cam1", content(BOARDS[up]), protocol)
+    ((name, camera),) = read_opencap(path).items()
+    assert name == "Cam1"
+    assert (camera.width_px, camera.height_px) == (CAMERA.width_px, CAMERA.height_px)
+    assert np.allclose(camera.K, CAMERA.K)
+    # Both worlds have z up and the same origin; they differ by a turn about z.
+    turn = camera.R_camera_world.T @ CAMERA.R_camera_world
+    assert np.allclose(turn[2], [0, 0, 1], atol=1e-9)
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    assert np.allclose(camera.project(points @ turn.T), CAMERA.project(points), atol=1e-6)
+    assert np.allclose(read_camera(path).R_camera_world, camera.R_camera_world)
+    told = read_camera(path, up=up)
+    assert np.allclose(told.R_camera_world, camera.R_camera_world)
+
+
+def test_a_pose2sim_export_has_its_world_again(tmp_path: Path) -> None:
+    # Pose2Sim turns the world by -90 degrees about x, then by 180 about z, before it writes R; t stays.
+    turned = Rotation.from_euler("z", 180, degrees=True) * Rotation.from_euler("x", -90, degrees=True)
+    path = write(tmp_path / "Cam0", content(turned))
+    camera = read_opencap(path)["Cam0"]
+    assert np.allclose((camera.R_camera_world.T @ CAMERA.R_camera_world)[2], [0, 0, 1])
+    assert camera.center_world[2] == pytest.approx(CAMERA.center_world[2])
+
+
+def test_a_recording_names_it_as_its_camera(tmp_path: Path) -> None:
+    write(tmp_path / "Cam0", content(BOARDS["-y"]))
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (4, 2, 3))
+    uv = CAMERA.project(points + np.array([0, 0, 1]))
+    np.savez(tmp_path / "keypoints.npz", uv_px=uv)
+    (tmp_path / "recording.toml").write_text(
+        'schema_version = 1\n[camera]\nfile = "Cam0/cameraIntrinsicsExtrinsics.pickle"\n'
+        '[keypoints]\nfile = "keypoints.npz"\nrate_hz = 30\nlandmarks = ["Hips", "Head"]\n'
+    )
+    camera = Recording.load(tmp_path).video.camera
+    np.testing.assert_allclose(camera.center_world[2], CAMERA.center_world[2])
+
+
+def test_a_board_between_two_axes_needs_to_be_told(tmp_path: Path) -> None:
+    path = write(tmp_path / "Cam0", content(Rotation.from_euler("xy", [45, 30], degrees=True)))
+    with pytest.raises(FileFormatError, match="no axis of the checkerboard is upright.*up = '-y'"):
+        read_opencap(path)
+    assert read_opencap(path, up="z")["Cam0"].width_px == CAMERA.width_px
+
+
+def test_what_is_no_camera_is_named(tmp_path: Path) -> None:
+    good = content(BOARDS["-y"])
+    for entries, problem in (
+        ([1.0, 2.0], "no camera of OpenCap: it has no intrinsicMat"),
+        ({k: v for k, v in good.items() if k != "imageSize"}, "it has no imageSize"),
+        ({**good, "rotation": np.full((3, 3), np.nan)}, "rotation: expected 9 finite numbers"),
+        ({**good, "translation": "text"}, "translation: expected 3 finite numbers"),
+        ({**good, "rotation": np.ones((3, 3)) / np.sqrt(3)}, "not a rotation"),
+    ):
+        with pytest.raises(FileFormatError, match=problem):
+            read_opencap(write(tmp_path / "Cam0", entries), up="z")
+    path = write(tmp_path / "Cam0", good)
+    with pytest.raises(UnitError, match="m away from the origin"):
+        read_opencap(path, metres_per_unit=1.0)
+    with pytest.raises(InvalidInputError, match="no axis"):
+        read_opencap(path, up="w")
+    with pytest.raises(FileFormatError, match="no such file"):
+        read_opencap(tmp_path / "no.pickle")
+
+
+def test_a_command_is_refused_and_not_run(tmp_path: Path) -> None:
+    class Harm:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return os.system, (f"touch '{tmp_path / 'mark'}'",)
+
+    path = write(tmp_path / "Cam0", {**content(BOARDS["-y"]), "rotation": Harm()})
+    with pytest.raises(FileFormatError, match="wants to run .*Do not trust this file"):
+        read_opencap(path)
+    assert not (tmp_path / "mark").exists()
+
+
+def test_a_pickle_that_goes_on_after_its_end_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.pickle"
+    path.write_bytes(pickle.dumps(content(BOARDS["y"]), 4) + b"x")
+    with pytest.raises(FileFormatError, match="data after the end"):
+        read_opencap(path)
