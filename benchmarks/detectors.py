@@ -26,9 +26,8 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.simulation.mocap import MocapClip, read_corpus
-from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.landmark_regression import LandmarkRegression, RegressedLandmarks, recognise
 from rtof_kin.vision.layouts import mirrored
-from rtof_kin.vision.recognise import recognise
 
 HERE = Path(__file__).parent
 FOCAL_PX, DISTANCE, RATE_HZ, VIEWS, SEED = 1250.0, 4.0, 5.0, 4, 1

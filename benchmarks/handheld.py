@@ -40,8 +40,7 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.simulation.detector_errors import DELAY_RATE_HZ, DetectorErrors
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
-from rtof_kin.vision.background_motion import estimate_camera_motion
-from rtof_kin.vision.bearing_rotation import with_focal
+from rtof_kin.vision.background_motion import estimate_camera_motion, with_focal
 
 FIGURES = {"mpjpe_rr_mm": "rr mm", "mpjpe_mm": "abs mm", "flexion_deg": "flexion deg"}
 DELAY = 2

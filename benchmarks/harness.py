@@ -29,7 +29,7 @@ from rich.progress import Progress
 from benchmarks import scoring
 from benchmarks.rerigged import rerigged, t_pose
 from rtof_kin.body.metrics import evaluate, motionless
-from rtof_kin.body.neutral_posture import JOINTS, NeutralPosture
+from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.protocols.measures import reconstructions

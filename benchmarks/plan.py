@@ -28,7 +28,7 @@ from scipy.stats import spearmanr
 from benchmarks import harness
 from benchmarks.rerigged import rerigged
 from rtof_kin.body import kinematics
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.plan.movements import movement

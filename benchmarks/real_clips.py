@@ -38,8 +38,7 @@ from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
 from rtof_kin.vision import image_points
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.detector_errors import DetectorPoint, detector_points, read_detector_points
-from rtof_kin.vision.image_points import ImagePoints
+from rtof_kin.vision.image_points import DetectorPoint, ImagePoints, detector_points, read_detector_points
 from rtof_kin.vision.keypoints import keypoints_from_detections
 from rtof_kin.vision.layouts import detector_table
 

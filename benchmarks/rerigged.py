@@ -17,8 +17,8 @@ from typing import Self
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import SPINE
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
+from rtof_kin.body.pose_prior import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array

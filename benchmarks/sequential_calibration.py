@@ -34,7 +34,7 @@ from benchmarks.defaults import FIGURES, NEGLIGIBLE
 from benchmarks.rerigged import rerigged, t_pose
 from lifting.predict import Lifter
 from rtof_kin.body.metrics import evaluate
-from rtof_kin.body.neutral_posture import JOINTS, NeutralPosture
+from rtof_kin.body.pose_prior import JOINTS, NeutralPosture
 from rtof_kin.calibration.estimate import calibrate, even_noise
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations

@@ -2,8 +2,9 @@
 
 import sys
 
-from rtof_kin import FragmentSolver, InertialGuidedIK, Recording, SkeletonModel, export, reconstruct
+from rtof_kin import FragmentSolver, Recording, SkeletonModel, export, reconstruct
 from rtof_kin.core.resources import model_path
+from rtof_kin.solve.initial_guess import InertialGuidedIK
 
 folder = sys.argv[1] if len(sys.argv) > 1 else model_path("demo")
 out = sys.argv[2] if len(sys.argv) > 2 else "out/quickstart"

@@ -1,7 +1,7 @@
 """Lifting of 2D landmarks to 3D poses with a temporal convolution network (torch).
 
-Only this package imports torch; arrays are float32 inside it. `predict.Lifter` is the way in for
-users, `train.train` makes a new lifter from motion capture.
+Only this package imports torch; arrays are float32 inside it. `predict.Lifter` is the way in for users,
+`training.train.train` makes a new lifter from motion capture.
 
 Importing it without torch raises `MissingPackageError`, which says what to install.
 """

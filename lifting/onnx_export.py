@@ -16,9 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from lifting.body import Body, bone_groups
-from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork
-from lifting.models import RAYS
+from lifting.models import RAYS, FoldedNetwork
 from lifting.predict import MIN_JOINTS, Lifter
 from lifting.windows import SIGMA_TURN, Windows, decode, encode, rotations
 from rtof_kin.core.errors import InvalidInputError
@@ -141,7 +140,7 @@ def _metadata(lifter: Lifter, flip: bool) -> dict[str, str]:
         "mirror_averaged": flip,
         "frames": "world is z up, m; camera_root is from the optical centre in world axes",
         "shared_frames": "R_bone_shared turns a segment's shared frame into its link frame, as computed by "
-        "rtof_kin.body.shared_frames from the joint offsets; identity for CMU's skeleton",
+        "rtof_kin.body.kinematics from the joint offsets; identity for CMU's skeleton",
         "bones_rule": "position of each joint in its parent's shared frame (T-pose: x forward, y left, "
         "z up), m; of the left and the right one the mean as if left, of one in the middle with y = 0",
         "shapes": {

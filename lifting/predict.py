@@ -11,13 +11,12 @@ import torch
 from numpy.typing import ArrayLike
 
 from lifting.checkpoint import LifterDescription, load_checkpoint
-from lifting.folded import FoldedNetwork
 from lifting.model import TemporalNetwork, torch_threads
-from lifting.models import RAYS, model_of
+from lifting.models import RAYS, FoldedNetwork, model_of
 from lifting.source import Source
 from lifting.windows import SIGMA_TURN, Estimate, orthonormal, rotations
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.pose_prior import PosePrior
-from rtof_kin.body.shared_frames import shared_frames, to_shared
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
 from rtof_kin.core.errors import InvalidInputError, ViewError
@@ -231,7 +230,7 @@ class Lifter:
 
     def shared_frames(self, joint_offsets: ArrayLike | None) -> Array:
         """Return R_bone_shared (J, 3, 3), from the frames in which the network knows a person's segments to
-        their link frames, see `rtof_kin.body.shared_frames`; the same frames if the offsets are None.
+        their link frames, see `rtof_kin.body.kinematics`; the same frames if the offsets are None.
 
         Args:
             joint_offsets: (J, 3) m, each joint in its parent's link frame.

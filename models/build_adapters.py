@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.views import Views
-from lifting.splits import BENCHMARK_SPLIT, read_split
+from lifting.training.corpus import BENCHMARK_SPLIT, read_split
 from rtof_kin.simulation.mocap import read_corpus
 from rtof_kin.vision.layouts import detector_table
 

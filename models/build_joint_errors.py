@@ -2,7 +2,7 @@
 
 ``python -m models.build_joint_errors CORPUS`` with CORPUS as in benchmarks/README.md. The training subjects'
 motion is seen by cameras all around. The simulated points of the detector, without exchanges and jumps, are
-regressed to joints, and their errors (px x depth / f) are described as `lifting.joint_errors` has it: the
+regressed to joints, and their errors (px x depth / f) are described as `lifting.training.joint_errors` has it: the
 mean by least squares, then covariances from pairs of frames, by the view and the lag between them.
 """
 
@@ -17,9 +17,18 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.corpus import Corpus, read_corpus
-from lifting.joint_errors import LEG_M, MEMORY_S, JointErrors, View, designs, hidden_joints, mean_error, rig_places
-from rtof_kin.body.shared_frames import shared_frames
+from lifting.training.corpus import Corpus, read_corpus
+from lifting.training.joint_errors import (
+    LEG_M,
+    MEMORY_S,
+    JointErrors,
+    View,
+    designs,
+    hidden_joints,
+    mean_error,
+    rig_places,
+)
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lifting.corpus import read_corpus
-from lifting.prior import motions_of
+from lifting.training.corpus import read_corpus
+from lifting.training.settings import motions_of
 from rtof_kin.body.pose_prior_fit import fit_pose_prior
 
 

@@ -1,7 +1,9 @@
 """3D human motion from one camera and a few IMUs.
 
-`reconstruct` runs the whole pipeline; `SkeletonModel` and `FragmentSolver` are its main parts. The names
-below are imported when they are first used; torch and plotting libraries are not loaded.
+`run` goes from a video and sensors to a report; `make_recording`, `reconstruct`, `analyse`, `report`, `export`,
+`compare` and `evaluate` are its steps and what follows. `SkeletonModel` and `FragmentSolver` are the main parts.
+The names below are imported when they are first used; torch and plotting libraries are not loaded. Settings and
+internals are in the modules.
 """
 
 from __future__ import annotations
@@ -10,85 +12,76 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rtof_kin.body.metrics import Metrics, evaluate
+    from rtof_kin.body.metrics import evaluate
     from rtof_kin.body.skeleton import Motion, SkeletonModel
-    from rtof_kin.calibration.priors import CalibrationPriors
     from rtof_kin.calibration.result import SelfCalibration
+    from rtof_kin.clinical.analysis import analyse
     from rtof_kin.core.errors import InvalidInputError, RtofError
     from rtof_kin.data.camera import Camera
-    from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
+    from rtof_kin.data.imu import ImuCalibration, ImuSequence
     from rtof_kin.data.keypoints import KeypointSequence
-    from rtof_kin.data.poses import PoseSequence, Provenance
+    from rtof_kin.data.poses import PoseSequence
     from rtof_kin.live.estimator import OnlineEstimator
-    from rtof_kin.live.online_settings import OnlineSettings
-    from rtof_kin.live.samples import FrameSample, ImuSample
     from rtof_kin.reconstruction.pipeline import reconstruct
     from rtof_kin.reconstruction.result import Reconstruction
-    from rtof_kin.reconstruction.self_calibration import calibrate_recording
     from rtof_kin.reconstruction.settings import ReconstructionSettings
     from rtof_kin.recording.recording import Recording
+    from rtof_kin.reporting.comparison import compare
     from rtof_kin.reporting.export import export
-    from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver, SolverStatus
-    from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings
-    from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
+    from rtof_kin.reporting.page import report
+    from rtof_kin.setup.init import make_recording
+    from rtof_kin.setup.run import run
+    from rtof_kin.solve.fragment_solver import FragmentSolver
 
-_MODULES = {
-    "body.metrics": ("Metrics", "evaluate"),
-    "body.skeleton": ("Motion", "SkeletonModel"),
-    "calibration.priors": ("CalibrationPriors",),
-    "calibration.result": ("SelfCalibration",),
-    "core.errors": ("InvalidInputError", "RtofError"),
-    "data.camera": ("Camera",),
-    "data.imu": ("BoneImuSequence", "ImuCalibration", "ImuSequence"),
-    "data.keypoints": ("KeypointSequence",),
-    "data.poses": ("PoseSequence", "Provenance"),
-    "live.estimator": ("OnlineEstimator",),
-    "live.online_settings": ("OnlineSettings",),
-    "live.samples": ("FrameSample", "ImuSample"),
-    "reconstruction.pipeline": ("reconstruct",),
-    "reconstruction.result": ("Reconstruction",),
-    "reconstruction.settings": ("ReconstructionSettings",),
-    "reconstruction.self_calibration": ("calibrate_recording",),
-    "recording.recording": ("Recording",),
-    "reporting.export": ("export",),
-    "solve.fragment_solver": ("FragmentSolution", "FragmentSolver", "SolverStatus"),
-    "solve.initial_guess": ("InertialGuidedIK", "InertialGuidedIKSettings"),
-    "solve.settings": ("CartesianSettings", "JointSpaceSettings"),
+_HOME = {
+    "Camera": "data.camera",
+    "FragmentSolver": "solve.fragment_solver",
+    "ImuCalibration": "data.imu",
+    "ImuSequence": "data.imu",
+    "InvalidInputError": "core.errors",
+    "KeypointSequence": "data.keypoints",
+    "Motion": "body.skeleton",
+    "OnlineEstimator": "live.estimator",
+    "PoseSequence": "data.poses",
+    "Reconstruction": "reconstruction.result",
+    "ReconstructionSettings": "reconstruction.settings",
+    "Recording": "recording.recording",
+    "RtofError": "core.errors",
+    "SelfCalibration": "calibration.result",
+    "SkeletonModel": "body.skeleton",
+    "analyse": "clinical.analysis",
+    "compare": "reporting.comparison",
+    "evaluate": "body.metrics",
+    "export": "reporting.export",
+    "make_recording": "setup.init",
+    "reconstruct": "reconstruction.pipeline",
+    "report": "reporting.page",
+    "run": "setup.run",
 }
-_HOME = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
-    "BoneImuSequence",
-    "CalibrationPriors",
     "Camera",
-    "CartesianSettings",
-    "FragmentSolution",
     "FragmentSolver",
-    "FrameSample",
     "ImuCalibration",
-    "ImuSample",
     "ImuSequence",
-    "InertialGuidedIK",
-    "InertialGuidedIKSettings",
     "InvalidInputError",
-    "JointSpaceSettings",
     "KeypointSequence",
-    "Metrics",
     "Motion",
     "OnlineEstimator",
-    "OnlineSettings",
     "PoseSequence",
-    "Provenance",
     "Reconstruction",
     "ReconstructionSettings",
     "Recording",
     "RtofError",
     "SelfCalibration",
     "SkeletonModel",
-    "SolverStatus",
-    "calibrate_recording",
+    "analyse",
+    "compare",
     "evaluate",
     "export",
+    "make_recording",
     "reconstruct",
+    "report",
+    "run",
 ]
 
 

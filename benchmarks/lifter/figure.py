@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks.lifter.rows import STILL, Row
 from benchmarks.lifter.tables import ERRORS, WORN, chosen, unseeded, values
-from lifting.curves import windows_axis
+from lifting.training.train import windows_axis
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.protocols.tables import pooled
 

@@ -12,8 +12,7 @@ import numpy as np
 from rtof_kin import Recording
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import detector_point
-from rtof_kin.vision.detector_errors import detector_points
-from rtof_kin.vision.image_points import image_points
+from rtof_kin.vision.image_points import detector_points, image_points
 from rtof_kin.vision.keypoints import read_detector_keypoints
 from rtof_kin.vision.layouts import Layout, add_layout
 

@@ -11,9 +11,10 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from rtof_kin import CartesianSettings, FragmentSolver, JointSpaceSettings, Recording
+from rtof_kin import FragmentSolver, Recording
 from rtof_kin.core.resources import model_path
 from rtof_kin.solve.joint_space.energy import Frame
+from rtof_kin.solve.settings import CartesianSettings, JointSpaceSettings
 from rtof_kin.solve.terms import ObservedTerm, PointData, PointTerm, pseudo_huber_loss, quat_matrix
 
 FRAMES = 60

@@ -40,11 +40,7 @@ class NodeFinder:
         self._rest: Array | None = None
 
     def add(self, entries: Array) -> tuple[Index, Array]:
-        """Return the nodes that are certain by now, and the entries at them.
-
-        Args:
-            entries: (n, M, 6) of the next frames.
-        """
+        """Return the nodes that are certain by now, and the entries at them. entries: (n, M, 6) of the next frames."""
         known = entries if self._rest is None else np.concatenate([self._rest, entries])
         whole = (len(known) - 1) // SPACING * SPACING
         found = nodes(known[: whole + 1])[:-1]  # the last one begins the rest
@@ -61,11 +57,7 @@ class NodeFinder:
 
 
 def nodes(entries: Array) -> Index:
-    """Return the frames (K,) of the nodes, of which the first and the last frame are two.
-
-    Args:
-        entries: (T, M, 6).
-    """
+    """Return the frames (K,) of the nodes, of which the first and the last frame are two. entries: (T, M, 6)."""
     frames = np.arange(len(entries))
     found = np.union1d(frames[::SPACING], frames[-1:])
     variance: Array = np.maximum(entries[..., :3].sum(axis=-1, keepdims=True), 0.0)
@@ -96,11 +88,7 @@ def interpolated(found: Index, entries: Array, frames: Index) -> Array:
 
 
 def packed(entries: Array) -> NDArray[np.float32]:
-    """Return entries with 8 bits of mantissa, of matrices that are still valid.
-
-    Args:
-        entries: (K, M, 6).
-    """
+    """Return entries with 8 bits of mantissa, of matrices that are still valid. entries: (K, M, 6)."""
     rounded = short_floats(entries, _BITS)
     wrong: Mask = ~valid_covariances(matrices(rounded))
     wider = entries[wrong]
@@ -110,11 +98,7 @@ def packed(entries: Array) -> NDArray[np.float32]:
 
 
 def matrices(entries: Array | NDArray[np.float32]) -> Array:
-    """Return matrices (..., 3, 3).
-
-    Args:
-        entries: (..., 6).
-    """
+    """Return matrices (..., 3, 3). entries: (..., 6)."""
     out = np.empty((*entries.shape[:-1], 3, 3))
     out[..., ROWS, COLUMNS] = out[..., COLUMNS, ROWS] = entries
     return out

@@ -6,12 +6,32 @@ joint in its parent's link frame, m.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
+
+LIMBS = tuple(
+    tuple(side + part for part in parts)
+    for side in ("Left", "Right")
+    for parts in (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
+)
+"""Segments of each limb by their joints: two long bones and the end."""
+
+
+def bare(sensors: Collection[str]) -> set[str]:
+    """Return the segments of limbs without any sensor."""
+    return {name for limb in LIMBS if not {*limb} & {*sensors} for name in limb}
+
+
+def both_bones_sensed(sensors: Collection[str]) -> bool:
+    """Return whether a limb has sensors on both long bones, which makes the root position observable."""
+    return any({*limb[:2]} <= {*sensors} for limb in LIMBS)
+
 
 _NEAR_OPPOSITE = 1 + np.cos(np.radians(170.0))
 """Value of 1 + cos(angle) below which a swing keeps the twist of the previous frame."""
@@ -33,11 +53,7 @@ def line_to_root(parents: Sequence[int], joint: int) -> list[int]:
 
 
 def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bone: Array) -> Array:
-    """Return joint positions (..., J, 3) in world, m.
-
-    Args:
-        p_root: (..., 3) m. R_world_bone: (..., J, 3, 3).
-    """
+    """Return joint positions (..., J, 3) in world, m. p_root: (..., 3) m. R_world_bone: (..., J, 3, 3)."""
     p = np.empty((*R_world_bone.shape[:-2], 3))
     for j, parent in enumerate(parents):
         p[..., j, :] = p_root if parent < 0 else p[..., parent, :] + R_world_bone[..., parent, :, :] @ offsets[j]
@@ -45,11 +61,7 @@ def positions(parents: Sequence[int], offsets: Array, p_root: Array, R_world_bon
 
 
 def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
-    """Return R_world_bone (..., J, 3, 3).
-
-    Args:
-        R_parent_bone: (..., J, 3, 3), the root's relative to world.
-    """
+    """Return R_world_bone (..., J, 3, 3). R_parent_bone: (..., J, 3, 3), the root's relative to world."""
     R = np.empty_like(R_parent_bone)
     for j, parent in enumerate(parents):
         local = R_parent_bone[..., j, :, :]
@@ -58,11 +70,7 @@ def world_rotations(parents: Sequence[int], R_parent_bone: Array) -> Array:
 
 
 def local_rotations(parents: Sequence[int], R_world_bone: Array) -> Array:
-    """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`.
-
-    Args:
-        R_world_bone: (..., J, 3, 3).
-    """
+    """Return R_parent_bone (..., J, 3, 3), the inverse of `world_rotations`. R_world_bone: (..., J, 3, 3)."""
     R = R_world_bone.copy()
     for j, parent in enumerate(parents):
         if parent >= 0:
@@ -134,3 +142,49 @@ def rotations_from_positions(parents: Sequence[int], offsets: Array, p: Array) -
         R_known[:, j] = segment_rotation(parents, offsets, j, p[known], R_parent)
     R[known] = R_known
     return R
+
+
+LUMBAR_PITCH: Final = np.radians(-17.5)
+"""Direction from the middle of the hips to the lumbar joint in the shared frame, about y from z, rad."""
+_STRAIGHT: Final = np.radians(6.0)
+"""A lumbar joint nearer to the vertical is drawn there, not measured; the pelvis keeps its link frame."""
+
+
+def shared_frames(names: Sequence[str], offsets: Array) -> Array:
+    """Return the shared frame of each segment in its link frame, R_bone_shared (J, 3, 3).
+
+    Args:
+        names: J joints; those of the 21-joint skeleton are known, segments of others keep their link frames.
+        offsets: (J, 3) in the parents' link frames, m.
+    """
+    offset = dict(zip(names, np.asarray(offsets, dtype=float), strict=True))
+    R = np.tile(np.eye(3), (len(names), 1, 1))
+    if {"Hips", "LeftUpLeg", "RightUpLeg", "Spine"} <= set(names):
+        R[names.index("Hips")] = _pelvis(offset["LeftUpLeg"], offset["RightUpLeg"], offset["Spine"])
+    for limb in LIMBS:
+        left = limb[0].startswith("Left")
+        direction = [0, 0, -1] if limb[0].endswith("Leg") else [0, 1 if left else -1, 0]
+        for joint, child in pairwise(limb):
+            if {joint, child} <= set(names):
+                R[names.index(joint)] = so3.minimal_rotation(direction, offset[child])
+    return R
+
+
+def to_shared(R_bone_shared: Array, parents: Sequence[int], offsets: Array) -> Array:
+    """Return joint offsets (J, 3) in the parents' shared frames, m.
+
+    Args:
+        R_bone_shared: (J, 3, 3). parents: (J,) of each joint. offsets: (J, 3) in the parents' link frames, m.
+    """
+    above = R_bone_shared[np.maximum(parents, 0)]
+    return np.asarray(np.einsum("jba,jb->ja", above, offsets))
+
+
+def _pelvis(left_hip: Array, right_hip: Array, lumbar: Array) -> Array:
+    """Frame (3, 3) with y from hip to hip and the lumbar joint at `LUMBAR_PITCH`."""
+    up = lumbar - (left_hip + right_hip) / 2
+    if abs(np.arctan2(up[0], up[2])) < _STRAIGHT:
+        return np.eye(3)
+    y = so3.unit(left_hip - right_hip)
+    z = so3.unit(up - (up @ y) * y)
+    return np.stack([np.cross(y, z), y, z], axis=-1) @ so3.about_axis("y", -LUMBAR_PITCH)

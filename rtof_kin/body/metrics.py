@@ -60,6 +60,13 @@ class Metrics(Mapping[str, float]):
 def evaluate(estimate: PoseSequence, truth: PoseSequence, skeleton: SkeletonModel) -> Metrics:
     """Compute all metrics over the frames in which estimate and truth have all joints and the truth is valid.
 
+    >>> from rtof_kin import Recording, evaluate, reconstruct
+    >>> recording = Recording.load("recording")  # of a simulation: its truth is known
+    >>> result = reconstruct(recording, mode="sf2")
+    >>> errors = evaluate(result.motion.poses, recording.truth, recording.skeleton)
+    >>> errors["mpjpe_rr_mm"] < 90
+    True
+
     Args:
         truth: poses of the same joints, interpolated at the times of the estimate.
 
@@ -179,11 +186,7 @@ def motionless(truth: PoseSequence) -> PoseSequence:
 
 
 def procrustes(p: Array, p_true: Array) -> Array:
-    """Return p after the best similarity transform of each frame onto p_true (Umeyama 1991).
-
-    Args:
-        p, p_true: (T, J, 3) m.
-    """
+    """Return p after the best similarity transform of each frame onto p_true (Umeyama 1991). p, p_true: (T, J, 3) m."""
     mean, mean_true = p.mean(axis=1, keepdims=True), p_true.mean(axis=1, keepdims=True)
     a, b = p - mean, p_true - mean_true
     R = so3.nearest_rotation(np.einsum("tji,tjk->tik", b, a))
@@ -193,11 +196,7 @@ def procrustes(p: Array, p_true: Array) -> Array:
 
 
 def flexion(p: Array, skeleton: SkeletonModel) -> Array:
-    """Return the angle (T, J), rad, between the bones at knees and elbows; NaN elsewhere.
-
-    Args:
-        p: (T, J, 3) m.
-    """
+    """Return the angle (T, J), rad, between the bones at knees and elbows; NaN elsewhere. p: (T, J, 3) m."""
     out = np.full(p.shape[:2], np.nan)
     for j in hinges(skeleton):
         (child,) = kinematics.children_of(skeleton.parents, j)
@@ -220,11 +219,7 @@ def _angle_error(estimate: PoseSequence, truth: PoseSequence, skeleton: Skeleton
 
 
 def at_times(truth: PoseSequence, times: Array) -> PoseSequence:
-    """Interpolate a truth at other times; NaN where it is invalid or missing.
-
-    Args:
-        times: (T,) s.
-    """
+    """Interpolate a truth at other times; NaN where it is invalid or missing. times: (T,) s."""
     if np.array_equal(truth.times, times):
         return truth
     p = np.where(truth.valid[..., None], truth.p_world_joint, np.nan)

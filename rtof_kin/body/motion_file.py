@@ -294,11 +294,7 @@ class MotionWriter:
     """Writes a motion by blocks; the file appears complete at the end of the context, or not at all."""
 
     def __init__(self, path: str | Path, skeleton: SkeletonModel, *, mode: str = "", first_frame: int = 0) -> None:
-        """Write nothing yet.
-
-        Args:
-            path: the file, which is replaced. first_frame: number of the first frame in the video.
-        """
+        """Write nothing yet. path: the file, which is replaced. first_frame: number of the first frame in the video."""
         self._path, self._skeleton = Path(path), skeleton
         self._header: dict[str, Any] = {
             "schema_version": SCHEMA_VERSION,

@@ -87,11 +87,7 @@ class MotionSource:
         return MotionSource(self.skeleton, self.times[first:last], read, self.masks[first:last])
 
     def with_times(self, times: Array) -> MotionSource:
-        """Return the motion at other times, without confidence.
-
-        Args:
-            times: (T,) s.
-        """
+        """Return the motion at other times, without confidence. times: (T,) s."""
 
         def read(start: int, stop: int, _: bool) -> Motion:
             motion = self._read(start, stop, False)

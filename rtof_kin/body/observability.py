@@ -199,11 +199,7 @@ def observed_dofs(motion: Motion | ObservationMasks) -> Mask:
 
 
 def root_turn_observed(motion: Motion | ObservationMasks) -> Mask:
-    """Return a mask (T,) of frames with observed root orientation.
-
-    Args:
-        motion: see `observed_dofs`.
-    """
+    """Return a mask (T,) of frames with observed root orientation. motion: see `observed_dofs`."""
     masks = ObservationMasks.of(motion)
     return np.asarray(masks.known & (masks.levels[:, 0] == WHOLE)) if masks.has_sources else masks.known
 

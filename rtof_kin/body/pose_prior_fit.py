@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import CLAVICLES, JOINTS, SPINE, NeutralPosture
-from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.body.pose_prior import CLAVICLES, JOINTS, SPINE, NeutralPosture, PosePrior
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
@@ -159,11 +158,7 @@ def _with_postures(prior: PosePrior, persons: Sequence[tuple[NeutralPosture, Arr
 
 
 def shrunk(prior: PosePrior, known: PosePrior, share: float) -> PosePrior:
-    """Return the prior with the moments of a mixture of two.
-
-    Args:
-        share: of the known one, 0 to 1.
-    """
+    """Return the prior with the moments of a mixture of two. share: of the known one, 0 to 1."""
     mean, other = (so3.from_quat_wxyz(p.mean_quat_wxyz) for p in (prior, known))
     apart = so3.log(np.swapaxes(mean, -1, -2) @ other)
 

@@ -17,12 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.configuration_report import ConfigurationReport
-from rtof_kin.body.neutral_posture import NeutralPosture
-from rtof_kin.body.pose_prior import PosePrior
-from rtof_kin.body.rigid_bodies import pin
+from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton_table import SkeletonTable
-from rtof_kin.body.urdf import read_urdf, to_urdf
+from rtof_kin.body.urdf import pin, read_urdf, to_urdf
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import indices_of, readonly
@@ -31,6 +28,25 @@ from rtof_kin.core.resources import model_path
 from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.data.poses import PoseSequence
+
+
+@dataclass(frozen=True)
+class ConfigurationReport:
+    """Singular postures and limit violations of configurations, which are never clipped."""
+
+    singular: Mask
+    """(T, J) True if a ball joint is within 5 degrees of a singular posture."""
+    limit_excess: Array
+    """(T, D) excess of each revolute beyond its limits, rad; 0 inside."""
+    dof_names: tuple[str, ...]
+    """Names of the D revolutes."""
+
+    @property
+    def violations(self) -> dict[str, float]:
+        """Largest excess, rad, of each revolute that violates its limits."""
+        worst = np.nanmax(self.limit_excess, axis=0, initial=0)
+        return {n: float(w) for n, w in zip(self.dof_names, worst, strict=True) if w > 0}
+
 
 SINGULAR_MARGIN = np.radians(5.0)  # of a middle angle from +-90 degrees; closer postures are singular
 
@@ -270,11 +286,7 @@ class SkeletonModel:
         return SkeletonModel(replace(self.table, mass_kg=float(mass_kg), sex=sex or self.table.sex))
 
     def with_posture(self, posture: NeutralPosture | None) -> SkeletonModel:
-        """Return the skeleton with a neutral posture.
-
-        Args:
-            posture: of joints of this skeleton; None where it is unknown.
-        """
+        """Return the skeleton with a neutral posture. posture: of joints of this skeleton; None where it is unknown."""
         self.index(*(posture.joints if posture else ()))
         return SkeletonModel(replace(self.table, posture=posture))
 
@@ -362,11 +374,7 @@ class SkeletonModel:
         return angles
 
     def check(self, q: ArrayLike) -> ConfigurationReport:
-        """Check configurations for singular postures and limit violations of `angles`.
-
-        Args:
-            q: (T, nq).
-        """
+        """Check configurations for singular postures and limit violations of `angles`. q: (T, nq)."""
         rows: Array = readonly("q", q, ("T", self.nq))
         singular: Mask = np.zeros((len(rows), len(self.names)), dtype=np.bool_)
         middle = rows[:, self._q_index[:, 1]]

@@ -13,13 +13,20 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from rtof_kin.body.body_mass import inertia, mass_fraction
-from rtof_kin.body.rigid_bodies import pin
-from rtof_kin.body.skeleton_table import Joint, SkeletonTable, read_skeleton_table
+from rtof_kin.body.skeleton_table import Joint, SkeletonTable, inertia, mass_fraction, read_skeleton_table
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import read_text
+from rtof_kin.core.packages import optional
+
+pin = optional(
+    "pinocchio",
+    "",
+    "a skeleton",
+    "pip install pin (Linux, macOS), or conda install -c conda-forge pinocchio (Windows too)",
+)
+
 
 LIGHT_MASS_KG = 1e-3
 LIGHT_INERTIA = 1e-6

@@ -29,7 +29,7 @@ from typing import Self
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import JOINTS
+from rtof_kin.body.pose_prior import JOINTS
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.residuals import CalibrationObservations, CalibrationResiduals, Changes

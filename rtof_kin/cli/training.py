@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from rtof_kin.cli.options import Fields, Overwrite, command
+from rtof_kin.cli.options import Fields, Overwrite, command, written
 from rtof_kin.cli.terminal import err, out
 from rtof_kin.core.errors import InvalidInputError
 
 if TYPE_CHECKING:
-    from lifting.corpus import Corpus
+    from lifting.training.corpus import Corpus
 
 DEFAULT_MINUTES: Final = 45.0
 """How long a lifter is trained where neither minutes nor windows are given."""
@@ -30,9 +30,7 @@ def train(
     *,
     total_capture: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     human36m: Annotated[Path | None, Parameter(metavar="DIR")] = None,
-    output: Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="model to write")] = Path(
-        "model.pt"
-    ),
+    output: Annotated[Path, written("model to write", "FILE")] = Path("model.pt"),
     resume: bool = False,
     initial: Annotated[str | None, Parameter(metavar="MODEL")] = None,
     network: Annotated[Literal["rays", "videopose3d"], Trained] = "rays",
@@ -41,24 +39,10 @@ def train(
     settings: Annotated[
         dict[str, Any],
         Fields(
-            "windows",
-            "minutes",
-            "channels",
-            "dropout",
-            "causal",
-            "prior",
-            "batch",
-            "learning_rate",
-            "weight_decay",
-            "ema",
-            "bfloat16",
-            "validation_windows",
-            "device",
-            "seed",
-            "deterministic",
-            "same_windows",
+            "windows minutes channels dropout causal prior batch learning_rate weight_decay ema bfloat16 "
+            "validation_windows device seed deterministic same_windows",
             threads="draw-threads",
-            of="lifting.settings:TrainConfig",
+            of="lifting.training.settings:TrainConfig",
             group="How it is trained",
         ),
     ],
@@ -83,10 +67,10 @@ def train(
             alone, or all of these
         camera_at: one location of all virtual cameras, m, from any side; if not given, each window has its own
     """
-    from lifting.curves import figure_file
-    from lifting.data import augmentation
-    from lifting.settings import TrainConfig
-    from lifting.train import train as learn
+    from lifting.training.data import augmentation
+    from lifting.training.settings import TrainConfig
+    from lifting.training.train import figure_file
+    from lifting.training.train import train as learn
 
     usual = {} if {"minutes", "windows"} & {*settings} else {"minutes": DEFAULT_MINUTES}
     config = TrainConfig.for_model(network, **usual, **settings, augment=augmentation(noise, camera_at))
@@ -123,7 +107,7 @@ def _first() -> bool:
 
 def _corpus(corpus: Path | None, total_capture: Path | None, human36m: Path | None) -> Corpus | str:
     """What to train on: a dataset's training takes, or the path of a corpus."""
-    from lifting.datasets import human36m_corpus, total_capture_corpus
+    from lifting.training.corpus import human36m_corpus, total_capture_corpus
 
     if sum(one is not None for one in (corpus, total_capture, human36m)) != 1:
         raise InvalidInputError("train: name one of CORPUS, --total-capture DIR and --human36m DIR")

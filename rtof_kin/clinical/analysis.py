@@ -65,6 +65,11 @@ def analyse(
 ) -> MotionAnalysis:
     """Compute angles, ranges of motion and gait; repetitions and torques on request.
 
+    >>> from rtof_kin import analyse
+    >>> found = analyse("out/motion")
+    >>> found.ranges[0].name, found.gait.is_gait
+    ('pelvis_rotation', False)
+
     Args:
         motion: output folder of a reconstruction, its motion file, or a motion.
         weight_kg: body mass, kg; no torques without it. height: m, to check the size of the skeleton.

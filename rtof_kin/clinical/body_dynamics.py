@@ -35,9 +35,9 @@ from typing import Any, Final
 import numpy as np
 from scipy.linalg import toeplitz
 
-from rtof_kin.body.body_mass import mass_fraction
-from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.body.skeleton_table import mass_fraction
+from rtof_kin.body.urdf import pin
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.clinical.range_of_motion import CUTOFF_HZ, smoothed
 from rtof_kin.core import rotations as so3

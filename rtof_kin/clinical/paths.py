@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
-from rtof_kin.body.neutral_posture import standing_frames
 from rtof_kin.body.observability import ObservationMasks
+from rtof_kin.body.pose_prior import standing_frames
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.clinical.angle_table import SIDES, AngleTable, angle_table
 from rtof_kin.core import rotations as so3

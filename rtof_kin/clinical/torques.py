@@ -47,7 +47,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rtof_kin.body.limbs import LIMBS
+from rtof_kin.body.kinematics import LIMBS
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed
 from rtof_kin.body.skeleton import Motion, SkeletonModel

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from rtof_kin.body.neutral_posture import NeutralPosture, posture_from_t_pose
+from rtof_kin.body.pose_prior import NeutralPosture, posture_from_t_pose
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals

@@ -17,8 +17,8 @@ import numpy as np
 
 from rtof_kin.body.motion_source import MotionSource
 from rtof_kin.body.observability import never_observed, observed_dofs, root_turn_observed
-from rtof_kin.body.rigid_bodies import pin
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.body.urdf import pin
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.arrays import read_csv

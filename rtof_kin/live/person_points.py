@@ -13,10 +13,9 @@ from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, SourceError
 from rtof_kin.vision.detections import Detections, Person, of_body
 from rtof_kin.vision.keypoints import MOST_OUTSIDE, keypoint_names, with_own_points
-from rtof_kin.vision.landmark_regression import LandmarkRegression
+from rtof_kin.vision.landmark_regression import LandmarkRegression, recognise
 from rtof_kin.vision.layouts import Layout
 from rtof_kin.vision.person_detector import PersonDetector
-from rtof_kin.vision.recognise import recognise
 from rtof_kin.vision.tracking import PersonFollower
 
 _LAYOUTS: Final = {

@@ -26,8 +26,7 @@ from rtof_kin.live.samples import Clock, FrameSample, Sample
 from rtof_kin.live.webcam import CaptureTimes, images_of, open_webcam
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
-from rtof_kin.vision.video_file import upright_image
-from rtof_kin.vision.video_metadata import read_video_metadata
+from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
 _RECENT: Final = 30
 """Frames of which times are the median."""
@@ -369,7 +368,6 @@ class VideoSource:
     # --- images ------------------------------------------------------------------------------------
 
     def _file(self) -> Images:
-        """Generate the images of the file."""
         seconds = read_video_metadata(str(self._source)).seconds
         self._replay.cover(self.name, 0.0, np.inf if seconds is None else seconds)
         for frame in read_video(str(self._source)):
@@ -387,9 +385,5 @@ class VideoSource:
 
 
 def is_webcam(source: str | Path | int) -> bool:
-    """Return whether a source is a webcam: a number or a device.
-
-    Args:
-        source: of `VideoSource`.
-    """
+    """Return whether a source is a webcam: a number or a device. `source`: of `VideoSource`."""
     return isinstance(source, int) or str(source).startswith("/dev/video")

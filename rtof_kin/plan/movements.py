@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.shared_frames import shared_frames
+from rtof_kin.body.kinematics import shared_frames
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.limbs import LIMBS
+from rtof_kin.body.kinematics import LIMBS
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.calibration.camera_estimate import Evidence
 from rtof_kin.core import rotations as so3

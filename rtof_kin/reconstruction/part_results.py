@@ -12,9 +12,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binom
 
-from rtof_kin.body.configuration_report import ConfigurationReport
 from rtof_kin.body.metrics import stage_metrics
-from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.body.skeleton import ConfigurationReport, Motion, SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check

@@ -74,6 +74,12 @@ def reconstruct(
     The video is lifted once, and once more where the recording is calibrated first. The result is in memory as a
     whole: `reconstruct_in_parts` with the same arguments yields it part by part, as `export` writes it.
 
+    >>> from rtof_kin import Recording, reconstruct
+    >>> recording = Recording.load("recording")
+    >>> result = reconstruct(recording, mode="sf2")
+    >>> len(result.motion.q), result.motion.skeleton.names[0]
+    (60, 'Hips')
+
     Args:
         recording: keypoints of one camera or several and, for sf2 and rtof, IMUs with their calibration; mode
             imu needs the IMUs only.

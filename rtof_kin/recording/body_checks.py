@@ -108,31 +108,13 @@ def check_camera(name: str, camera: Camera) -> list[Check]:
     view = np.degrees(2 * np.arctan(camera.width_px / 2 / fx))
     off = 100 * float(np.max(np.abs(camera.K[:2, 2] - size / 2))) / camera.width_px
     where = f"camera {name}"
+    lens = f"{fx:.5g} px see {view:.0f} deg; is it in px, and of images of this size?"
+    pixels = f"The focal lengths are {fx:.5g} and {fy:.5g} px"
+    centre = "Is the matrix of images of another size, or was the image cropped?"
     return [
-        Check(
-            "focal length",
-            where,
-            _factor(fx / camera.width_px / FOCAL),
-            FOCAL_FACTOR,
-            "times",
-            f"{fx:.5g} px see {view:.0f} deg; is it in px, and of images of this size?",
-        ),
-        Check(
-            "pixels not square",
-            where,
-            100 * abs(fx / fy - 1),
-            ASPECT,
-            "%",
-            f"The focal lengths are {fx:.5g} and {fy:.5g} px",
-        ),
-        Check(
-            "principal point off the centre",
-            where,
-            off,
-            CENTRE,
-            "% of width",
-            "Is the matrix of images of another size, or was the image cropped?",
-        ),
+        Check("focal length", where, _factor(fx / camera.width_px / FOCAL), FOCAL_FACTOR, "times", lens),
+        Check("pixels not square", where, 100 * abs(fx / fy - 1), ASPECT, "%", pixels),
+        Check("principal point off the centre", where, off, CENTRE, "% of width", centre),
     ]
 
 

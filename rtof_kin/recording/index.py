@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel, known_body
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError

@@ -10,7 +10,6 @@ from typing import Self
 
 import numpy as np
 
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import RtofError
 from rtof_kin.recording.index import index_of, read_index
 from rtof_kin.recording.recording import Recording, recording_digest
@@ -67,21 +66,9 @@ class RecordingReader(RecordingSource):
         self._closing.close()
 
     @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-        return None if self._streams.keypoints is None else self._streams.keypoints.times
-
-    @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self._streams.imus is not None
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-        first = self._streams.keypoints or self._streams.imus
-        assert first is not None  # a recording has either
-        return first.times
+    def streams(self) -> Streams:
+        """All that changes over time."""
+        return self._streams
 
     def between(self, start_s: float, stop_s: float) -> Recording:
         """Return what was recorded in a closed interval, as `Recording.between` of the whole does.

@@ -18,8 +18,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import ArrayLike
 
-from rtof_kin.body.neutral_posture import NeutralPosture
-from rtof_kin.body.pose_prior import PosePrior
+from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
@@ -35,7 +34,7 @@ from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keyp
 from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
 from rtof_kin.recording.session import Session
-from rtof_kin.recording.streams import ALL, InMemory, Part, RecordingSource, Stream, Streams, naming, rows_between
+from rtof_kin.recording.streams import ALL, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
@@ -111,7 +110,7 @@ class Recording(RecordingSource):
         self._check_body()
         self._check_names()
         if not self.is_part:
-            self._streams.check_clocks()
+            self.streams.check_clocks()
 
     def _check_body(self) -> None:
         """Check that the offsets agree with the lengths and the height given beside them."""
@@ -187,28 +186,13 @@ class Recording(RecordingSource):
     # --- time ------------------------------------------------------------------------------------
 
     @property
-    def frame_times(self) -> Array | None:
-        """(T,) s of the frames of the first camera; None without one."""
-        return None if self.keypoints is None else self.keypoints.times
+    def streams(self) -> Streams:
+        """All that changes over time."""
 
-    @property
-    def has_sensors(self) -> bool:
-        """Whether there are IMUs."""
-        return self.imus is not None
-
-    @property
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-        first = self.keypoints or self.imus
-        assert first is not None  # checked when made
-        return first.times
-
-    @property
-    def _streams(self) -> Streams:
         def stream(part: Part | None) -> Stream[Part] | None:
-            return None if part is None else InMemory().keep(part)
+            return None if part is None else Source().keep(part)
 
-        views = tuple(InMemory().keep(view) for view in self.views)
+        views = tuple(Source().keep(view) for view in self.views)
         return Streams(stream(self.keypoints), views, stream(self.imus), stream(self.truth))
 
     def whole(self) -> Self:
@@ -228,7 +212,7 @@ class Recording(RecordingSource):
         Raises:
             InvalidInputError: neither a camera nor a sensor has a sample in it.
         """
-        return self.cut(self._streams, start_s, stop_s)
+        return self.cut(self.streams, start_s, stop_s)
 
     def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
         """Return what was recorded in a closed interval; see `between`.
@@ -246,7 +230,7 @@ class Recording(RecordingSource):
 
     def digest(self) -> str:
         """Return the SHA-256 of all that is computed from: the samples and facts, not the labels."""
-        return recording_digest(self.index(), self._streams)
+        return recording_digest(self.index(), self.streams)
 
     # --- files -----------------------------------------------------------------------------------
 
@@ -262,7 +246,7 @@ class Recording(RecordingSource):
         """
         index = index_of(Path(folder))
         with naming(index.path):
-            fields, streams = read_index(index, InMemory())
+            fields, streams = read_index(index, Source())
             return cls(**fields, **streams.parts(lambda stream: stream.part(ALL)))
 
     def save(self, folder: str | Path, overwrite: bool = False, inputs: Mapping[str, str] | None = None) -> None:

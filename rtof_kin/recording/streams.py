@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, TypeVar
 
 import numpy as np
 
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import checked_times
+from rtof_kin.core.checks import checked_times, indices_of
 from rtof_kin.core.choices import Mode
-from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnitError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, FileFormatError, InvalidInputError, UnitError
 from rtof_kin.core.files.arrays import ScratchArrays, csv_blocks, npz_rows, npz_shapes, read_csv, read_npz
 from rtof_kin.core.files.folder import path_inside
 from rtof_kin.core.files.input_table import InputTable
@@ -120,18 +120,25 @@ class RecordingSource(ABC):
 
     @property
     @abstractmethod
+    def streams(self) -> Streams:
+        """All that changes over time."""
+
+    @property
     def frame_times(self) -> Array | None:
         """(T,) s of the frames of the first camera; None without one."""
+        return None if self.streams.keypoints is None else self.streams.keypoints.times
 
     @property
-    @abstractmethod
-    def times(self) -> Array:
-        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
-
-    @property
-    @abstractmethod
     def has_sensors(self) -> bool:
         """Whether there are IMUs."""
+        return self.streams.imus is not None
+
+    @property
+    def times(self) -> Array:
+        """(T,) s of the frames of the first camera, without one of the sensors' samples."""
+        first = self.streams.keypoints or self.streams.imus
+        assert first is not None  # a recording has either
+        return first.times
 
     @abstractmethod
     def between(self, start_s: float, stop_s: float) -> Recording:
@@ -172,22 +179,40 @@ Arrange = Callable[[Path, dict[str, Array]], tuple[tuple[str, ...], dict[str, Ar
 """From a .csv file and its columns to names and arrays."""
 
 
-class Table(Protocol):
+@dataclass(frozen=True)
+class Table:
     """Arrays of a file, float64: most have one row for each sample, the others are constant."""
 
+    whole: Mapping[str, Array]
+    """Arrays in memory."""
+    with_rows: frozenset[str] = frozenset()
+    """Those of them that have one row for each sample."""
+    scratch: ScratchArrays | None = None
+    """Further arrays with rows, in temporary files."""
+
     @property
-    def shapes(self) -> Mapping[str, tuple[int, ...]]:
+    def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of each array."""
+        return {name: array.shape for name, array in self.whole.items()} | self._scratch_shapes
+
+    @property
+    def _scratch_shapes(self) -> dict[str, tuple[int, ...]]:
+        return {} if self.scratch is None else self.scratch.shapes
 
     def column(self, name: str) -> Array | None:
         """Return a whole array (T,); None where there is none."""
+        if self.scratch is None or name in self.whole:
+            return self.whole.get(name)
+        return self.scratch.rows(name, ALL) if name in self.scratch.shapes else None
 
     def rows(self, rows: slice) -> dict[str, Array]:
         """Return rows of all arrays that have them, and the others."""
+        own = {name: array[rows] if name in self.with_rows else array for name, array in self.whole.items()}
+        return own | {name: self.scratch.rows(name, rows) for name in self._scratch_shapes if self.scratch}
 
 
-class Source(Protocol):
-    """How arrays are read from files, and where they stay."""
+class Source:
+    """How arrays are read from files, and where they stay: as a whole, in memory."""
 
     def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
         """Open an .npz file.
@@ -196,73 +221,25 @@ class Source(Protocol):
             axes: number of axes of the arrays with a row for each sample.
             constants: names of further arrays that it may have; others raise `UnknownNameError`.
         """
+        arrays = read_npz(path)
+        indices_of(f"array in {path}", sorted(arrays), (*axes, *constants))
+        return Table(arrays, _with_rows({name: array.shape for name, array in arrays.items()}, axes))
 
     def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
         """Read a .csv file; return its names and arrays."""
+        names, arrays = arrange(path, read_csv(path))
+        return names, Table(arrays, frozenset(arrays))
 
     def keep(self, whole: Part) -> Stream[Part]:
         """Return the stream of samples that could only be read as a whole."""
-
-    def checked(self, stream: Stream[Part]) -> Stream[Part]:
-        """Return a stream all of whose samples are checked."""
-
-
-def _check_names(path: Path, found: Collection[str], known: Sequence[str]) -> None:
-    if unknown := sorted(set(found) - set(known)):
-        raise UnknownNameError(f"array in {path}", unknown, known)
-
-
-def _with_rows(shapes: Mapping[str, tuple[int, ...]], axes: Mapping[str, int]) -> list[str]:
-    """Return the names of arrays with a row for each sample."""
-    return [name for name, shape in shapes.items() if len(shape) == axes.get(name)]
-
-
-# --- as a whole ----------------------------------------------------------------------------------
-
-
-class InMemory:
-    """Reads files as a whole."""
-
-    def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
-        """See `Source`."""
-        arrays = read_npz(path)
-        _check_names(path, arrays, (*axes, *constants))
-        return _Loaded(arrays, axes)
-
-    def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
-        """See `Source`."""
-        names, arrays = arrange(path, read_csv(path))
-        return names, _Loaded(arrays, {name: array.ndim for name, array in arrays.items()})
-
-    def keep(self, whole: Part) -> Stream[Part]:
-        """See `Source`."""
         return Stream(whole.times, lambda rows: whole if rows == ALL else whole[rows])
 
     def checked(self, stream: Stream[Part]) -> Stream[Part]:
-        """See `Source`."""
+        """Return a stream all of whose samples are checked."""
         return self.keep(stream.part(ALL))
 
 
-@dataclass(frozen=True)
-class _Loaded:
-    arrays: dict[str, Array]
-    axes: Mapping[str, int]
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        return {name: array.shape for name, array in self.arrays.items()}
-
-    def column(self, name: str) -> Array | None:
-        return self.arrays.get(name)
-
-    def rows(self, rows: slice) -> dict[str, Array]:
-        return self.arrays | {name: self.arrays[name][rows] for name in _with_rows(self.shapes, self.axes)}
-
-
-# --- by rows -------------------------------------------------------------------------------------
-
-
-class OnDisk:
+class OnDisk(Source):
     """Reads files once, block by block, into temporary files of which rows are read when they are asked for."""
 
     def __init__(self, closing: ExitStack):
@@ -272,15 +249,15 @@ class OnDisk:
     def npz(self, path: Path, axes: Mapping[str, int], constants: Sequence[str] = ()) -> Table:
         """See `Source`."""
         shapes = npz_shapes(path)
-        _check_names(path, shapes, (*axes, *constants))
+        indices_of(f"array in {path}", sorted(shapes), (*axes, *constants))
         with_rows = _with_rows(shapes, axes)
-        long = [name for name in with_rows if axes[name] > 1]
+        long = [name for name in shapes if name in with_rows and axes[name] > 1]
         whole = read_npz(path, names=[name for name in shapes if name not in long])
         arrays = self._scratch()
         for name in long:
             for rows in npz_rows(path, name, BLOCK):
                 arrays.append({name: rows})
-        return _Kept(arrays, whole, frozenset(with_rows))
+        return Table(whole, with_rows, arrays)
 
     def csv(self, path: Path, arrange: Arrange) -> tuple[tuple[str, ...], Table]:
         """See `Source`."""
@@ -288,14 +265,14 @@ class OnDisk:
         for columns in csv_blocks(path, BLOCK):
             names, block = arrange(path, columns)
             arrays.append(block)
-        return names, _Kept(arrays)
+        return names, Table({}, scratch=arrays)
 
     def keep(self, whole: Part) -> Stream[Part]:
         """See `Source`."""
         arrays = self._scratch()
         own = {one.name: getattr(whole, one.name) for one in fields(whole)}
         arrays.append({name: own[name] for name in own if isinstance(own[name], np.ndarray)})
-        first, kept = whole[:1], _Kept(arrays)  # nothing here holds the whole
+        first, kept = whole[:1], Table({}, scratch=arrays)  # nothing here holds the whole
 
         def part(rows: slice) -> Part:
             some: dict[str, Any] = dict(kept.rows(rows))
@@ -321,27 +298,9 @@ class OnDisk:
         return arrays
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """Arrays in temporary files, and some in memory."""
-
-    arrays: ScratchArrays
-    whole: Mapping[str, Array] = field(default_factory=dict)
-    with_rows: frozenset[str] = frozenset()
-    """Those in memory that have one row for each sample, among others."""
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        return {name: array.shape for name, array in self.whole.items()} | self.arrays.shapes
-
-    def column(self, name: str) -> Array | None:
-        if name in self.whole:
-            return self.whole[name]
-        return self.arrays.rows(name, ALL) if name in self.arrays.shapes else None
-
-    def rows(self, rows: slice) -> dict[str, Array]:
-        short = {name: array[rows] if name in self.with_rows else array for name, array in self.whole.items()}
-        return short | {name: self.arrays.rows(name, rows) for name in self.arrays.shapes}
+def _with_rows(shapes: Mapping[str, tuple[int, ...]], axes: Mapping[str, int]) -> frozenset[str]:
+    """Return the names of arrays with a row for each sample."""
+    return frozenset(name for name, shape in shapes.items() if len(shape) == axes.get(name))
 
 
 # --- what all readers share ----------------------------------------------------------------------

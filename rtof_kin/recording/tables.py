@@ -55,6 +55,11 @@ OF_MAKERS: Final = ("first_sample_s", "map", "sensor_map", *CHOICES)
 Sigma = Annotated[Number, Field(ge=0), explained_by("is no standard deviation; give a number that is not negative")]
 Rate = Annotated[Number, Field(gt=0), explained_by("is not a positive number of samples per second")]
 _ONE = "give only one of the two"
+OF_LINES: Final = (
+    *("width_px", "height_px", "K", "focal_px", "principal_point_px", "position_m", "target_m", "R_camera_world"),
+    *("t_camera_world_m", "distortion", "assumed", "stabilised", "heading_drift_deg_s"),
+)
+"""Fields of ``[camera]`` that a calibration file has too."""
 
 
 class SessionTable(InputTable):
@@ -194,25 +199,7 @@ class CameraTable(InputTable):
     metres_per_unit: Positive | None = None
     """Length of the unit of the `file`, m."""
     rules = (
-        Rule(
-            f"stands beside file, which has it too; {_ONE}",
-            given=("file",),
-            excluded=(
-                "width_px",
-                "height_px",
-                "K",
-                "focal_px",
-                "principal_point_px",
-                "position_m",
-                "target_m",
-                "R_camera_world",
-                "t_camera_world_m",
-                "distortion",
-                "assumed",
-                "stabilised",
-                "heading_drift_deg_s",
-            ),
-        ),
+        Rule(f"stands beside file, which has it too; {_ONE}", given=("file",), excluded=OF_LINES),
         Rule(
             "belongs to a calibration file; name that with file, or leave this out",
             absent=("file",),

@@ -69,6 +69,11 @@ def compare(
 ) -> Document:
     """Compare two motions, or the left (A) and right (B) side of one, angle by angle.
 
+    >>> from rtof_kin import compare
+    >>> found = compare("out/motion", angles=["knee_flexion"], by="range")
+    >>> "right" in found.headline
+    True
+
     Args:
         a, b: see `read_compared`; without b the sides of a are compared.
         by: common axis; default: chosen from the data, and said.

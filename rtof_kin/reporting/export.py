@@ -55,6 +55,12 @@ def export(
 ) -> ReconstructionStatistics:
     """Write a reconstruction; after an error there is no folder.
 
+    >>> from rtof_kin import Recording, export, reconstruct
+    >>> result = reconstruct(Recording.load("recording"), mode="sf2")
+    >>> found = export(result, "out/motion", figures=False)
+    >>> found.frames
+    60
+
     Figures are drawn of a reconstruction in one part; `rtof-kin report` shows the others.
 
     Args:

@@ -41,7 +41,7 @@ from rtof_kin.reporting.figures import ESTIMATE, TRUTH
 from rtof_kin.simulation.mocap import find_asf
 from rtof_kin.simulation.mocap_families import recognise_family, recognise_unit
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.landmark_regression import recognise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot

@@ -90,6 +90,13 @@ def report(
 ) -> str:
     """Return the self-contained HTML page of a reconstruction.
 
+    >>> from pathlib import Path
+    >>> from rtof_kin import report
+    >>> page = report("out/motion")
+    >>> written = Path("report.html").write_text(page, encoding="utf-8")
+    >>> "report" in page[:2000].lower()
+    True
+
     Args:
         folder: written by `export`. session: labels that replace those of the recording.
         weight_kg, sex: of the subject, if not in the recording; there are no torques without a weight.

@@ -28,7 +28,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.setup.recording_text import Field, Origin, Tables
 from rtof_kin.vision.background_motion import BackgroundMotion, estimate_camera_motion
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.lens_prior import LensPrior
+from rtof_kin.vision.video_metadata import LensPrior
 
 HEIGHT, SIGMA_HEIGHT = 1.2, 0.4  # Height of an assumed camera over the floor and its standard deviation, m
 SIGMA_PITCH_DEG, SIGMA_ROLL_DEG = 10.0, 4.0

@@ -38,10 +38,9 @@ from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
 from rtof_kin.vision.keypoints import DetectedKeypoints, keypoints_from_detections
-from rtof_kin.vision.lens_prior import lens_prior
-from rtof_kin.vision.recognise import recognise
+from rtof_kin.vision.landmark_regression import recognise
 from rtof_kin.vision.video import detect_video
-from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
+from rtof_kin.vision.video_metadata import VideoMetadata, lens_prior, read_video_metadata
 
 if TYPE_CHECKING:
     from rtof_kin.setup.sensors import SetupSensors
@@ -158,6 +157,7 @@ def make_recording(
     folder: str | Path,
     settings: SetupSettings | None = None,
     *,
+    height: float | None = None,
     name: str | None = None,
     detect: Detect | None = None,
     made_with: object = None,
@@ -169,16 +169,17 @@ def make_recording(
 
     What is there and made from the same files and settings is kept.
 
-    >>> from rtof_kin.setup.init import SetupSettings
-    >>> settings = SetupSettings(height=1.78, size_px=(1920, 1080))
-    >>> found = make_recording(["files/keypoints.csv", "files/dots", "files/places.csv"], "walk", settings)
+    >>> from rtof_kin import make_recording
+    >>> files = ["take/keypoints.csv", "take/camera.toml"]  # or a video; and files of sensors
+    >>> found = make_recording(files, "walk", height=1.72)
     >>> found.given
-    ('the person is 1.78 m tall',)
+    ('the person is 1.72 m tall',)
 
     Args:
         files: a video, a detector's keypoints or both; files or folders of sensors, also alone; a calibration of the
             camera and a map of sensors: each is recognised, in any order.
-        folder: to write. name: title in reports; default: of the video or keypoints.
+        folder: to write. height: standing height of the person, m, if not in `settings`.
+        name: title in reports; default: of the video or keypoints.
         detect: detects the people in a video; default: the detector of `settings`.
         made_with: what the recording depends on beside files and settings, e.g. the name of a lifter.
         overwrite: replace a recording of other files or of another person.
@@ -193,6 +194,7 @@ def make_recording(
             of `find_people` and of `write_recording`.
     """
     folder, settings, sources = Path(folder), settings or SetupSettings(), Sources.of(files)
+    settings = settings if height is None else replace(settings, height=height)
     settings = replace(settings, phone_log=settings.phone_log or sources.phone)
     inputs, before = _fingerprints(sources, settings, made_with), made_from(folder)
     if before.get("recording") == inputs["recording"]:

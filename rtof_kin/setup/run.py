@@ -102,9 +102,11 @@ class Run:
 def run(
     files: Iterable[str | Path],
     folder: str | Path,
-    setup: SetupSettings,
+    setup: SetupSettings | None = None,
     settings: ReconstructionSettings | None = None,
     *,
+    height: float | None = None,
+    mode: Mode | None = None,
     task: ReconstructionTask | None = None,
     second: SecondCamera | None = None,
     analysis: AnalysisSettings | None = None,
@@ -118,16 +120,16 @@ def run(
     Detects the person, makes the recording, reconstructs the motion, analyses it and writes the report. What is not
     given is found from the motion or assumed, and said. A step is not done again while its inputs are the same.
 
-    >>> from rtof_kin.setup.init import SetupSettings
-    >>> from rtof_kin.setup.run import ReconstructionTask
-    >>> files = ["files/keypoints.csv", "files/dots", "files/places.csv"]
-    >>> done = run(files, "out", SetupSettings(height=1.78, size_px=(1920, 1080)), task=ReconstructionTask("sf2"))
+    >>> from rtof_kin import run
+    >>> files = ["take/keypoints.csv", "take/camera.toml"]  # or a video; and files of sensors
+    >>> done = run(files, "out/walk", height=1.72, mode="lift")
     >>> done.page.name, done.summary.mode
-    ('report.html', 'sf2')
+    ('report.html', 'lift')
 
     Args:
-        files: see `make_recording`. setup: of the recording; the height is needed.
-        settings: of the reconstruction's stages. task: mode, model and calibration; default: the recording is
+        files: see `make_recording`. setup: of the recording. settings: of the reconstruction's stages.
+        height: standing height of the person, m, here or in `setup`.
+        mode: of the reconstruction, here or in `task`. task: model and calibration too; default: the recording is
             calibrated from its own motion.
         detect: detects the people in a video; default: the detector of `setup`.
         overwrite: replace results of other files. kept: called with the name of each step that is kept.
@@ -140,6 +142,8 @@ def run(
     second = second or SecondCamera()
     folder, task, kept = Path(folder), task or ReconstructionTask(calibrate=True), kept or (lambda _: None)
     settings, analysis = settings or ReconstructionSettings(), analysis or AnalysisSettings()
+    setup, task = setup or SetupSettings(), replace(task, mode=mode or task.mode)
+    setup = setup if height is None else replace(setup, height=height)
     if setup.height is None:
         raise InvalidInputError(
             "the person's height is not given, and every length follows it: add e.g. --height 1.72 (m)"

@@ -18,8 +18,8 @@ from rtof_kin.formats.sensors.sensor_map import read_sensor_map
 from rtof_kin.formats.sensors.tables import phone_files
 from rtof_kin.inertial.segment_names import segment_of
 from rtof_kin.recording.index import INDEX
+from rtof_kin.vision.detections import is_keypoint_header
 from rtof_kin.vision.keypoint_files import ARRAY_NAMES
-from rtof_kin.vision.keypoint_tables import is_keypoint_header
 
 _HEAD_BYTES: Final = 2**14
 _LARGEST_MAP: Final = 2**18

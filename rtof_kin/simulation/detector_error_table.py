@@ -14,7 +14,7 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.files.text import load_toml
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.detector_errors import MIRROR_HARMONICS
+from rtof_kin.vision.image_points import MIRROR_HARMONICS
 from rtof_kin.vision.layouts import Layout, detector_table
 
 VIEWS = ("front", "back", "left", "right")

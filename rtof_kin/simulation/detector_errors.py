@@ -25,7 +25,7 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.simulation.detector_error_table import DetectorErrorTable, detector_error_table
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.detector_errors import harmonics
+from rtof_kin.vision.image_points import harmonics
 
 
 def ornstein_uhlenbeck(rng: Generator, frames: int, size: Sequence[int], memory: float) -> Array:

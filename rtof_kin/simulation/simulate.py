@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import SPINE
+from rtof_kin.body.pose_prior import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals

@@ -254,11 +254,7 @@ def check_observed(terms: Sequence[Term], data: Mapping[str, PointData]) -> None
 
 
 def pseudo_huber(squared: Matrix, delta: Matrix | float) -> Matrix:
-    """Return the robust loss ``2 delta^2 (sqrt(1 + s / delta^2) - 1)``.
-
-    Args:
-        squared: s, squared whitened residual.
-    """
+    """Return the robust loss ``2 delta^2 (sqrt(1 + s / delta^2) - 1)``. squared: s, squared whitened residual."""
     return 2 * delta**2 * (ca.sqrt(1 + squared / delta**2) - 1)
 
 
@@ -353,11 +349,7 @@ def distance(p_a: Matrix, p_b: Matrix, length: Matrix) -> Matrix:
 
 
 def position(p: Matrix, p_prior: Matrix) -> Matrix:
-    """Return position minus that of a prior or a foothold (3, n), m: E_P.
-
-    Args:
-        p, p_prior: (3, n) m.
-    """
+    """Return position minus that of a prior or a foothold (3, n), m: E_P. p, p_prior: (3, n) m."""
     return p - p_prior
 
 

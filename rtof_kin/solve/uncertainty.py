@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from rtof_kin.body.limbs import both_bones_sensed
+from rtof_kin.body.kinematics import both_bones_sensed
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
@@ -151,11 +151,7 @@ class ResidualStatistics:
             raise InvalidInputError(f"torso_sigma: {self.torso_sigma} must be positive and finite")
 
     def torso_factor(self, kind: str, seen: str) -> float:
-        """Return d.
-
-        Args:
-            kind: of `UNITS`. seen: of `SEEN`.
-        """
+        """Return d. kind: of `UNITS`. seen: of `SEEN`."""
         return 1.0 if kind == "position" or seen == "sensed" else self.torso_sigma / USUAL_TORSO_SIGMA
 
 
@@ -293,11 +289,7 @@ class CovarianceInflation:
 
 
 def correlated_factor(factor: ArrayLike, autocorrelation: ArrayLike) -> Array:
-    """Return K.
-
-    Args:
-        autocorrelation: m, 0 to 1.
-    """
+    """Return K. autocorrelation: m, 0 to 1."""
     k = np.asarray(factor, dtype=float)
     white = np.minimum(k, WHITE_FACTOR)
     return np.asarray(white + (k - white) * autocorrelation)

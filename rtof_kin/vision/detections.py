@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final, Self
 
 import numpy as np
@@ -11,7 +13,11 @@ from numpy.typing import NDArray
 
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import checked_times, readonly
-from rtof_kin.core.errors import InvalidInputError, ShapeError
+from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError
+from rtof_kin.core.files.arrays import read_csv
+from rtof_kin.formats.channels import POINT_ENDINGS, point_part
+from rtof_kin.formats.markers import read_trc
+from rtof_kin.vision.layouts import detector_table
 
 Ints = NDArray[np.int64]
 NO_IDENTITY: Final = -1
@@ -139,3 +145,169 @@ def of_body(found: Detections) -> Detections:
         return found
     names = None if found.names is None else found.names[:K]
     return replace(found, uv_px=found.uv_px[:, :, :K], confidence=found.confidence[:, :, :K], names=names)
+
+
+_ROWS: Final = {
+    "frame": ("sync_index", "frame", "frame_index", "frame_id", "frame_number"),
+    "point": ("point_id", "landmark", "landmark_id", "landmark_index", "keypoint", "keypoint_id", "joint", "id"),
+    "x": ("img_loc_x", "x", "x_px", "u", "u_px"),
+    "y": ("img_loc_y", "y", "y_px", "v", "v_px"),
+    "confidence": ("visibility", "confidence", "score", "likelihood"),
+    "time": ("frame_time", "time", "time_s", "timestamp"),
+    "camera": ("port", "camera", "cam", "cam_id"),
+}
+"""Meaning -> names of its column."""
+_NEEDED: Final = ("frame", "point", "x", "y")
+_LARGEST_STEP: Final = 30
+"""Largest difference of the numbers of points of one body, some of which may never be seen."""
+_HANDS, _LAST_OF_HOLISTIC = 100, 32
+"""First number of hands, and last of the body, of Caliscope's holistic tracker."""
+_LARGEST_METRES: Final = 50.0
+"""Coordinates of markers beyond this are no metres, whatever their file says."""
+TIMES: Final = {"time": 1.0, "time_s": 1.0, "timestamp": 1.0, "timestamp_ms": 1e-3}
+"""Names of a column of times, and their unit, s."""
+_NO_POINTS = {"frame", "frame_id", "index", ""}
+
+
+def read_csv_table(path: Path) -> Detections:
+    """Read a .csv of either form.
+
+    Raises:
+        FileFormatError: unreadable, or its columns are no points.
+    """
+    columns = read_csv(path)
+    return _of_rows(path, columns) if has_rows(columns) else _of_columns(path, columns)
+
+
+def _of_columns(path: Path, columns: Mapping[str, Array]) -> Detections:
+    """Return the detections of a table with columns for each point, of one person."""
+    times = None
+    parts: dict[str, dict[str, Array]] = {}
+    for header, values in columns.items():
+        name = header.strip().lower()
+        if name in TIMES and times is None:
+            times = values * TIMES[name]
+        elif name not in _NO_POINTS:
+            point, part = _meaning(path, header)
+            if part in parts.setdefault(point, {}):
+                raise FileFormatError(path, f"column {header!r}: a second {part} of {point}", 1)
+            parts[point][part] = values
+    points = {name: part for name, part in parts.items() if "x" in part or "y" in part}
+    if not points:
+        raise FileFormatError(path, "no column ends in _x or _y", 1)
+    for name, has in points.items():
+        if not {"x", "y"} <= set(has):
+            other = "y" if "x" in has else "x"
+            raise FileFormatError(path, f"point {name}: has no column of {other}", 1)
+    names = list(points)
+    numbered = _numbers(names)
+    if numbered:
+        names = [name for _, name in sorted(zip(numbered, names, strict=True))]
+    uv = np.stack([[points[n]["x"], points[n]["y"]] for n in names]).transpose(2, 0, 1)
+    seen = np.isfinite(uv).all(axis=-1).astype(float)
+    confidence = np.stack([points[n].get("c", seen[:, i]) for i, n in enumerate(names)], axis=1)
+    return Detections(uv[:, None], confidence[:, None], times, None if numbered else tuple(names))
+
+
+def _numbers(names: Sequence[str]) -> list[int]:
+    """Return the numbers at the end of names that are otherwise the same, e.g. landmark_0; else none."""
+    found = [re.fullmatch(r"(\D*)(\d{1,4})", name) for name in names]
+    same = len({match[1] for match in found if match}) == 1 and all(found)
+    return [int(match[2]) for match in found if match] if same else []
+
+
+def is_keypoint_header(line: str) -> bool:
+    """Return whether the first line of a .csv names the columns of detected points."""
+    if has_rows(line.strip().split(",")):
+        return True
+    parts: dict[str, set[str]] = {}
+    for header in line.split(","):
+        name = header.strip().lower()
+        if name not in TIMES and name not in _NO_POINTS:
+            try:
+                point, part = _meaning(Path(), header)
+            except FileFormatError:
+                return False
+            parts.setdefault(point, set()).add(part)
+    return any({"x", "y"} <= has for has in parts.values())
+
+
+def _meaning(path: Path, header: str) -> tuple[str, str]:
+    """Return the point of a column and its part: x, y, c, or '' if unused."""
+    found = point_part(header)
+    if found is None:
+        known = f"time, or a point's name and one of {', '.join(POINT_ENDINGS)}"
+        raise FileFormatError(path, f"column {header!r}: expected {known}", 1)
+    return found
+
+
+def _found(names: Iterable[str]) -> dict[str, str]:
+    """Return the columns that are there, by their meaning."""
+    own = {name.strip().lower(): name for name in names}
+    pairs = {what: next((own[n] for n in known if n in own), None) for what, known in _ROWS.items()}
+    return {what: name for what, name in pairs.items() if name is not None}
+
+
+def has_rows(names: Iterable[str]) -> bool:
+    """Return whether columns are those of a table with a row for each point."""
+    return set(_NEEDED) <= set(_found(names))
+
+
+def _of_rows(path: Path, columns: Mapping[str, Array]) -> Detections:
+    """Return the detections of a table with a row for each point, of one person."""
+    found = {what: columns[name] for what, name in _found(columns).items()}
+    if "camera" in found and len(np.unique(found["camera"])) > 1:
+        cameras = ", ".join(f"{one:g}" for one in np.unique(found["camera"])[:10])
+        raise FileFormatError(path, f"has the cameras {cameras}; keep the rows of one in a file")
+    numbers = np.stack([found["frame"], found["point"]])
+    if not (np.isfinite(numbers).all() and np.all(numbers == np.round(numbers)) and numbers.min() >= 0):
+        raise FileFormatError(path, "frames and points must have whole numbers, from 0 on")
+    ids = np.unique(numbers[1])
+    last = ids[int(np.argmax(np.append(np.diff(ids), np.inf) > _LARGEST_STEP))]  # of the body
+    if ids[-1] >= _HANDS:
+        last = max(last, _LAST_OF_HOLISTIC)
+    rows = numbers[1] <= last
+    frames, points = numbers[:, rows].astype(np.int64)
+    frames = frames - frames.min()
+    T, K = int(frames.max()) + 1, int(last) + 1
+    if min(_MOST_NUMBERS, 100 * rows.sum() + 1000) < T * K:
+        raise FileFormatError(path, f"{T} frames of {K} points for {rows.sum()} rows; number frames from 0")
+    if len(np.unique(frames * K + points)) < len(frames):
+        raise FileFormatError(path, "a frame has a point twice; keep the rows of one person in a file")
+    uv, confidence = np.full((T, 1, K, 2), np.nan), np.zeros((T, 1, K))
+    uv[frames, 0, points] = np.stack([found["x"], found["y"]], axis=1)[rows]
+    confidence[frames, 0, points] = found["confidence"][rows] if "confidence" in found else 1.0
+    return Detections(uv, confidence, _times(found, rows, frames, T))
+
+
+def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Array | None:
+    """Return times (T,), interpolated where a frame has no row; None where there are none that increase."""
+    if "time" not in found:
+        return None
+    known, first = np.unique(frames, return_index=True)
+    times = found["time"][rows][first]
+    if not np.all(np.diff(times) > 0):
+        return None
+    return np.asarray(np.interp(np.arange(T), known, times))
+
+
+def read_pixel_trc(path: Path) -> Detections:
+    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it.
+
+    Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
+
+    Raises:
+        FileFormatError: unreadable, in metres, or of markers that are no detector's points.
+    """
+    markers = read_trc(path, up="z")
+    uv = markers.p_world[..., :2]
+    if not np.nanmax(np.abs(uv), initial=0.0) > _LARGEST_METRES:
+        raise FileFormatError(path, "its markers are in metres, in space; give Sports2D's file in pixels, *_px_*.trc")
+    form, order = detector_table().nearest(markers.names)
+    if form is None:
+        raise FileFormatError(path, f"no layout of a detector has its markers {', '.join(markers.names[:8])}, ...")
+    out = np.full((len(uv), 1, len(form), 2), np.nan)
+    at = [i for i, index in enumerate(order) if index is not None]
+    out[:, 0, at] = uv[:, [index for index in order if index is not None]]
+    confidence = np.isfinite(out).all(axis=-1).astype(float)
+    return Detections(out, confidence, markers.times, form.names)

@@ -38,8 +38,7 @@ from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.arrays import read_npy, read_npz
 from rtof_kin.core.files.text import load_json
 from rtof_kin.formats.xdf import read_xdf_points
-from rtof_kin.vision.detections import NO_IDENTITY, Detections, Person, of_body
-from rtof_kin.vision.keypoint_tables import TIMES, read_csv_table, read_pixel_trc
+from rtof_kin.vision.detections import NO_IDENTITY, TIMES, Detections, Person, of_body, read_csv_table, read_pixel_trc
 
 FORMATS = (".json", ".npz", ".npy", ".csv", ".trc", ".xdf")
 ARRAY_NAMES = ("uv_px", "keypoints", "keypoints_2d")

@@ -20,9 +20,14 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import read_detector_file
-from rtof_kin.vision.landmark_regression import LEAST_CONFIDENCE, LandmarkRegression, RegressedLandmarks
+from rtof_kin.vision.landmark_regression import (
+    LEAST_CONFIDENCE,
+    LandmarkRegression,
+    Recognition,
+    RegressedLandmarks,
+    recognise,
+)
 from rtof_kin.vision.layouts import OWN_LAYOUTS, Layout
-from rtof_kin.vision.recognise import Recognition, recognise
 from rtof_kin.vision.tracking import PersonTrack, track_person
 
 MOST_OUTSIDE: Final = 0.5  # [-] largest fraction of the detected points that may lie outside the image
@@ -127,11 +132,7 @@ def keypoint_names(form: Layout, regression: LandmarkRegression) -> tuple[str, .
 
 
 def with_own_points(form: Layout, landmarks: RegressedLandmarks, uv: Array, confidence: Array) -> tuple[Array, Array]:
-    """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`.
-
-    Args:
-        uv: (T, K, 2) px. confidence: (T, K).
-    """
+    """Return points (T, L, 2), px, and confidence (T, L) of `keypoint_names`. uv: (T, K, 2) px. confidence: (T, K)."""
     K = 0 if form.name in OWN_LAYOUTS else len(form)
     sure = np.where(confidence >= LEAST_CONFIDENCE, confidence, 0.0)[:, :K]
     return (np.concatenate([landmarks.uv_px, uv[:, :K]], axis=1), np.concatenate([landmarks.confidence, sure], axis=1))

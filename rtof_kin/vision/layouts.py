@@ -132,11 +132,7 @@ def is_detector_point(name: str) -> bool:
 
 
 def mirrored(name: str) -> str:
-    """Return the name of the same point on the other side, or the name if it has no side.
-
-    Args:
-        name: with the side first.
-    """
+    """Return the name of the same point on the other side, or the name if it has no side. name: with the side first."""
     for side, other in (("Right", "Left"), ("Left", "Right")):
         if name.startswith(side):
             return other + name.removeprefix(side)

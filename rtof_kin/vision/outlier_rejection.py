@@ -56,11 +56,7 @@ def reject_keypoint_outliers(
 
 
 def gaps(keypoints: KeypointSequence) -> Iterator[StreamFault]:
-    """Yield intervals in which nobody is seen, within the video.
-
-    Args:
-        keypoints: T frames, not necessarily evenly spaced.
-    """
+    """Yield intervals in which nobody is seen, within the video. keypoints: T frames, not necessarily evenly spaced."""
     seen = keypoints.times[keypoints.seen.sum(axis=1) >= _FEWEST]
     edges = np.array([keypoints.times[0], *seen, keypoints.times[-1]])
     for i in np.flatnonzero(np.diff(edges) > _LONGEST_BLINK):

@@ -2,17 +2,256 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import io
+import os
+import zipfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtof_kin.core.errors import FileFormatError, RtofError
+from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Person
-from rtof_kin.vision.mediapipe_detector import MediaPipeDetector, contained_models
 from rtof_kin.vision.model_download import ModelSet, cached_models, model_sets
-from rtof_kin.vision.onnx_detector import OnnxDetector
+
+_WANTED = (
+    "put an RTMPose body model (body with feet gives 26 points, body 17) and, for more than one person "
+    "or a person far away, a YOLOX or RTMDet person detector there as .onnx files"
+)
+
+
+class _ModelFile(NamedTuple):
+    """An ONNX file of a detector."""
+
+    path: Path
+    kind: Literal["pose", "pose and people", "people"]  # RTMPose, RTMO, or a person detector
+    height: int  # of the input, px
+    width: int
+    points: int  # 0 for a person detector
+
+
+def _find_models(folder: str | Path) -> tuple[_ModelFile, _ModelFile | None]:
+    """Return the pose model of a folder and its person detector, if one is needed and present."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileFormatError(folder, f"there is no such folder of models; {_WANTED}")
+    models = [_described(path) for path in sorted(folder.glob("*.onnx"))]
+    poses = [model for model in models if model.points]
+    people = [model for model in models if not model.points]
+    if not poses:
+        have = ", ".join(model.path.name for model in models) or "no .onnx file"
+        raise FileFormatError(folder, f"no pose model in this folder, only {have}; {_WANTED}")
+    for what, some in (("poses", poses), ("people", people)):
+        if len(some) > 1:
+            names = ", ".join(model.path.name for model in some)
+            raise FileFormatError(folder, f"several models of {what}: {names}; leave one of them there")
+    return poses[0], people[0] if people and poses[0].kind == "pose" else None
+
+
+def _described(path: Path) -> _ModelFile:
+    """Return the kind and sizes of an ONNX model from its inputs and outputs."""
+    runtime = optional("onnxruntime", "video")
+    try:
+        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors have no common base
+        raise FileFormatError(path, f"not a readable ONNX model: {error}") from error
+    inputs = [tuple(value.shape) for value in session.get_inputs()]
+    outputs = [tuple(value.shape) for value in session.get_outputs()]
+    ranks = [len(shape) for shape in outputs]
+    image = inputs[0] if len(inputs) == 1 else ()
+    if len(image) != 4 or image[1] != 3 or not all(isinstance(n, int) for n in image[2:]):
+        raise FileFormatError(path, f"its inputs {inputs} are not one image (N, 3, height, width)")
+    kind: Literal["pose", "pose and people", "people"] = "people"
+    points = 0
+    if ranks == [3, 3] and outputs[0][1] == outputs[1][1]:
+        kind, points = "pose", outputs[0][1]
+    elif ranks == [3, 4]:
+        kind, points = "pose and people", outputs[1][2]
+    elif not ranks or ranks[0] != 3:
+        raise FileFormatError(path, f"its outputs {outputs} are not RTMPose's, RTMO's, YOLOX's or RTMDet's")
+    if not isinstance(points, int):
+        raise FileFormatError(path, f"its outputs {outputs} do not state the number of points")
+    return _ModelFile(path, kind, image[2], image[3], points)
+
+
+class OnnxDetector:
+    """Detector of people and their keypoints; without a person model the image is one person."""
+
+    def __init__(self, folder: str | Path):
+        """Load the models of a folder; rtmlib never downloads, as it gets files that exist.
+
+        Raises:
+            FileFormatError: no pose model, several of a kind, or another kind of model.
+            RtofError: the extra ``video`` is not installed.
+        """
+        pose, people = _find_models(folder)
+        rtmlib = optional("rtmlib", "video")
+        self.points = pose.points
+        self._one_stage = pose.kind != "pose"
+        make = rtmlib.RTMO if self._one_stage else rtmlib.RTMPose
+        size = (pose.height, pose.width) if self._one_stage else (pose.width, pose.height)
+        self._pose = _loaded(make, pose, size)
+        self._people: Any = None
+        if people is not None:
+            boxes = rtmlib.RTMDet if "rtmdet" in people.path.stem.lower() else rtmlib.YOLOX
+            self._people = _loaded(boxes, people, (people.height, people.width))
+
+        names = [model.path.name for model in (pose, people) if model is not None]
+        self.name = " and ".join(names)
+
+    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:  # noqa: ARG002
+        """Return the people in an image. image: (height, width, 3), BGR. time: of the image, s; not used."""
+        if self._one_stage:
+            points, scores = self._pose(image)
+        else:
+            height, width = image.shape[:2]
+            boxes = [[0, 0, width, height]] if self._people is None else self._people(image)
+            if len(boxes) == 0:
+                return []
+            points, scores = self._pose(image, bboxes=boxes)
+        people = [
+            Person(np.column_stack([uv, np.clip(c, 0.0, 1.0)]).astype(np.float64))
+            for uv, c in zip(points, scores, strict=True)
+        ]
+        return [person for person in people if np.any(person.points[:, 2] > 0)]
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def _loaded(make: Any, model: _ModelFile, size: tuple[int, int]) -> Any:
+    """Load a model; rtmlib prints while it does."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return make(str(model.path), model_input_size=size, backend="onnxruntime", device="cpu")
+
+
+MOST_PEOPLE: Final = 4
+"""People that are looked for; with more than one, MediaPipe does not smooth, which would delay the points."""
+_DOUBLE = 0.4
+"""Median distance of the points of two people, in sizes of one, below which they are the same. On two real
+videos of two people these were 0.5 and more apart, and two findings of one person rarely."""
+_WRITER = "mediapipe.tasks.python.metadata.metadata_writers.metadata_writer"
+_MODELS = {
+    "pose_detector.tflite": ("pose_detection/pose_detection.tflite", 127.5, 127.5),
+    "pose_landmarks_detector.tflite": ("pose_landmark/pose_landmark_full.tflite", 0.0, 255.0),
+}
+"""Name in a bundle -> file in the package, mean and standard deviation of its image."""
+
+
+def contained_models() -> dict[str, Path] | None:
+    """Return the models inside the installed package by their names in a bundle; None if it has none."""
+    found = importlib.util.find_spec("mediapipe")
+    if found is None or not found.submodule_search_locations:
+        return None
+    folder = Path(next(iter(found.submodule_search_locations))) / "modules"
+    files = {name: folder / file for name, (file, _, _) in _MODELS.items()}
+    return files if all(path.is_file() for path in files.values()) else None
+
+
+class MediaPipeDetector:
+    """MediaPipe's Pose Landmarker on consecutive frames of one video."""
+
+    points: int = 33
+
+    def __init__(self, model: str | Path | None = None, people: int = MOST_PEOPLE):
+        """Load a model.
+
+        Args:
+            model: ``.task`` file; None: the model inside the package.
+
+        Raises:
+            FileFormatError: it cannot be read. RtofError: MediaPipe is not installed, or without a model.
+        """
+        self._mediapipe = optional("mediapipe", "mediapipe")
+        tasks = optional("mediapipe.tasks.python", "mediapipe")
+        vision = optional("mediapipe.tasks.python.vision", "mediapipe")
+        self.name = "MediaPipe Pose Landmarker" + ("" if model is None else f" ({Path(model).name})")
+        if model is not None and not Path(model).is_file():
+            raise FileFormatError(model, "there is no such model")
+        bundle = _bundle() if model is None else Path(model).read_bytes()
+        try:
+            options = vision.PoseLandmarkerOptions(
+                base_options=tasks.BaseOptions(model_asset_buffer=bundle),
+                running_mode=vision.RunningMode.VIDEO,
+                num_poses=people,
+            )
+            with _native_messages_hidden():
+                self._landmarker = vision.PoseLandmarker.create_from_options(options)
+        except (RuntimeError, ValueError, OSError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise FileFormatError(model or "MediaPipe's own model", f"not loaded: {reason}") from error
+        self._stamp_ms, self._started = -1, False
+
+    def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
+        """Return the people in the next image of a video, the surest first.
+
+        Args:
+            image: (height, width, 3), BGR. time: of the image, s.
+        """
+        self._stamp_ms = max(self._stamp_ms + 1, round(1000 * time))
+        rgb = np.ascontiguousarray(image[..., ::-1])
+        picture = self._mediapipe.Image(image_format=self._mediapipe.ImageFormat.SRGB, data=rgb)
+        with contextlib.nullcontext() if self._started else _native_messages_hidden():
+            found = self._landmarker.detect_for_video(picture, self._stamp_ms)
+        self._started |= bool(found.pose_landmarks)
+        height, width = image.shape[:2]
+        return _without_doubles([Person(_points(each, width, height)) for each in found.pose_landmarks])
+
+    def close(self) -> None:
+        """Release the model."""
+        self._landmarker.close()
+
+
+@contextlib.contextmanager
+def _native_messages_hidden() -> Iterator[None]:
+    """Hide what C++ libraries write to the error stream: notes on their build. Exceptions stay."""
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nothing:
+            os.dup2(nothing.fileno(), 2)
+            yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+def _points(landmarks: Any, width: int, height: int) -> NDArray[np.float64]:
+    """Return (33, 3) x, y in px and visibility; landmarks outside the image are extrapolated ones: 0."""
+    points = np.array([[p.x, p.y, p.visibility] for p in landmarks], dtype=np.float64)
+    inside = np.all((points[:, :2] >= 0) & (points[:, :2] <= 1), axis=1)
+    points[:, 2] = np.where(inside, np.clip(points[:, 2], 0.0, 1.0), 0.0)
+    return points * [width, height, 1]
+
+
+def _without_doubles(people: list[Person]) -> list[Person]:
+    """Return the people without the less sure of two findings of one person, which MediaPipe often makes."""
+    kept: list[Person] = []
+    for person in sorted(people, key=lambda each: -float(each.points[:, 2].sum())):
+        uv = person.points[:, :2]
+        near = (np.median(np.linalg.norm(uv - other.points[:, :2], axis=1)) for other in kept)
+        if all(far > _DOUBLE * np.ptp(uv, axis=0).max() for far in near):
+            kept.append(person)
+    return kept
+
+
+def _bundle() -> bytes:
+    """Return the package's own models as a ``.task`` bundle."""
+    files = contained_models()
+    if files is None:
+        raise RtofError("this version of MediaPipe contains no model: give a .task file, or fetch one")
+    writer = optional(_WRITER, "mediapipe").MetadataWriter
+    bundle = io.BytesIO()
+    with zipfile.ZipFile(bundle, "w", zipfile.ZIP_STORED) as archive:
+        for name, path in files.items():
+            _, mean, sd = _MODELS[name]
+            described = writer.create(bytearray(path.read_bytes())).add_image_input([mean], [sd])
+            archive.writestr(name, bytes(described.populate()[0]))
+    return bundle.getvalue()
 
 
 class PersonDetector(Protocol):
@@ -24,11 +263,7 @@ class PersonDetector(Protocol):
     """Number of points of a person."""
 
     def find(self, image: NDArray[np.uint8], time: float) -> list[Person]:
-        """Return the people in the next image.
-
-        Args:
-            image: (height, width, 3), BGR, upright. time: of the image, s.
-        """
+        """Return the people in the next image. image: (height, width, 3), BGR, upright. time: of the image, s."""
 
     def close(self) -> None:
         """Release what it holds."""

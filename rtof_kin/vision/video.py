@@ -25,8 +25,7 @@ from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.packages import optional
 from rtof_kin.vision.detections import Detections, Person
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
-from rtof_kin.vision.video_file import open_video, upright_image
-from rtof_kin.vision.video_metadata import frame_count, frame_rate, slow_motion
+from rtof_kin.vision.video_metadata import frame_count, frame_rate, open_video, slow_motion, upright_image
 
 Progress = Callable[[str, int, int], None]
 _log = logging.getLogger(__name__)

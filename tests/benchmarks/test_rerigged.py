@@ -7,7 +7,7 @@ import planted
 
 from benchmarks.rerigged import RIG, Posture, rerigged, t_pose
 from rtof_kin.body import kinematics
-from rtof_kin.body.neutral_posture import SPINE
+from rtof_kin.body.pose_prior import SPINE
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.simulation.mocap import MocapClip

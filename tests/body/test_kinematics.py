@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from rtof_kin.body import kinematics
+from rtof_kin.body.kinematics import LIMBS, LUMBAR_PITCH, bare, both_bones_sensed, shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 
@@ -152,3 +153,70 @@ def test_rotating_parent_carries_the_twist() -> None:
     R = kinematics.swing(R_parent, DOWN, observed)
     relative = np.swapaxes(R_parent, -1, -2) @ R
     assert_close(relative, np.repeat(relative[:1], 60, axis=0), 1e-9)
+
+
+ARM = {"LeftArm", "LeftForeArm", "LeftHand"}
+
+
+def test_limbs_are_chains_of_the_skeleton() -> None:
+    skeleton = SkeletonModel.default()
+    for limb in LIMBS:
+        joints = [skeleton.names.index(name) for name in limb]
+        assert [skeleton.parents[j] for j in joints[1:]] == joints[:-1]
+
+
+def test_limb_with_any_sensor_is_not_bare() -> None:
+    everything = {name for limb in LIMBS for name in limb}
+    assert bare(()) == bare(("Hips", "Head")) == everything
+    assert all(bare((name,)) == everything - ARM for name in ARM)
+
+
+@pytest.mark.parametrize(
+    ("sensors", "both"),
+    [
+        ((), False),
+        (("LeftArm", "RightForeArm"), False),
+        (("LeftForeArm", "LeftHand"), False),
+        (("RightUpLeg", "Hips", "RightLeg"), True),
+    ],
+)
+def test_both_bones_must_be_of_one_limb(sensors: tuple[str, ...], both: bool) -> None:
+    assert both_bones_sensed(sensors) is both
+
+
+BODY = SkeletonModel.default()
+NAMES, PARENTS_SHARED_FRAMES = BODY.names, BODY.parents
+
+
+def test_the_lumbar_joint_and_the_limbs_have_their_directions() -> None:
+    offsets = to_shared(shared_frames(NAMES, BODY.joint_offsets), PARENTS_SHARED_FRAMES, BODY.joint_offsets)
+    own = dict(zip(NAMES, offsets, strict=True))
+    up = own["Spine"] - (own["LeftUpLeg"] + own["RightUpLeg"]) / 2
+    np.testing.assert_allclose(np.arctan2(up[0], up[2]), LUMBAR_PITCH, atol=1e-12)
+    np.testing.assert_allclose((own["LeftUpLeg"] - own["RightUpLeg"])[[0, 2]], 0, atol=1e-12)
+    np.testing.assert_allclose(so3.unit(own["LeftFoot"]), [0, 0, -1], atol=1e-12)
+    np.testing.assert_allclose(so3.unit(own["RightHand"]), [0, -1, 0], atol=1e-12)
+
+
+def test_a_pelvis_frame_that_is_turned_against_the_joints_gives_the_same_body() -> None:
+    turned = np.array(BODY.joint_offsets)
+    R_old_new = so3.exp(np.radians([3.0, -8.0, 2.0]))
+    of_pelvis = [j for j, parent in enumerate(PARENTS_SHARED_FRAMES) if parent == 0]
+    turned[of_pelvis] = turned[of_pelvis] @ R_old_new
+    old, new = (shared_frames(NAMES, offsets) for offsets in (BODY.joint_offsets, turned))
+    np.testing.assert_allclose(R_old_new @ new[0], old[0], atol=1e-12)
+    np.testing.assert_allclose(
+        to_shared(new, PARENTS_SHARED_FRAMES, turned)[of_pelvis],
+        to_shared(old, PARENTS_SHARED_FRAMES, BODY.joint_offsets)[of_pelvis],
+        atol=1e-12,
+    )
+
+
+def test_a_straight_spine_and_unknown_joints_keep_their_link_frames() -> None:
+    straight = np.array(BODY.joint_offsets)
+    straight[NAMES.index("Spine")] = [0.0, 0.0, 0.1]
+    np.testing.assert_array_equal(shared_frames(NAMES, straight)[0], np.eye(3))
+    other = SkeletonModel.human36m()
+    np.testing.assert_array_equal(
+        shared_frames(other.names, other.joint_offsets), np.tile(np.eye(3), (len(other.names), 1, 1))
+    )

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body import kinematics, pose_prior_fit
-from rtof_kin.body.neutral_posture import HIPS, SPINE, NeutralPosture
+from rtof_kin.body.pose_prior import HIPS, SPINE, NeutralPosture
 from rtof_kin.body.pose_prior_fit import PersonMotion, fit_pose_prior, of_one_rig, shrunk
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3

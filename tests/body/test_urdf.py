@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -19,11 +18,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rtof_kin.body.body_mass import inertia
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table
+from rtof_kin.body.skeleton_table import SkeletonTable, inertia, read_skeleton_table
 from rtof_kin.body.urdf import LIGHT_MASS_KG, to_urdf
-from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
 
 Array = NDArray[np.float64]
@@ -147,31 +144,6 @@ def test_limits_are_those_of_the_table(table: SkeletonTable) -> None:
             assert float(limits[dof.urdf]["velocity"]) > 0
 
 
-@every_table
-def test_numbers_have_no_rounding_noise(table: SkeletonTable) -> None:
-    """No rounding noise (1e-19, -0) that another processor would round otherwise."""
-    for element in ET.fromstring(to_urdf(table)).iter():
-        for key in set(element.attrib) & {
-            "xyz",
-            "rpy",
-            "lower",
-            "upper",
-            "radius",
-            "length",
-            "mass",
-            "value",
-            "ixx",
-            "ixy",
-            "ixz",
-            "iyy",
-            "iyz",
-            "izz",
-        }:
-            for word in element.attrib[key].split():
-                assert word != "-0"
-                assert float(word) == 0 or abs(float(word)) > 1e-7
-
-
 # --- masses and inertias ------------------------------------------------------------------------------
 
 
@@ -251,37 +223,3 @@ def test_visuals_extend_from_joint_to_end(table: SkeletonTable) -> None:
         np.testing.assert_allclose(spheres, [np.zeros(3), joint.end], atol=1e-11)
     light = set(drawn) - set(table.names)
     assert all(drawn[name].find("visual") is None for name in light)
-
-
-@pytest.fixture(params=NAMES)
-def viewed(request: pytest.FixtureRequest) -> tuple[Any, SkeletonModel]:
-    """The shipped file in yourdfpy, and the same skeleton in Pinocchio."""
-    yourdfpy = pytest.importorskip("yourdfpy")
-    robot = yourdfpy.URDF.load(str(model_path(f"{request.param}.urdf")))
-    table = {"skeleton": "total_capture"}.get(request.param, request.param)
-    return robot, SkeletonModel.named(table)
-
-
-def test_yourdfpy_shows_the_height_and_arm_span(viewed: tuple[Any, SkeletonModel]) -> None:
-    robot, skeleton = viewed
-    low, high = robot.scene.bounds
-    assert high[2] - low[2] == pytest.approx(skeleton.height, abs=0.12)  # half a head's sphere more
-    assert 0.9 < (high[1] - low[1]) / skeleton.height < 1.15  # arm span of the T-pose
-    assert 0.25 < high[0] - low[0] < 0.45
-    assert high[1] == pytest.approx(-low[1])
-
-
-def test_forward_kinematics_equals_yourdfpy(viewed: tuple[Any, SkeletonModel]) -> None:
-    robot, skeleton = viewed
-    rng = np.random.default_rng(0)
-    for _ in range(3):
-        q = skeleton.t_pose()
-        q[7:] = rng.uniform(skeleton.limits[:, 0], skeleton.limits[:, 1])
-        robot.update_cfg(dict(zip(skeleton.dof_names, q[7:], strict=True)))
-        p, R = skeleton.forward_kinematics(q[None])
-        for j, name in enumerate(skeleton.names):
-            T_root_bone = robot.get_transform(name, skeleton.root)
-            np.testing.assert_allclose(T_root_bone[:3, 3], p[0, j], atol=1e-9)
-            np.testing.assert_allclose(T_root_bone[:3, :3], R[0, j], atol=1e-9)
-    assert not np.allclose(R[0], np.eye(3))
-    assert so3.is_rotation(R)

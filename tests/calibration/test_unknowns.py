@@ -10,7 +10,7 @@ import planted
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.body.neutral_posture import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture
+from rtof_kin.body.pose_prior import CLAVICLES, HIPS, JOINTS, SPINE, NeutralPosture
 from rtof_kin.calibration.result import Quantity, SelfCalibration
 from rtof_kin.calibration.shared_fragments import SharedFragments
 from rtof_kin.core import rotations as so3

@@ -13,7 +13,7 @@ from full_disk import ROOM, full_disk
 from matplotlib.figure import Figure
 
 from lifting.checkpoint import save_tensors
-from lifting.curves import write_curves
+from lifting.training.train import write_curves
 from rtof_kin.body.motion_file import write_motion
 from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.cli import files

@@ -17,8 +17,7 @@ import pytest
 from filelock import FileLock
 
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics.c_compiler import built
-from rtof_kin.core.numerics.library_cache import trusted
+from rtof_kin.core.numerics.c_compiler import built, trusted
 
 pytestmark = [
     pytest.mark.skipif(

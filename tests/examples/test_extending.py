@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtof_kin import FragmentSolver, JointSpaceSettings, Recording
+from rtof_kin import FragmentSolver, Recording
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.sensors import files
+from rtof_kin.solve.settings import JointSpaceSettings
 from rtof_kin.solve.terms import PointData
 from rtof_kin.vision import layouts
 

@@ -14,14 +14,14 @@ from torch import Tensor, nn
 from lifting import videopose3d
 from lifting.body import Body
 from lifting.checkpoint import load_checkpoint
-from lifting.data import MotionBank, plain
 from lifting.model import NetworkConfig
 from lifting.models import model_of
 from lifting.predict import Lifter
-from lifting.recipes import Published
-from lifting.settings import TrainConfig
 from lifting.source import Source
-from lifting.train import train
+from lifting.training.data import MotionBank, plain
+from lifting.training.run import Published
+from lifting.training.settings import TrainConfig
+from lifting.training.train import train
 from lifting.videopose3d import PoseAndRootNetwork, bridged, decode, encode
 from lifting.windows import Picture, Windows
 from rtof_kin.core.errors import UnknownNameError

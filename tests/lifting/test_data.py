@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from lifting.corpus import Corpus
-from lifting.data import AugmentConfig, Batch, MotionBank, plain
+from lifting.training.corpus import Corpus
+from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
 from lifting.windows import rotations
 from rtof_kin.core import rotations as so3
 

@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lifting.corpus import Corpus
-from lifting.data import AugmentConfig, Batch, MotionBank, plain
-from lifting.sensors import SensorConfig
+from lifting.training.corpus import Corpus
+from lifting.training.data import AugmentConfig, Batch, MotionBank, plain
+from lifting.training.noise import SensorConfig
 from lifting.windows import rotations
 from rtof_kin.core import rotations as so3
 

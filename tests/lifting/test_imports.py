@@ -5,8 +5,8 @@ import sys
 
 
 def modules_after(statement: str) -> set[str]:
-    """Top-level modules that a fresh interpreter has loaded after a statement."""
-    code = f"{statement}\nimport sys\nprint(*{{name.split('.')[0] for name in sys.modules}})"
+    """Modules that a fresh interpreter has loaded after a statement."""
+    code = f"{statement}\nimport sys\nprint(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return set(done.stdout.split())
 
@@ -18,6 +18,11 @@ def test_the_package_does_not_load_torch() -> None:
 
 
 def test_training_needs_no_solver_and_no_plotting() -> None:
-    loaded = modules_after("import lifting.train, lifting.predict")
+    loaded = modules_after("import lifting.training.train, lifting.predict")
     assert "torch" in loaded
     assert not loaded & {"pinocchio", "casadi", "matplotlib", "yourdfpy", "rich"}
+
+
+def test_inference_does_not_load_training() -> None:
+    loaded = modules_after("import lifting.predict, lifting.streaming, lifting.onnx_export")
+    assert not [name for name in loaded if name.startswith("lifting.training")]

@@ -12,11 +12,12 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.data import MotionBank, plain
-from lifting.draws import Draw, about_axis
-from lifting.joint_errors import (
+from lifting.training.data import MotionBank, plain
+from lifting.training.joint_errors import (
+    Draw,
     JointErrors,
     View,
+    about_axis,
     exchanged,
     harmonics,
     hidden_joints,
@@ -26,8 +27,8 @@ from lifting.joint_errors import (
     rig_places,
     smooth_errors,
 )
-from lifting.noise import TRAINING_NOISE
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from lifting.training.noise import TRAINING_NOISE
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
 from rtof_kin.simulation.detector_errors import DetectorErrors, simulate_detections

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from lifting import predict as module
 from lifting.checkpoint import save_checkpoint
-from lifting.folded import FoldedNetwork
 from lifting.model import torch_threads
-from lifting.models import model_of
+from lifting.models import FoldedNetwork, model_of
 from lifting.predict import LiftedPoses, Lifter
 from lifting.streaming import StreamingLifter
 from lifting.windows import SIGMA_ACROSS, SIGMA_ALONG, SIGMA_TURN
-from rtof_kin.body.shared_frames import shared_frames, to_shared
+from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, ShapeError, ViewError

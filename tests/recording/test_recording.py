@@ -15,7 +15,7 @@ import numpy as np
 import planted
 import pytest
 
-from rtof_kin.body.neutral_posture import NeutralPosture
+from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import (
@@ -546,7 +546,7 @@ def npy_bytes(array: np.ndarray) -> bytes:
         (npz_bytes(uv_px=b"hello"), "uv_px: not a NumPy array"),
         (npz_bytes(uv_px=npy_bytes(UV)[:-8]), "uv_px: damaged, 4024 of 4032"),
         (npz_bytes(uv_px=npy_bytes(UV).replace(b"(12, 21, 2)", b"(92, 21, 2)")), "needs 30912 bytes"),
-        (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, 4040 of 4032"),
+        (npz_bytes(uv_px=npy_bytes(UV) + bytes(8)), "uv_px: damaged, it has more bytes"),
         (npz_bytes(uv_px=npy_bytes(np.array(["a", "b"]))), "uv_px: has type <U1, not numbers"),
         (npz_bytes(uv_px=npy_bytes(np.array([{}], dtype=object))), "uv_px: has type object"),
     ],

@@ -37,9 +37,9 @@ from rtof_kin.setup.camera import (
 from rtof_kin.setup.init import SetupSettings, find_people, write_recording
 from rtof_kin.setup.recording_text import Field, Origin, recording_text, summaries
 from rtof_kin.setup.sources import Sources
-from rtof_kin.vision.bearing_rotation import bearings, turn_between
+from rtof_kin.vision.background_motion import bearings, turn_between
 from rtof_kin.vision.detections import Detections
-from rtof_kin.vision.lens_prior import LensPrior, lens_prior
+from rtof_kin.vision.video_metadata import LensPrior, lens_prior
 
 LENS = LensPrior(1480.123, 0.1, -0.0123, 0.05, "a phone's lens")
 

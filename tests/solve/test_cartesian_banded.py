@@ -254,26 +254,6 @@ def test_real_time_and_ipopt_find_the_same_minimum(name: str) -> None:
             check_agreement(solvers, observed)
 
 
-def test_real_time_minimum_is_a_minimum_of_ipopt() -> None:
-    # Lengths with a weak prior: a bone may lean to the camera or from it, and either solver may end
-    # at either. What counts as converged is a minimum for IPOPT as well.
-    set_ = replace(GIVEN, jerk_target="sensor", prior="positions")
-    quick, ipopt = inspected("realtime", set_), inspected("ipopt", set_)
-    for seed in range(2):
-        for observed in cases(Scene(SMALL, 12, seed)):
-            quick.answers.clear()
-            quick.values.clear()
-            reports = quick.solve(**observed).fragments
-            for report, X, values in zip(reports, quick.answers, quick.values, strict=True):
-                assert report.status is SolverStatus.CONVERGED
-                p = ipopt.inner._problem.pack(values)
-                x, status, _, _ = ipopt.inner._ipopt(X.ravel(), values, p)
-                assert status is SolverStatus.CONVERGED
-                energy = float(np.array(ipopt.inner._problem.energy(x, p)).sum())
-                assert energy == pytest.approx(total(report), rel=1e-6)
-                assert 1000 * np.linalg.norm(x.reshape(X.shape) - X, axis=-1).max() < 0.1
-
-
 def test_bone_lengths_as_constraints_need_ipopt() -> None:
     message = "bone_lengths 'constraint' needs backend 'ipopt', or take 'weighted'"
     constraint = replace(GIVEN, bone_lengths="constraint")

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import planted
 import pytest
 from cartesian_support import BODY, SMALL, SMALL_SENSORS, Inspected, Scene
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
@@ -59,68 +57,6 @@ def numeric_gradient(residuals: Callable[[Array], dict[str, Array]], x: Array) -
 
     steps = np.eye(len(x)) * 1e-5
     return np.array([(total(x + step) - total(x - step)) / 2e-5 for step in steps])
-
-
-def documented(
-    scene: Scene, set_: CartesianSettings, frames: int, part: slice = slice(None)
-) -> Callable[[Array], dict[str, Array]]:
-    """x -> residuals of the frames of one fragment that lie inside the recording."""
-    start, seen, imus = scene.start[part], scene.seen[part], scene.imus[part]
-
-    def residuals(x: Array) -> dict[str, Array]:
-        X = x.reshape(len(start), -1, 3)
-        return planted.documented_residuals(X, start, seen, imus, SMALL, set_, frames, sigma_px=8.0)
-
-    return residuals
-
-
-@pytest.mark.parametrize(
-    "change, max_iterations",
-    [({}, 60), ({"prior": "positions", "huber_reprojection": None, "k_V": 0.3, "k_S": 0.1, "k_I": 0.9}, 2)],
-)
-def test_reports_have_the_documented_energy_and_gradient(change: dict[str, Any], max_iterations: int) -> None:
-    s = Scene(SMALL, 8)
-    confidence = np.random.default_rng(0).uniform(0.2, 1.0, s.seen.confidence.shape)
-    s.seen = planted.unseen(replace(s.seen, confidence=confidence), slice(2, 6), [3, 4])
-    R = np.array(s.imus.R_world_bone)
-    R[7, 1] = np.nan
-    s.imus = replace(s.imus, R_world_bone=R)
-    set_ = replace(PLAIN, **change, max_iterations=max_iterations)
-    solver = Inspected(SMALL, 8, set_, SMALL_SENSORS)
-    reports = solver.solve(s.start, s.seen, s.imus).fragments
-    assert [report.first_frame for report in reports] == [-4, 0, 4]
-    for report, answer in zip(reports, solver.answers, strict=True):
-        part = slice(max(report.first_frame, 0), min(report.first_frame + 8, 8))
-        x = answer[part.start - report.first_frame : part.stop - report.first_frame].ravel()
-        residuals = documented(s, set_, 8, part)
-        energy = {term: float(np.sum(r**2)) for term, r in residuals(x).items()}
-        assert report.energy == pytest.approx(energy, rel=1e-8, abs=1e-12)
-        gradient = np.abs(numeric_gradient(residuals, x)).max()
-        assert report.optimality == pytest.approx(gradient, rel=1e-4, abs=2e-6)
-        stopped = SolverStatus.ITERATION_LIMIT if max_iterations == 2 else SolverStatus.CONVERGED
-        assert report.status is stopped
-        assert (report.optimality < 5e-6) == (max_iterations == 60)
-
-
-@pytest.mark.parametrize("bone_lengths, off", [("free", None), ("weighted", 0.005)])
-def test_scipy_reaches_the_same_minimum(bone_lengths: str, off: float | None) -> None:
-    # Four frames in N = 8: either fragment holds them all, and padding is coupled to nothing. With
-    # lengths there are several minima (a bone may lean to or from the camera): SciPy starts near.
-    s, set_ = Scene(SMALL, 4), replace(PLAIN, bone_lengths=bone_lengths)
-    solution = FragmentSolver(SMALL, 8, set_, SMALL_SENSORS).solve(s.start, s.seen, s.imus)
-    x, residuals = solution.poses.p_world_joint.ravel(), documented(s, set_, 8)
-    x0 = s.start.p_world_joint.ravel()
-    assert np.abs(x - x0).max() > 0.02
-    if off is not None:
-        x0 = x + off * np.random.default_rng(0).normal(size=x.shape)
-
-    def stacked(x: Array) -> Array:
-        return np.concatenate([r.ravel() for r in residuals(x).values()])
-
-    peer = least_squares(stacked, x0, ftol=1e-10)
-    for report in solution.fragments:
-        assert sum(report.energy.values()) == pytest.approx(2 * peer.cost, rel=1e-8)
-    np.testing.assert_allclose(x, peer.x, atol=1e-5)
 
 
 def test_exact_observations_recover_the_truth(scene: Scene) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 from rtof_kin.body import kinematics
 from rtof_kin.body.metrics import flexion, hinges
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.keypoints import KeypointSequence
@@ -138,23 +136,6 @@ def test_vision_only_improves_on_sf2_and_sensors_on_vision(scene: Scene, alone: 
     assert errors[0] < errors[1] < 0.5 * errors[2]
 
 
-def test_result_is_equivariant_to_the_world_frame(scene: Scene) -> None:
-    R, t = so3.exp([0.2, -0.4, 1.3]), np.array([3.0, -1.0, 0.4])
-    cam, start, imus = scene.seen.camera, scene.start, scene.imus
-    R_camera = cam.R_camera_world @ R.T
-    moved = replace(cam, R_camera_world=R_camera, t_camera_world=cam.t_camera_world - R_camera @ t)
-    fine = replace(GIVEN, max_iterations=100, tolerance=1e-9)
-    here = scene.solve(fine, 24).poses.p_world_joint
-    there = scene.solve(
-        fine,
-        24,
-        keypoints=replace(scene.seen, camera=moved),
-        start=replace(start, p_world_joint=start.p_world_joint @ R.T + t, R_world_bone=R @ start.R_world_bone),
-        bone_imus=replace(imus, R_world_bone=R @ imus.R_world_bone, a_world=imus.a_world @ R.T),
-    )
-    np.testing.assert_allclose(there.poses.p_world_joint, here @ R.T + t, atol=5e-4)
-
-
 def test_bones_are_rigid_and_knees_and_elbows_hinges(scene: Scene, solution: FragmentSolution) -> None:
     def across(R: Array) -> float:
         """Largest turn of knees and elbows about the two axes they turn least about, rad."""
@@ -185,30 +166,6 @@ def test_anatomical_limits_are_kept() -> None:
         assert max(f.infeasibility for f in out.fragments) <= (LIMIT if limited else 0.0)
     assert beyond[True].max() < 0.2
     assert beyond[False].mean() > 5
-
-
-def with_limit(low: float, high: float) -> SkeletonTable:
-    """The skeleton's table with another limit of the left knee, rad."""
-    (j,) = BODY.index("LeftLeg")
-    joint, joints = BODY.table.joints[j], list(BODY.table.joints)
-    joints[j] = replace(joint, limits=changed(joint.limits, 0, (low, high)))
-    return replace(BODY.table, joints=tuple(joints))
-
-
-@pytest.mark.parametrize("source", ["table", "URDF"])
-def test_individual_limits_are_kept(source: str, tmp_path: Path) -> None:
-    truth, dof = planted.human(BODY, N), BODY.dof_names.index("LeftLeg_y")
-    p, R = BODY.forward_kinematics(changed(truth.q, np.s_[:, 7 + dof], 0.6))
-    poses = replace(truth.poses, p_world_joint=p, R_world_bone=R)
-    subject = SkeletonModel(with_limit(0.0, 0.3))
-    if source == "URDF":
-        (tmp_path / "subject.urdf").write_text(subject.to_urdf(), encoding="utf-8")
-        subject = SkeletonModel.from_urdf(tmp_path / "subject.urdf")
-    assert subject.limits[dof] == pytest.approx((0.0, 0.3))
-    solver = FragmentSolver(subject, N, DEFAULT)
-    out = solver.solve(poses, planted.keypoints(poses), planted.bone_imus(BODY, poses)).poses
-    knee = BODY.inverse_kinematics(out.p_world_joint, out.R_world_bone)[:, 7 + dof]
-    assert knee.max() < 0.3 + 2 * LIMIT
 
 
 def test_report_has_every_term_and_counts_iterations(solution: FragmentSolution) -> None:
@@ -272,16 +229,6 @@ def test_sensors_without_data_have_no_effect(scene: Scene, silent: int) -> None:
     mute = replace(imus, R_world_bone=changed(imus.R_world_bone, of, np.nan), a_world=changed(imus.a_world, of, np.nan))
     rest = imus.select(imus.joints[silent:]) if silent < 8 else None
     assert_same_positions(scene.solve(frames=24, bone_imus=mute), scene.solve(frames=24, bone_imus=rest))
-
-
-def test_sensors_are_resampled_to_the_frames() -> None:
-    truth = planted.human(BODY, 121)
-    imus, poses = planted.bone_imus(BODY, truth.poses)[3:118], truth.poses[20:100:2]
-    out = body().solve(poses, planted.keypoints(poses), imus)
-    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 8
-    assert out.energy["acceleration"] < 0.5
-    later = replace(poses, times=poses.times + 0.4 / 60)
-    assert body(QUICK).solve(later, planted.keypoints(later), imus).energy["acceleration"] < 5
 
 
 ENDS = ("Head", "LeftFoot", "RightFoot")
@@ -393,15 +340,6 @@ def test_settings_must_be_positive_and_finite(field: str, value: float) -> None:
     change: dict[str, Any] = {field: value}
     with pytest.raises(InvalidInputError, match=f"{field} must be positive and finite"):
         replace(DEFAULT, **change)
-
-
-@pytest.mark.parametrize("frames", [1, 2, 3, 4, 7, 8, 9, 16, 17])
-def test_any_number_of_frames_is_solved(frames: int) -> None:
-    poses = planted.human(BODY, frames).poses
-    out = body(QUICK).solve(poses, planted.keypoints(poses), planted.bone_imus(BODY, poses))
-    np.testing.assert_array_equal(out.poses.times, poses.times)
-    assert len(out.fragments) == -(-frames // 8) + 1
-    assert planted.mpjpe_mm(out.poses.p_world_joint, poses.p_world_joint) < 7
 
 
 def test_known_floor_limits_the_height_of_the_feet() -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
+from rtof_kin.core.numerics import simd
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.solve import terms
 from rtof_kin.solve.fragment_solver import FragmentSolver
@@ -152,8 +153,9 @@ def test_the_hessian_of_terms_from_outside_is_that_of_gauss_and_newton() -> None
         assert d.ravel() @ H @ d.ravel() == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_terms_from_outside_are_compiled_as_they_are_interpreted() -> None:
+def test_terms_from_outside_are_compiled_as_they_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RTOF_KIN_COMPILE", raising=False)
+    monkeypatch.setattr(simd, "_OPTIONS", ("-O1", "-fno-math-errno"))  # compiled quickly
     (data, plain), (_, own) = observations("never"), observations("auto")
     x = data.space.retract(data.start, 0.1 * np.random.default_rng(0).normal(size=(N, data.space.size)))
     assert own.value(x)[0] == pytest.approx(plain.value(x)[0], rel=1e-9)

@@ -192,8 +192,7 @@ def _learning() -> tuple[Reader, ...]:
     import lifting_support
 
     from lifting.checkpoint import load_checkpoint
-    from lifting.corpus import read_corpus
-    from lifting.splits import read_split
+    from lifting.training.corpus import read_corpus, read_split
 
     return (
         Reader("lifter", _lifter, lambda d: load_checkpoint(d / "a.pt")),

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from lifting.body import Body
 from lifting.checkpoint import LifterDescription
-from lifting.corpus import Corpus
 from lifting.model import NetworkConfig, TemporalNetwork
 from lifting.predict import LiftedPoses, Lifter
-from lifting.recipes import first_answer
+from lifting.training.corpus import Corpus
+from lifting.training.run import first_answer
 from lifting.windows import EncodedWindows, Windows, sizes
 from rtof_kin.body import kinematics
 from rtof_kin.body.skeleton_table import SkeletonTable, read_skeleton_table

@@ -17,12 +17,11 @@ import torch
 import torch._dynamo  # loaded by the first optimiser: here once, before the processes are forked
 from torch.distributed.launcher.api import LaunchConfig, elastic_launch
 
-from lifting.data import plain
-from lifting.distributed import workers
-from lifting.run import Run
-from lifting.sensors import SensorConfig
-from lifting.settings import TrainConfig
-from lifting.train import train
+from lifting.training.data import plain
+from lifting.training.noise import SensorConfig
+from lifting.training.run import Run
+from lifting.training.settings import TrainConfig
+from lifting.training.train import train, workers
 from rtof_kin.core.errors import RtofError
 
 QUICK = TrainConfig(

@@ -9,17 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.turning_video import pan_and_shake, write_turning_video
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.vision.background_motion import estimate_camera_motion
+from rtof_kin.vision.background_motion import (
+    Pair,
+    bearings,
+    estimate_camera_motion,
+    focal_factor,
+    turn_between,
+    with_focal,
+)
 
 # OpenCV's wheel needs a system library that machines without a screen may lack.
 cv2: Any = pytest.importorskip("cv2", exc_type=ImportError)
 pytest.importorskip("av", exc_type=ImportError)
-from benchmarks.turning_video import pan_and_shake, write_turning_video  # noqa: E402
 
 CAMERA = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 400.0, 480, 270)
 RATE, T = 30.0, 60
@@ -89,3 +96,50 @@ def test_plain_background_and_a_camera_of_another_size_are_refused(tmp_path: Pat
         estimate_camera_motion(tmp_path / "plain.mp4", None, CAMERA)
     with pytest.raises(InvalidInputError, match="480 x 270 px, its camera 640 x 270"):
         estimate_camera_motion(tmp_path / "plain.mp4", None, replace(CAMERA, width_px=640))
+
+
+CAMERA_BEARING_ROTATION = Camera.looking_at([0.0, 0, 1], [1.0, 0, 1], 500.0, 640, 360)
+
+
+def pair(rng: np.random.Generator, R_a_b: np.ndarray, sigma_px: float = 0.2, count: int = 40) -> Pair:
+    """Points of a distant wall in two images."""
+    uv = rng.uniform([60, 40], [580, 320], (count, 2))
+    b = bearings(CAMERA_BEARING_ROTATION, uv) @ R_a_b.T
+    seen = b[:, :2] / b[:, 2:] * CAMERA_BEARING_ROTATION.K[0, 0] + CAMERA_BEARING_ROTATION.K[:2, 2]
+    return Pair(seen + sigma_px * rng.normal(size=uv.shape), uv + sigma_px * rng.normal(size=uv.shape))
+
+
+def test_rotation_is_recovered_beside_a_third_of_outliers_and_its_sigma_is_honest() -> None:
+    rng = np.random.default_rng(0)
+    errors, sigmas = [], []
+    for _ in range(50):
+        R = so3.exp(np.radians(5) * rng.normal(size=3))
+        points = pair(rng, R, count=90)
+        points.uv_b[:30] += rng.uniform(5, 50, (30, 2))
+        a, b = (bearings(CAMERA_BEARING_ROTATION, uv) for uv in points)
+        found = turn_between(a, b, 2.0 / 500, rng)
+        assert found.inliers[30:].mean() > 0.9
+        errors.append(so3.log(R.T @ found.R_a_b))
+        sigmas.append(found.sigma)
+    worst = np.sqrt(np.mean(np.square(errors), axis=0)).max()
+    assert worst < np.radians(0.05)
+    assert 0.5 < worst / np.mean(sigmas) < 2
+
+
+@pytest.mark.parametrize("wrong", [0.8, 1.3])
+def test_focal_length_follows_from_turns(wrong: float) -> None:
+    rng = np.random.default_rng(1)
+    pairs = [pair(rng, so3.exp(np.radians(5) * np.array([0.2, s, 0.1]))) for s in (1, -1, 0.8, -0.7)]
+    factor, sigma = focal_factor(with_focal(CAMERA_BEARING_ROTATION, wrong), pairs, 0.3)
+    assert factor * wrong == pytest.approx(1, abs=0.03)
+    assert abs(factor * wrong - 1) < 2.5 * sigma
+    assert sigma < 0.05
+
+
+def test_focal_length_stays_open_without_turns() -> None:
+    rng = np.random.default_rng(2)
+    assert focal_factor(CAMERA_BEARING_ROTATION, [], 0.2) == (1.0, 0.2)
+    still = [pair(rng, np.eye(3)) for _ in range(4)]
+    factor, sigma = focal_factor(CAMERA_BEARING_ROTATION, still, 0.2)
+    assert sigma > 0.1
+    assert abs(factor - 1) < 0.2

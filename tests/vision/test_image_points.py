@@ -14,8 +14,14 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import FileFormatError, UnknownNameError
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
-from rtof_kin.vision.detector_errors import detector_points, harmonics, read_detector_points
-from rtof_kin.vision.image_points import ImagePoints, image_points, measurements
+from rtof_kin.vision.image_points import (
+    ImagePoints,
+    detector_points,
+    harmonics,
+    image_points,
+    measurements,
+    read_detector_points,
+)
 from rtof_kin.vision.layouts import detector_table
 
 BODY = SkeletonModel.default()

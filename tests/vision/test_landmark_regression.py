@@ -9,11 +9,20 @@ import numpy as np
 import pytest
 from detector_support import LAYOUTS, landmarks_px, points_px, walking, watching
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.stats import multivariate_normal
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
 from rtof_kin.core.files.arrays import read_npz
 from rtof_kin.core.resources import model_path
-from rtof_kin.vision.landmark_regression import LEAST_SHARE, LandmarkRegression, read_gaussian
+from rtof_kin.vision.landmark_regression import (
+    ANYWHERE,
+    LEAST_SHARE,
+    LandmarkRegression,
+    PoseGaussian,
+    read_gaussian,
+    recognise,
+)
 from rtof_kin.vision.layouts import detector_table
 
 Array = NDArray[np.float64]
@@ -155,3 +164,197 @@ def test_a_fit_to_other_points_is_refused(changed: dict[str, object], message: s
     np.savez(path, **kept)  # type: ignore[arg-type]
     with pytest.raises(FileFormatError, match=message):
         read_gaussian(path, detector_table())
+
+
+NAMES = tuple("abcdefgh")
+SEEN, WANTED = tuple("bcdfg"), tuple("ah")
+
+
+@pytest.fixture(scope="module")
+def gaussian() -> PoseGaussian:
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(16, 16)) * 0.1
+    return PoseGaussian(NAMES, rng.normal(size=(8, 2)), root @ root.T, noise=0.03)
+
+
+def drawn(gaussian: PoseGaussian, count: int, seed: int = 1) -> Array:
+    """(count, 8, 2) persons, as they are."""
+    rng = np.random.default_rng(seed)
+    z = rng.multivariate_normal(gaussian.mean.ravel(), gaussian.covariance, count)
+    return z.reshape(count, 8, 2)
+
+
+def observed(points: Array, names: tuple[str, ...]) -> Array:
+    return points[:, [NAMES.index(name) for name in names]]
+
+
+def test_the_estimate_is_the_textbook_conditional_mean(gaussian: PoseGaussian) -> None:
+    x = observed(drawn(gaussian, 3), SEEN)
+    i = np.array([2 * NAMES.index(n) + k for n in SEEN for k in (0, 1)])
+    j = np.array([2 * NAMES.index(n) + k for n in WANTED for k in (0, 1)])
+    anywhere = ANYWHERE * np.tile(np.eye(2), (8, 8))
+    C = gaussian.covariance + anywhere
+    A = C[np.ix_(i, i)] + gaussian.noise**2 * np.eye(len(i))
+    m = gaussian.mean.ravel()
+    want = m[j] + (x.reshape(3, -1) - m[i]) @ np.linalg.solve(A, C[np.ix_(i, j)])
+    got = gaussian.given(SEEN).estimate(gaussian.given(SEEN).regression(WANTED), x, np.ones(3))
+    np.testing.assert_allclose(got.reshape(3, -1), want, atol=2e-5)  # the prior on place is nearly flat
+
+
+def test_the_scale_maximises_the_likelihood(gaussian: PoseGaussian) -> None:
+    x = observed(drawn(gaussian, 1), SEEN) * 50.0
+    i = np.array([2 * NAMES.index(n) + k for n in SEEN for k in (0, 1)])
+    C = gaussian.covariance[np.ix_(i, i)] + ANYWHERE * np.tile(np.eye(2), (5, 5))
+    C += gaussian.noise**2 * np.eye(10)
+    centred = (x[0] - x[0].mean(axis=0)).ravel()
+    mean = observed(gaussian.mean[None], SEEN)[0]
+    mean = (mean - mean.mean(axis=0)).ravel()
+
+    def minus_log_p(log_s: float) -> float:
+        s = np.exp(log_s)
+        # 8 of the 10 coordinates are left once the person may stand anywhere.
+        return float(-8 * log_s - multivariate_normal(mean, C).logpdf(s * centred))
+
+    best = minimize_scalar(minus_log_p, bounds=(-8, 2), method="bounded", options={"xatol": 1e-10})
+    found = gaussian.given(SEEN).likelihood(x).scale[0]
+    assert np.log(found) == pytest.approx(best.x, abs=1e-5)
+
+
+def test_expected_errors_equal_actual_errors(gaussian: PoseGaussian) -> None:
+    regression = gaussian.given(SEEN).regression(WANTED)
+    points = drawn(gaussian, 20000)
+    noisy = points + gaussian.noise * np.random.default_rng(2).normal(size=points.shape)
+    for seen, promised in (
+        (points, regression.model_variance),
+        (noisy, regression.model_variance + regression.noise_variance),
+    ):
+        got = gaussian.given(SEEN).estimate(regression, observed(seen, SEEN), np.ones(20000))
+        made = ((got - observed(points, WANTED)) ** 2).mean(axis=(0, 2))
+        np.testing.assert_allclose(made, promised, rtol=0.05)
+
+
+def test_the_misfit_of_its_own_samples_is_one(gaussian: PoseGaussian) -> None:
+    points = drawn(gaussian, 2000)
+    points = points + gaussian.noise * np.random.default_rng(3).normal(size=points.shape)
+    right = gaussian.given(SEEN).likelihood(observed(points, SEEN))
+    assert right.misfit.mean() == pytest.approx(1.0, abs=0.2)
+    wrong = gaussian.given(SEEN).likelihood(observed(points, tuple("gfdcb")))
+    assert np.median(wrong.misfit) > 3 * np.median(right.misfit)
+    assert np.mean(right.per_point > wrong.per_point) > 0.99
+
+
+def test_more_points_never_increase_the_error(gaussian: PoseGaussian) -> None:
+    regressions = [gaussian.given(SEEN[:k]).regression(WANTED) for k in range(1, 6)]
+    errors = np.array([r.model_variance + r.noise_variance for r in regressions])
+    assert np.all(np.diff(errors, axis=0) <= 1e-9)
+    weight = gaussian.given(SEEN).regression(("b", "d")).weight
+    np.testing.assert_allclose(weight.sum(axis=1), 1.0)
+    assert np.argmax(weight, axis=1).tolist() == [SEEN.index("b"), SEEN.index("d")]
+
+
+def test_wrong_shapes_and_names_are_refused(gaussian: PoseGaussian) -> None:
+    with pytest.raises(InvalidInputError, match="covariance of points"):
+        PoseGaussian(NAMES, gaussian.mean, gaussian.covariance[:4, :4], 0.03)
+    with pytest.raises(UnknownNameError, match="point 'z'"):
+        gaussian.given(("z",))
+
+
+EVERY = (*LAYOUTS, "joints", "landmarks")
+
+
+@pytest.fixture(scope="module")
+def seen() -> dict[str, tuple[Array, Array]]:
+    """Noisy points, an eighth of them undetected, in every layout."""
+    motion, rng = walking(), np.random.default_rng(0)
+    out = {}
+    for layout in EVERY:
+        uv = points_px(layout, motion, watching(motion))
+        confidence = np.where(rng.random(uv.shape[:2]) < 0.125, 0.0, 0.7)
+        out[layout] = uv + 5 * rng.normal(size=uv.shape), confidence
+    return out
+
+
+@pytest.mark.parametrize("layout", EVERY)
+@pytest.mark.parametrize("frames", [slice(0, 1), slice(None)])
+def test_a_layout_is_recognised_by_geometry(layout: str, frames: slice, seen: dict[str, tuple[Array, Array]]) -> None:
+    uv, confidence = (array[frames] for array in seen[layout])
+    found = recognise(uv, confidence)
+    assert found.layout.name == layout
+    assert "confirmed by geometry (misfit" in found.reason
+    assert found.order == tuple(range(uv.shape[1]))
+    assert recognise(uv, confidence, layout=layout).layout.name == layout
+
+
+@pytest.mark.parametrize("quarter", [1, 2, 3])
+def test_turned_videos_are_recognised(quarter: int, seen: dict[str, tuple[Array, Array]]) -> None:
+    c, s = [(0, 1), (-1, 0), (0, -1)][quarter - 1]
+    for layout in ("coco17", "human36m17", "body25b"):
+        uv, confidence = seen[layout]
+        assert recognise(uv @ np.array([[c, -s], [s, c]]), confidence).layout.name == layout
+
+
+@pytest.mark.parametrize(
+    "named, is_",
+    [
+        ("body25", "body25b"),
+        ("coco17", "human36m17"),
+        ("mediapipe33", "landmarks"),
+        ("body25b", "body25"),
+        ("human36m17", "coco17"),
+    ],
+)
+def test_another_layout_with_as_many_points_is_refused(
+    named: str, is_: str, seen: dict[str, tuple[Array, Array]]
+) -> None:
+    with pytest.raises(InvalidInputError, match=f"layout {named}: .* as those of {is_}"):
+        recognise(*seen[is_], layout=named)
+
+
+def test_a_wrong_number_of_points_is_refused(seen: dict[str, tuple[Array, Array]]) -> None:
+    with pytest.raises(InvalidInputError, match=r"halpe26 has 26 points.* 25 .*body25, body25b"):
+        recognise(*seen["body25"], layout="halpe26")
+    uv, confidence = seen["halpe26"]
+    with pytest.raises(InvalidInputError, match=r"no layout has 24 points; known: body25 \(25\)"):
+        recognise(uv[:, :24], confidence[:, :24])
+    with pytest.raises(UnknownNameError, match="'openpose'"):
+        recognise(uv, confidence, layout="openpose")
+
+
+@pytest.mark.parametrize("layout", ["body25", "coco17", "halpe26", "joints"])
+@pytest.mark.parametrize("named", [False, True])
+def test_a_wrong_order_of_points_is_refused(layout: str, named: bool, seen: dict[str, tuple[Array, Array]]) -> None:
+    uv, confidence = seen[layout]
+    order = np.random.default_rng(1).permutation(uv.shape[1])
+    with pytest.raises(InvalidInputError, match="check their order"):
+        recognise(uv[:, order], confidence[:, order], layout=layout if named else None)
+    with pytest.raises(InvalidInputError, match="check their order"):
+        recognise(np.random.default_rng(0).uniform(0, 1000, uv.shape), np.ones(uv.shape[:2]))
+
+
+def test_names_determine_layout_and_order(seen: dict[str, tuple[Array, Array]]) -> None:
+    uv, confidence = seen["halpe26"]
+    names = detector_table().layout("halpe26").names  # the first 17 are COCO's
+    order = np.random.default_rng(1).permutation(26)
+    found = recognise(uv[:, order], confidence[:, order], [names[i] for i in order])
+    assert found.layout.name == "halpe26"
+    assert "26 points are named" in found.reason
+    np.testing.assert_array_equal(order[list(found.order)], np.arange(26))
+    found = recognise(uv, confidence, names, layout="coco17")
+    assert found.layout.name == "coco17"
+    assert found.order == tuple(range(17))
+
+
+def test_names_of_another_layout_are_refused(seen: dict[str, tuple[Array, Array]]) -> None:
+    names = detector_table().layout("body25").names
+    with pytest.raises(InvalidInputError, match=r"body25b: .* named Nose, Neck.*no UpperNeck"):
+        recognise(*seen["body25b"], names, layout="body25b")
+    with pytest.raises(InvalidInputError, match=r"named a, b, c,.* known: body25,"):
+        recognise(np.zeros((1, 3, 2)), np.ones((1, 3)), ["a", "b", "c"])
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_too_few_detected_points_are_refused(count: int, seen: dict[str, tuple[Array, Array]]) -> None:
+    uv, _ = seen["coco17"]
+    confidence = np.where(np.arange(17) < count, 0.9, 0.0) * np.ones(uv.shape[:2])
+    with pytest.raises(InvalidInputError, match=f"more than {count} of 17 points"):
+        recognise(uv, confidence)

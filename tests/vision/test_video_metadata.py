@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -9,14 +10,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dot_detector import write_video
 from PIL import ExifTags, Image
 
-from rtof_kin.core.errors import FileFormatError
-from rtof_kin.vision.video_metadata import VideoMetadata, read_photo_metadata, read_video_metadata
+from rtof_kin.core.errors import FileFormatError, InvalidInputError
+from rtof_kin.vision.video_metadata import (
+    STABILISED,
+    VideoMetadata,
+    find_phone,
+    lens_prior,
+    phone_table,
+    read_phone_table,
+    read_photo_metadata,
+    read_video_metadata,
+)
 
 pytest.importorskip("av")
 pytest.importorskip("onnx")
-from dot_detector import write_video
 
 FOCAL = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 IMAGES = [np.full((64, 96, 3), 90, dtype=np.uint8)] * 5
@@ -106,3 +116,111 @@ def test_a_photo_tells_the_camera(tmp_path: Path) -> None:
     for name in ("text.jpg", "none.jpg"):
         with pytest.raises(FileFormatError, match=f"{name}: not a readable photo"):
             read_photo_metadata(tmp_path / name)
+
+
+STATED_MM = {  # equivalent focal lengths of main cameras, from Apple's data sheets
+    "iPhone 6s": 29,
+    "iPhone 8": 28,
+    "iPhone X": 28,
+    "iPhone XS": 26,
+    "iPhone 11": 26,
+    "iPhone 12": 26,
+    "iPhone 13 Pro": 26,
+    "iPhone 14 Pro": 24,
+    "iPhone 15": 26,
+    "iPhone 16 Pro": 24,
+    "iPhone SE (3rd generation)": 28,
+}
+
+
+def of(model: str | None, **more: object) -> VideoMetadata:
+    return VideoMetadata(1920, 1080, model=model, **more)  # type: ignore[arg-type]
+
+
+def test_the_stated_focal_length_agrees_with_the_calibrated_one() -> None:
+    for model, focal_mm in STATED_MM.items():
+        calibrated = lens_prior(1920, 1080, of(model, make="Apple"))
+        stated = lens_prior(1920, 1080, of("unknown", focal_35mm_mm=focal_mm))
+        assert stated.focal_px == pytest.approx(calibrated.focal_px, rel=0.055), model
+        assert "calibrated by OpenCap" in calibrated.source
+        assert f"{focal_mm} mm (as for 35 mm film)" in stated.source
+
+
+def test_real_cameras_are_inside_the_prior() -> None:
+    # Focal length over the longer side of cameras calibrated by others: four of Pose2Sim's demonstration, an
+    # unstabilised iPhone 12 of OpenCap, and the view of 78 degrees along the diagonal of a common webcam.
+    webcam = 0.5 * math.hypot(16, 9) / 16 / math.tan(math.radians(39))
+    for focal in (0.8761, 0.8722, 0.8763, 0.8730, 0.711, webcam):
+        prior = lens_prior(1920, 1080)
+        assert abs(focal * 1920 - prior.focal_px) < 1.1 * prior.sigma_focal * prior.focal_px
+    prior = lens_prior(1920, 1080, of("iPhone 12"))
+    for cropped in (1.0, 1.0 * STABILISED, 1.2):
+        assert abs(0.711 * 1920 * cropped - prior.focal_px) < 2 * prior.sigma_focal * prior.focal_px
+
+
+def test_the_prior_is_one_of_the_camera_not_of_the_resolution_or_the_turn() -> None:
+    for metadata in (None, of("Pixel 6")):
+        full, small = lens_prior(3840, 2160, metadata), lens_prior(1080, 1920, metadata)
+        assert full.focal_px == pytest.approx(2 * small.focal_px)
+        assert full.source == small.source
+        assert full.sigma_focal == small.sigma_focal
+
+
+def test_less_knowledge_is_a_larger_standard_deviation() -> None:
+    sigmas = [lens_prior(1920, 1080, m).sigma_focal for m in (of("iPhone 12"), of("SM-S911B"), None)]
+    assert sigmas == sorted(sigmas)
+    assert 0.07 < sigmas[0] < sigmas[2] == 0.15
+    assert lens_prior(1080, 1080).sigma_focal > 0.18
+    assert "cropped, by an unknown factor" in lens_prior(1080, 1080).source
+
+
+def test_another_lens_than_the_main_one_is_noticed() -> None:
+    wide = lens_prior(1920, 1080, of("iPhone 13 Pro", make="Apple", focal_35mm_mm=13.0))
+    main = lens_prior(1920, 1080, of("iPhone 13 Pro", make="Apple"))
+    assert wide.focal_px == pytest.approx(0.5 * main.focal_px, rel=0.06)
+    lens = "iPhone 13 Pro back ultra wide camera 1.54mm f/1.8"
+    named = lens_prior(1920, 1080, of("iPhone 13 Pro", lens=lens))
+    assert abs(named.focal_px - wide.focal_px) < named.sigma_focal * named.focal_px
+    assert "ultra lenses" in named.source
+    assert lens_prior(1920, 1080, of("iPhone 13 Pro", make="Apple", focal_35mm_mm=26.0)) == main
+
+
+def test_what_is_unknown_is_said() -> None:
+    assert "nothing is known of the camera" in lens_prior(640, 480).source
+    assert "Acme X1 is not in the table of phones" in lens_prior(640, 480, of("X1", make="Acme")).source
+    assert "the file does not name it" in lens_prior(640, 480, of(None)).source
+    assert "field of view 67 degrees along the longer side, focal length +- 15 %" in lens_prior(640, 480).source
+    with pytest.raises(InvalidInputError, match="image of 0 x 480 px"):
+        lens_prior(0, 480)
+
+
+def test_models_are_found_by_their_own_names() -> None:
+    assert find_phone("Apple", "iPhone 12 Pro") != find_phone("Apple", "iPhone 12")
+    assert find_phone("samsung", "SM-G991B") is not None
+    assert find_phone("SAMSUNG", "sm-g991u1") == find_phone(None, "SM-G991B")
+    assert find_phone("Google", "iPhone 12") is None
+    assert find_phone("Apple", "iPhone 99") is None
+    assert find_phone("Apple", None) is None
+
+
+def test_every_phone_of_the_table_has_a_phones_field_of_view() -> None:
+    names = [name for phone in phone_table() for name in phone.models]
+    assert len(names) == len(set(names)) > 60
+    for phone in phone_table():
+        assert 55 < math.degrees(2 * math.atan(0.5 / phone.focal)) < 78
+        assert 0.02 <= phone.sigma <= 0.1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "phone = 3",
+        "[[phone]]\nmake = 'A'",
+        "[sources.s]\ntitle = 't'\nsigma = 1\nk1 = 0\nsigma_k1 = 0\n"
+        "[[phone]]\nmake = 'A'\nmodels = ['x']\nsource = 's'\nfocal = 30",
+    ],
+)
+def test_an_incomplete_table_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "phones.toml").write_text(text)
+    with pytest.raises(FileFormatError, match="phones.toml: an entry is incomplete or of the wrong kind"):
+        read_phone_table(tmp_path / "phones.toml")

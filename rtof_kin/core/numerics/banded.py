@@ -97,11 +97,7 @@ class Factor:
 
 
 def inverse_diagonal(factor: Array) -> Array:
-    """Return the diagonal blocks (N, D, D) of the inverse of a matrix.
-
-    Args:
-        factor: (N, lags, D, D) from `Factor.blocks`.
-    """
+    """Return the diagonal blocks (N, D, D) of the inverse of a matrix. factor: (N, lags, D, D) from `Factor.blocks`."""
     N, lags, D, _ = factor.shape
     out, window = np.empty((N, D, D)), np.zeros(((lags - 1) * D,) * 2)
     for t in range(N - 1, -1, -1):

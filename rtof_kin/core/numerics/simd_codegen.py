@@ -88,11 +88,7 @@ def c_name(given: FrameFunction) -> str:
 
 
 def identity(functions: Sequence[FrameFunction]) -> str:
-    """Return text that identifies the source of functions.
-
-    Args:
-        functions: as for `source`.
-    """
+    """Return text that identifies the source of functions. functions: as for `source`."""
     made_of = "".join(f"{g.function.serialize()} {g.shared} {g.placed}" for g in functions)
     return f"{_HEAD} {_DRIVER} {_PIECE} {_OPERATIONS} {made_of}"
 

@@ -116,11 +116,7 @@ class FragmentProblem:
         self._build()
 
     def pack(self, values: dict[str, Array]) -> Array:
-        """Return the parameter vector.
-
-        Args:
-            values: name -> array, with the shapes of `parameters`.
-        """
+        """Return the parameter vector. values: name -> array, with the shapes of `parameters`."""
         return np.concatenate([np.ravel(values[name], order="F") for name in self.parameters])
 
     def _joint(self, index: int) -> Any:
@@ -317,11 +313,7 @@ _cached_problem = lru_cache(maxsize=8)(FragmentProblem)
 
 
 def rigid_pairs(parents: tuple[int, ...]) -> Bones:
-    """Return pairs of joints at a constant distance: bones, and siblings on one segment.
-
-    Args:
-        parents: (J,) of the tree.
-    """
+    """Return pairs of joints at a constant distance: bones, and siblings on one segment. parents: (J,) of the tree."""
     pairs = [(parent, child) for child, parent in enumerate(parents) if parent >= 0]
     for joint in range(len(parents)):
         pairs += combinations(children_of(parents, joint), 2)

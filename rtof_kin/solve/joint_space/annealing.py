@@ -47,8 +47,8 @@ class Annealing:
         given, visual = settings.sigma_reprojection, problem.energy["visual"]
         largest = settings.sigma_reprojection_range[1] if given is None else given
         self._camera = np.array(visual.cameras, dtype=int)
-        self._pictures = [
-            Picture(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
+        self._errors = [
+            CameraErrors(self._seen[:, own], sizes[own], largest, settings.largest_correlation_factor)
             for own in (self._camera == c for c in range(1 + len(visual.further)))
         ]
         self._left = settings.annealing if given is None and visual.landmarks else 0
@@ -59,13 +59,13 @@ class Annealing:
         if self._left == 0:
             return False
         residuals, changed = self._problem.value(x)[1], self._left == self._settings.annealing
-        for c, picture in enumerate(self._pictures):
-            changed |= picture.estimate(residuals[:, self._camera == c])
+        for c, errors in enumerate(self._errors):
+            changed |= errors.estimate(residuals[:, self._camera == c])
         if not changed:
             return False
         self._left -= 1
-        for picture in self._pictures:
-            picture.accept(self._bounds)
+        for errors in self._errors:
+            errors.accept(self._bounds)
         self._weigh(True)
         return True
 
@@ -74,19 +74,19 @@ class Annealing:
         """Standard deviation of a landmark per axis with the factor for autocorrelation, px; the mean of the
         cameras that see enough.
         """
-        return float(np.mean([picture.sigma for picture in self._observing]))
+        return float(np.mean([errors.sigma for errors in self._observing]))
 
     @property
-    def _observing(self) -> list[Picture]:
+    def _observing(self) -> list[CameraErrors]:
         """Cameras with enough landmarks for an estimate, else all."""
-        return [picture for picture in self._pictures if picture.enough] or self._pictures
+        return [errors for errors in self._errors if errors.enough] or self._errors
 
     @property
     def constant_px(self) -> float:
         """Size of the constant part of a landmark's errors, px per axis; the first camera's."""
-        picture = self._pictures[0]
-        square = picture.factor**2  # (1 + r) / (1 - r) with the correlation r
-        return float(picture.sigma / picture.factor * np.sqrt((square - 1) / (square + 1)))
+        errors = self._errors[0]
+        square = errors.factor**2  # (1 + r) / (1 - r) with the correlation r
+        return float(errors.sigma / errors.factor * np.sqrt((square - 1) / (square + 1)))
 
     def _weigh(self, estimated: bool) -> None:
         """Set the weights, for errors whose autocorrelation was estimated or not yet.
@@ -95,18 +95,18 @@ class Annealing:
         the initial guess and of the prior's mean are constant over a fragment; their weights per frame
         decrease where the errors of vision average out.
         """
-        variance = np.array([picture.sigma**2 for picture in self._pictures])[self._camera]
+        variance = np.array([errors.sigma**2 for errors in self._errors])[self._camera]
         self._problem.reweigh("w_visual", self._confidence * self._seen / variance)
-        knees = [self._settings.robust_reprojection / picture.factor for picture in self._pictures]
+        knees = [self._settings.robust_reprojection / errors.factor for errors in self._errors]
         self._problem.reweigh("knee_visual", np.tile(knees, (len(self._seen), 1)))
         largest = self._settings.largest_correlation_factor
-        factor = float(np.mean([picture.factor for picture in self._observing]))
+        factor = float(np.mean([errors.factor for errors in self._observing]))
         share = factor / largest if estimated else 1.0
         for name in self._problem.energy.constant_errors:
             self._problem.reweigh(name, share * self._others[name])
 
 
-class Picture:
+class CameraErrors:
     """The errors of one camera's landmarks.
 
     Attributes:

@@ -21,7 +21,7 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.core.errors import SolverError
 from rtof_kin.core.numerics.banded import Factor, inverse_diagonal
 from rtof_kin.core.numerics.levenberg_marquardt import STIFFNESS, LevenbergMarquardt
-from rtof_kin.solve.joint_space.annealing import Picture
+from rtof_kin.solve.joint_space.annealing import CameraErrors
 from rtof_kin.solve.joint_space.fragment import FragmentData, FragmentEnergy
 from rtof_kin.solve.joint_space.observations import Observations
 from rtof_kin.solve.joint_space.state import Limits, StateSpace
@@ -44,20 +44,12 @@ class MarginalPrior:
 
     @classmethod
     def none(cls, space: StateSpace, x: Array) -> MarginalPrior:
-        """Return a prior without information.
-
-        Args:
-            x: (3, 3 + 4A) any states.
-        """
+        """Return a prior without information. x: (3, 3 + 4A) any states."""
         size = MEMORY * space.size
         return cls(x, np.zeros((size, size)), np.zeros(size))
 
     def at(self, space: StateSpace, x: Array) -> tuple[float, Array]:
-        """Return the energy and its gradient (3, D) by tangents at x.
-
-        Args:
-            x: (3, 3 + 4A).
-        """
+        """Return the energy and its gradient (3, D) by tangents at x. x: (3, 3 + 4A)."""
         d = space.difference(self.x, x).ravel()
         pulled = self.precision @ d
         force = (self.slope + pulled).reshape(MEMORY, -1)
@@ -356,10 +348,10 @@ class _RunningErrors:
 
     def estimate(self, residuals: Array, seen: Mask, share: float) -> None:
         """Average with residuals (N, L, 2), px, where seen (N, L)."""
-        picture = Picture(seen, self._sizes, self._bounds[1], self._largest)
-        if self._given is not None or not picture.enough:
+        errors = CameraErrors(seen, self._sizes, self._bounds[1], self._largest)
+        if self._given is not None or not errors.enough:
             return
-        size, factor = picture.estimated(residuals)
+        size, factor = errors.estimated(residuals)
         share = share if self._estimated else 1.0
         self._size += share * (size - self._size)
         self._factor += share * (factor - self._factor)

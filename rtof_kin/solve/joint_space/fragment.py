@@ -97,11 +97,7 @@ class FragmentEnergy:
     """
 
     def __init__(self, functions: FragmentFunctions, energy: FrameEnergy, frames: int, sigma_jerk: Array) -> None:
-        """Bind the functions to arrays.
-
-        Args:
-            functions: those of `energy`. sigma_jerk: equal for the axes of a joint.
-        """
+        """Bind the functions to arrays. functions: those of `energy`. sigma_jerk: equal for the axes of a joint."""
         self.space, self.energy, self.frames, self.sigma_jerk = energy.space, energy, frames, sigma_jerk
         self.names = (*energy.names, *dict.fromkeys(path.term for path in energy.paths), "smooth")
         self._functions, self._columns = functions, Columns(frames)

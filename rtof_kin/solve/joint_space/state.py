@@ -113,11 +113,7 @@ class StateSpace:
         return np.concatenate([y[:, :3] - x[:, :3], turns.reshape(len(x), -1) @ self.expand], axis=1)
 
     def low_passed(self, x: Array, rate_hz: float, cutoff_hz: float) -> Array:
-        """Return low-pass filtered states.
-
-        Args:
-            x: (T, 3 + 4A). cutoff_hz: -3 dB frequency.
-        """
+        """Return low-pass filtered states. x: (T, 3 + 4A). cutoff_hz: -3 dB frequency."""
         if len(x) < 4 or cutoff_hz >= rate_hz / 2:
             return x
         q = self.rotations(x)

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from rtof_kin.body import kinematics
-from rtof_kin.body.limbs import LIMBS, bare, both_bones_sensed
+from rtof_kin.body.kinematics import LIMBS, bare, both_bones_sensed
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
