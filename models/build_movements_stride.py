@@ -240,7 +240,7 @@ def _above(height: Array, least: Array) -> Array:
 def _foot(
     stride: Stride, path: _Path, phase: Array, start: float, side: int, contact: tuple[float, float], stand: Array
 ) -> tuple[Array, Array]:
-    """Return the ball (T, 3) of a foot and its heading (T,): contact_points, and recorded swings between."""
+    """Return the ball (T, 3) of a foot and its heading (T,): contact points, and recorded swings between."""
     last = path.phase[-1]
     on, off = (value - start for value in contact)
     first = int(np.floor(-on)) - 2

@@ -218,7 +218,7 @@ def calibrate_by_pose(
     )
 
 
-def _forward(facing: float | tuple[str, str], held: _PoseSamples) -> float:
+def _forward(facing: float | tuple[str, str], samples: _PoseSamples) -> float:
     """Return the heading, rad, of the person in the sensors' shared reference."""
     if not isinstance(facing, tuple):
         if not np.isfinite(facing):
@@ -236,7 +236,7 @@ def _forward(facing: float | tuple[str, str], held: _PoseSamples) -> float:
 
 
 def _from_movement(
-    imus: ImuSequence | SensorLog, held: _PoseSamples, R_pose: Array, skeleton: SkeletonModel, headings: str
+    imus: ImuSequence | SensorLog, samples: _PoseSamples, R_pose: Array, skeleton: SkeletonModel, headings: str
 ) -> Headings:
     bone_imus = calibrated(imus, samples.aligned(np.zeros(len(samples.joints)), R_pose))
     first = max(bone_imus.times[0], min(samples.still[0], bone_imus.times[-1] - _LONGEST))

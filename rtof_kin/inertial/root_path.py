@@ -67,11 +67,11 @@ class ContactPoints:
     p_world: Array  # (T, C, 3) m; NaN as a whole where a joint does not stand
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", checked_names("contact_point joints", self.joints))
-        p = readonly("contact_points p_world", self.p_world, ("T", len(self.joints), 3))
+        object.__setattr__(self, "joints", checked_names("contact point joints", self.joints))
+        p = readonly("contact points p_world", self.p_world, ("T", len(self.joints), 3))
         missing = np.isnan(p)
         if np.isinf(p).any() or (missing.any(axis=2) & ~missing.all(axis=2)).any():
-            raise InvalidInputError("contact_points p_world: a place is finite, or NaN as a whole")
+            raise InvalidInputError("contact points p_world: a position is finite, or NaN as a whole")
         object.__setattr__(self, "p_world", p)
 
     def __len__(self) -> int:

@@ -203,7 +203,7 @@ class FragmentSolver:
         if keypoints is not None and not np.array_equal(start.times, keypoints.times):
             raise InvalidInputError("start and keypoints: must have the same times, one sample per frame")
         if contact_points is not None and len(contact_points) != len(start):
-            raise InvalidInputError(f"contact_points: {len(contact_points)} frames, but start has {len(start)}")
+            raise InvalidInputError(f"contact points: {len(contact_points)} frames, but start has {len(start)}")
         finite = np.isfinite(start.p_world_joint).all(axis=(1, 2))
         if self.space == "joint":
             finite &= np.isfinite(start.R_world_bone).all(axis=(1, 2, 3))

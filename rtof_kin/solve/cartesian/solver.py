@@ -76,7 +76,7 @@ class CartesianSolver:
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
         if keypoints is None or contact_points is not None:
-            raise SolverError("space 'cartesian' needs keypoints and has no contact_points; use 'joint'")
+            raise SolverError("space 'cartesian' needs keypoints and has no contact points; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         start = guess.poses

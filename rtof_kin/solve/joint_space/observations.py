@@ -49,8 +49,8 @@ class Observations:
     """Observations of T frames, and the energy of fragments built for them.
 
     Attributes:
-        times: (T,) s. guess: initial guess. seen: measured points of each camera. bone_imus, contact_points, observed: as
-            given. active: segments whose sensor has data.
+        times: (T,) s. guess: initial guess. seen: measured points of each camera.
+        bone_imus, contact_points, observed: as given. active: segments whose sensor has data.
         names: L landmarks, or the detector's own points, those of further cameras behind those of the first.
         points: their places.
         sensors: S segments with a place for a sensor. sensed: their `sensor_data`. attached: segments of landmarks,
