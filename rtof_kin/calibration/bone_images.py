@@ -217,7 +217,7 @@ def check_clocks(
         apart = np.nanmean(images.by_sensor(round(scan.best / STEP)))
         mirrored = bone_images(keypoints, exchanged_sides(bone_imus), poses, skeleton)
         # With alternating sides, half a period later looks like exchanged sides.
-        if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor())):
+        if apart > _AGREE or (mirrored is not None and apart > np.nanmean(mirrored.by_sensor()) - 1e-9):
             why = "image and sensors show different motion at every offset"
             return Check.unknown(NAME, what, "s", why)
     second, gain = scan.rival

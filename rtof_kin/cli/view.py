@@ -124,7 +124,7 @@ def _print_files(files: Opened, folder: Path, beside: Path | None) -> None:
     motion, given = files.motion, files.measurements
     parts = [f"{motion.times[-1] - motion.times[0]:.1f} s at {motion.rate_hz:.0f} Hz"]
     if given is not None:
-        first = given.first
+        first = given.read(0, 1)
         parts += [f"{len(first.views)} camera{'s' if len(first.views) > 1 else ''}"] if first.views else []
         parts += [f"{len(first.sensors)} IMUs"] if first.sensors else []
         parts += ["the truth"] if first.truth is not None else []
@@ -170,18 +170,7 @@ def overlay(
     no_video: bool = False,
     settings: Annotated[
         OverlaySettings,
-        Fields(
-            "start",
-            "stop",
-            "angles",
-            "bands",
-            "points",
-            "blur_face",
-            "title",
-            "background",
-            shift="video-shift",
-            width_px="width",
-        ),
+        Fields("start stop angles bands points blur_face title background", shift="video-shift", width_px="width"),
     ],
     view: Annotated[int, Parameter(metavar="N")] = 1,
     overwrite: Overwrite = False,

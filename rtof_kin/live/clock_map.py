@@ -47,11 +47,7 @@ class Arrived:
 
 
 def stream_of(sample: Sample) -> str:
-    """Return the name of the sensor, or `VIDEO`.
-
-    Args:
-        sample: of any stream.
-    """
+    """Return the name of the sensor, or `VIDEO`. `sample`: of any stream."""
     return VIDEO if isinstance(sample, FrameSample) else sample.sensor
 
 
@@ -139,7 +135,6 @@ class ClockMap:
     """
 
     def __init__(self, source: str, clock: Clock = Clock.OWN):
-        """Begin without any sample."""
         self.source, self.clock = source, clock
         self.left_out = 0
         """Samples with a stamp off the line."""
@@ -202,11 +197,7 @@ class SessionClock:
     """Puts the samples of all sources on one clock."""
 
     def __init__(self, clocks: Mapping[str, Clock]):
-        """Begin without any sample.
-
-        Args:
-            clocks: clock of each source, by its name.
-        """
+        """Begin without any sample. `clocks`: clock of each source, by its name."""
         self.maps = {name: ClockMap(name, clock) for name, clock in clocks.items()}
         """`ClockMap` of each source."""
         self._clocks = dict(clocks)
@@ -214,11 +205,7 @@ class SessionClock:
         self._first_arrival = math.nan
 
     def arrived(self, source: str, sample: Sample, arrival: float) -> Arrived:
-        """Return a sample with its time.
-
-        Args:
-            sample: on that source's clock. arrival: s on this machine's clock.
-        """
+        """Return a sample with its time. `sample`: on that source's clock. `arrival`: s on this machine's clock."""
         if math.isnan(self._first_arrival):
             self._first_arrival = arrival
         self._settle(source, sample.time, arrival)
@@ -232,11 +219,7 @@ class SessionClock:
         return Arrived(source, sample, arrival, float(time))
 
     def notices(self, arrival: float) -> list[str]:
-        """Return sentences about jumps of clocks since the last call.
-
-        Args:
-            arrival: now, s on this machine's clock.
-        """
+        """Return sentences about jumps of clocks since the last call. `arrival`: now, s on this machine's clock."""
         return [text for clock_map in self.maps.values() for text in clock_map.notices(arrival)]
 
     def _machine_less_session(self) -> float:
@@ -256,11 +239,7 @@ class SessionClock:
 
 
 def with_time(sample: Sample, time: float) -> Sample:
-    """Return a sample on the session's clock.
-
-    Args:
-        time: s on the session's clock.
-    """
+    """Return a sample on the session's clock. `time`: s on the session's clock."""
     if sample.time == time:
         return sample
     if isinstance(sample, FrameSample):

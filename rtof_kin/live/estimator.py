@@ -302,7 +302,6 @@ class OnlineEstimator:
             self._restart(self._window.smoother.x[-1])
 
     def _restart(self, x: Array) -> None:
-        """Begin again at a state of the newest frame."""
         smoother = self._window.smoother
         smoother.restart(x)
         smoother.inside[-1], smoother.rows["w_prior"][-1] = True, 1.0
@@ -368,7 +367,6 @@ class OnlineEstimator:
             self.restarts += 1
 
     def _R_world_bone(self, time: float) -> dict[str, Array]:
-        """Orientations of segments at a time, by joint."""
         if self._sensors is None:
             return {}
         q, known, _, _ = self._sensors.at(np.array([time]))

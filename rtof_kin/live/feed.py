@@ -14,7 +14,6 @@ class SinkGroup:
     """Gives estimates and messages to all sinks that still take them."""
 
     def __init__(self, sinks: Sequence[Sink]):
-        """Take the sinks."""
         self._sinks = list(sinks)
 
     def send(self, estimate: OnlineEstimate) -> list[str]:
@@ -73,11 +72,7 @@ class Feed:
         """Whether no further sample will come."""
 
     def poll(self, arrival: float) -> list[Sample]:
-        """Return what has arrived; start the source where that is due.
-
-        Args:
-            arrival: now, s on this machine's clock.
-        """
+        """Return what has arrived; start the source where that is due. `arrival`: now, s on this machine's clock."""
         if self._closed or self.finished or not (self._running or self._started(arrival)):
             return []
         try:

@@ -182,11 +182,7 @@ def find_again(stream: str, stop: Callable[[], bool]) -> Inlet | None:
 
 
 def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
-    """Return whether a condition holds within a time; it is asked at least once.
-
-    Args:
-        timeout_s: s.
-    """
+    """Return whether a condition holds within a time; it is asked at least once. `timeout_s`: s."""
     deadline = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline:
@@ -351,7 +347,6 @@ class LslClock:
     """Maps the stamps of one sender to the LSL clock of this machine."""
 
     def __init__(self) -> None:
-        """Begin without a measured offset."""
         self._measured: float | None = None
         self._shift_s = 0.0  # [s] that mends jumps of the stamps
         self._newest: float | None = None
@@ -613,11 +608,7 @@ class LslFrameSource(_LslSource):
     """Points detected in a video: one LSL stream of channels ``<landmark>_x``, ``_y``, ``_confidence``."""
 
     def __init__(self, stream: str, timeout_s: float = 5.0):
-        """Take the name of the stream.
-
-        Args:
-            timeout_s: s that it has to answer.
-        """
+        """Take the name of the stream. `timeout_s`: s that it has to answer."""
         super().__init__(stream, timeout_s)
         self._channels: FrameChannels | None = None
 

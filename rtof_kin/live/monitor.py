@@ -59,11 +59,7 @@ class Recent:
         self._usual_hz = 0.0
 
     def add(self, time: float, age: float) -> None:
-        """Take a sample.
-
-        Args:
-            time, age: s.
-        """
+        """Take a sample. `time`, `age`: s."""
         self._samples.append((time, age))
 
     def clear(self) -> None:
@@ -275,11 +271,7 @@ class Monitor:
     """Follows all streams: `update` takes every sample, `check` returns what has changed."""
 
     def __init__(self, sensors: Sequence[str] = (), camera: bool = False, patience_s: float = 3.0):
-        """Begin to wait for streams.
-
-        Args:
-            patience_s: after which a stream that does not start is told, s.
-        """
+        """Begin to wait for streams. `patience_s`: after which a stream that does not start is told, s."""
         self._streams = {name: _Stream(name) for name in (*sensors, *((VIDEO,) if camera else ()))}
         self._patience = patience_s
         self._front = self._before = self._moved = math.nan  # newest time; before this step; its arrival
@@ -288,19 +280,11 @@ class Monitor:
         self._frames: deque[tuple[float, float, float]] = deque(maxlen=_FRAMES)  # time, lag, seconds
 
     def expect(self, stream: str) -> None:
-        """Begin to wait for a further stream.
-
-        Args:
-            stream: sensor, or `VIDEO`.
-        """
+        """Begin to wait for a further stream. `stream`: sensor, or `VIDEO`."""
         self._streams.setdefault(stream, _Stream(stream))
 
     def update(self, arrived: Arrived) -> None:
-        """Take a sample.
-
-        Args:
-            arrived: with its time; one that is left out (NaN) is ignored.
-        """
+        """Take a sample. `arrived`: with its time; one that is left out (NaN) is ignored."""
         if math.isnan(arrived.time):
             return
         if math.isnan(self._front):
@@ -434,7 +418,6 @@ def _begun(state: State, streams: Sequence[_Stream], now: float, patience: float
 
 
 def _ended(state: State, seconds: float) -> str:
-    """Say what has ended and how long it was so."""
     if state is State.LOSSY:
         return "nearly all samples come again"
     if state is State.LATE:

@@ -146,19 +146,11 @@ class Recorder:
         (chunk.frames if isinstance(arrived.sample, FrameSample) else chunk.sensors).append(arrived)
 
     def add_estimate(self, estimate: OnlineEstimate, arrival: float) -> None:
-        """Take an estimate.
-
-        Args:
-            arrival: now, s on the clock of the arrivals.
-        """
+        """Take an estimate. `arrival`: now, s on the clock of the arrivals."""
         self._current(arrival).estimates.append(estimate)
 
     def tell(self, sentence: str, arrival: float) -> None:
-        """Take a message.
-
-        Args:
-            arrival: now, s on the clock of the arrivals.
-        """
+        """Take a message. `arrival`: now, s on the clock of the arrivals."""
         self._current(arrival).sentences.append(sentence)
 
     def notices(self) -> list[str]:

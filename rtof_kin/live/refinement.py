@@ -108,7 +108,6 @@ class Refinement:
         return self.corrections
 
     def _update(self) -> Generator[None, None, None]:
-        """Work on the last frames, slice by slice."""
         times = self._times.copy()
         q, w, a, w_a = self._sampled(times)
         yield

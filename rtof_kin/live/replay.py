@@ -117,11 +117,7 @@ class ReplayClock:
         return self.first + self._speed * (self._system() - begun)
 
     def age(self, time: float) -> float:
-        """Return how long ago a time was reached, in seconds of the system; 0 without pace.
-
-        Args:
-            time: s.
-        """
+        """Return how long ago a time was reached, in seconds of the system; 0 without pace. `time`: s."""
         if not self.paced or self._begun is None:
             return 0.0
         return max(self._paced(self._begun) - time, 0.0) / self._speed

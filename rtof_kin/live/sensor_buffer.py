@@ -40,11 +40,7 @@ class SensorBuffer:
     def __init__(
         self, calibration: ImuCalibration, joints: tuple[str, ...], rate_hz: float, cutoff_hz: float | None
     ) -> None:
-        """Begin empty.
-
-        Args:
-            cutoff_hz: of the accelerations' low-pass; None for none.
-        """
+        """Begin empty. `cutoff_hz`: of the accelerations' low-pass; None for none."""
         self.joints = joints
         rows = [calibration.joints.index(joint) for joint in joints]
         self._calibration = calibration

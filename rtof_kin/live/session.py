@@ -77,15 +77,10 @@ class FrameTimes:
     """Counts frame times in bins of 2 % width."""
 
     def __init__(self) -> None:
-        """Begin without any frame."""
         self._counts = np.zeros(_BINS, dtype=np.int64)
 
     def add(self, seconds: float, frames: int = 1) -> None:
-        """Take frames.
-
-        Args:
-            seconds: of each.
-        """
+        """Take frames. `seconds`: of each."""
         place = int(math.log(max(seconds, _LEAST) / _LEAST) / _WIDTH)
         self._counts[min(place, _BINS - 1)] += frames
 
@@ -95,11 +90,7 @@ class FrameTimes:
         return int(self._counts.sum())
 
     def percentile(self, percent: float) -> float:
-        """Return a percentile, s; NaN without frames.
-
-        Args:
-            percent: 0 to 100.
-        """
+        """Return a percentile, s; NaN without frames. `percent`: 0 to 100."""
         if not self.frames:
             return float("nan")
         place = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.frames))

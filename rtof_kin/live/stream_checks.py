@@ -207,7 +207,6 @@ class FirstSeconds:
     """
 
     def __init__(self) -> None:
-        """Begin without any sample."""
         self._first: dict[str, _First] = {}
         self._done: set[str] = set()
 

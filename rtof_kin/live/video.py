@@ -368,7 +368,6 @@ class VideoSource:
     # --- images ------------------------------------------------------------------------------------
 
     def _file(self) -> Images:
-        """Generate the images of the file."""
         seconds = read_video_metadata(str(self._source)).seconds
         self._replay.cover(self.name, 0.0, np.inf if seconds is None else seconds)
         for frame in read_video(str(self._source)):
@@ -386,9 +385,5 @@ class VideoSource:
 
 
 def is_webcam(source: str | Path | int) -> bool:
-    """Return whether a source is a webcam: a number or a device.
-
-    Args:
-        source: of `VideoSource`.
-    """
+    """Return whether a source is a webcam: a number or a device. `source`: of `VideoSource`."""
     return isinstance(source, int) or str(source).startswith("/dev/video")

@@ -57,7 +57,6 @@ class JointStates:
     """Messages of successive estimates of one skeleton."""
 
     def __init__(self, skeleton: SkeletonModel):
-        """Take the skeleton whose poses come."""
         self._skeleton = skeleton
         joints = skeleton.table.joints[1:]
         index = [[skeleton.dof_names.index(dof.urdf) for dof in joint.dofs] for joint in joints]
@@ -145,7 +144,6 @@ _SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js")
 
 @cache
 def _sources() -> tuple[str, str]:
-    """Return style sheet and script of the page."""
     style = asset("page.css") + _own("live.css")
     return style, "".join(map(asset, _SCRIPTS)) + _own("live.js")
 
@@ -388,7 +386,6 @@ class WebSocketServer:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens."""
     try:
         if not 0 <= port < 1 << 16:
             raise OSError("a port is a number up to 65535")

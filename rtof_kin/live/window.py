@@ -111,11 +111,7 @@ class Window:
         return self.first + self.frames - 1
 
     def append(self, x: Array) -> None:
-        """Append a frame without observations; the oldest one leaves.
-
-        Args:
-            x: (3 + 4A,) its initial state.
-        """
+        """Append a frame without observations; the oldest one leaves. `x`: (3 + 4A,) its initial state."""
         S = len(self.data.sensors)
         self.smoother.append(x, {"w_prior": np.ones(())}, np.zeros((S, 3)), np.zeros(S))
         for array in (self.seen, self._torso_weights, self._standing):
@@ -363,7 +359,6 @@ class WindowPoses:
     """Poses of the frames of a window."""
 
     def __init__(self, window: Window) -> None:
-        """Take the window."""
         self._window, self._skeleton = window, window.skeleton
         self._whole_of: dict[bytes, Mask] = {}
 
@@ -428,7 +423,6 @@ class StatedErrors:
     """Covariances of frames of a window."""
 
     def __init__(self, window: Window) -> None:
-        """Take the window, whose sensors and camera decide the inflation."""
         self._window, self._inflation = window, CovarianceInflation.shipped()
         self._torso_sigma: float | None = None
 
@@ -441,11 +435,7 @@ class StatedErrors:
             self._torso_sigma = before + _TORSO_SHARE * (new - before)
 
     def of(self, i: int, time: float) -> Confidence:
-        """Return the covariances of frame i of the window.
-
-        Args:
-            time: of the frame, s.
-        """
+        """Return the covariances of frame i of the window. `time`: of the frame, s."""
         window, data = self._window, self._window.data
         x = window.smoother.x[i : i + 1]
         C = window.smoother.covariance(i)[:1]

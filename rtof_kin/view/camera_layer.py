@@ -176,11 +176,7 @@ def video_camera(view: KeypointSequence) -> Camera:
 
 
 def camera_block(view: KeypointSequence, p_world: Array) -> CameraBlock:
-    """Return what is drawn of a camera.
-
-    Args:
-        p_world: (n, J, 3) m, joints of the motion in them.
-    """
+    """Return what is drawn of a camera. `p_world`: (n, J, 3) m, joints of the motion in them."""
     camera, frames = video_camera(view), np.arange(len(view))
     R_world_still = view.camera.R_camera_world.T
     R = np.broadcast_to(R_world_still, (len(view), 3, 3))
@@ -205,11 +201,7 @@ class CameraLayer:
     """Frustum of one camera with its image and points."""
 
     def __init__(self, server: Any, name: str, view: KeypointSequence, label: str):
-        """Add the camera to the scene.
-
-        Args:
-            view: any frames of the camera.
-        """
+        """Add the camera to the scene. `view`: any frames of the camera."""
         self.camera = video_camera(view)
         self.center = view.camera.center_world
         self._depth = DEPTH
@@ -249,11 +241,7 @@ class CameraLayer:
         return self._R
 
     def show(self, block: CameraBlock, i: int, depth: float = DEPTH) -> None:
-        """Show one frame.
-
-        Args:
-            depth: of the image before the camera, m.
-        """
+        """Show one frame. `depth`: of the image before the camera, m."""
         self._depth = depth
         self._show_pose(block.R_world_camera[i])
         for what, points in (("detected", block.detected[i]), ("reprojected", block.reprojected[i])):

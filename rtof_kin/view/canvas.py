@@ -1,7 +1,7 @@
-"""Anti-aliased drawing on an image, in place: lines, discs, ellipses, boxes and text.
+"""Anti-aliased drawing on an image, in place: lines, discs, ellipses, boxes and text, and room for labels.
 
-The coverage of a pixel follows from its distance to the shape, so that shapes lie exactly where they are
-asked for, also between pixels. The centre of the first pixel is (0, 0), as in OpenCV's cameras.
+Shapes are polygons with corners between pixels, filled by OpenCV; text is Pillow's. The centre of the first pixel is
+(0, 0), as in OpenCV's cameras.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +22,15 @@ from rtof_kin.view.legend import Rgb
 
 Image = NDArray[np.uint8]
 Coverage = NDArray[np.float32]
-_POINT: Final = 1e-9
-"""Length below which a line is a disc, px."""
+Offset = tuple[int, int]
+_SHIFT: Final = 5
+"""Binary digits of a corner's place between pixels."""
+_FARTHEST_PX: Final = 1e6
+"""Corners farther away are drawn there, within OpenCV's integers."""
+_GROWN_PX: Final = 0.64
+"""By which OpenCV's anti-aliased polygons are larger than their corners say."""
+_AROUND: Final = np.linspace(0, 2 * np.pi, 49)[:-1]
+_MORE: Final = " …"
 
 
 @dataclass(frozen=True)
@@ -78,8 +85,7 @@ class Canvas:
     """An image that is drawn on; what lies outside of it is cut."""
 
     def __init__(self, image: Image):
-        """Take the image (height, width, 3), BGR, that is changed."""
-        self.image = image
+        self.image, self._cv2 = image, optional("cv2", "view", "drawing on a video")
 
     @property
     def box(self) -> Box:
@@ -87,25 +93,17 @@ class Canvas:
         return Box(0, 0, self.image.shape[1], self.image.shape[0])
 
     def line(self, start: Sequence[float] | Array, end: Sequence[float] | Array, stroke: Stroke) -> None:
-        """Draw a line with round ends; nothing if an end is not finite.
-
-        Args:
-            start, end: (2,) px.
-        """
-        (ax, ay), (bx, by) = map(float, start), map(float, end)
-        margin = stroke.radius + stroke.edge_width + 1
-        grid = self._grid(min(ax, bx), min(ay, by), max(ax, bx), max(ay, by), margin)
-        if grid is None:
+        """Draw a line with round ends; nothing if an end is not finite. `start`, `end`: (2,) px."""
+        ends = np.array([start, end], dtype=float)
+        if not np.isfinite(ends).all():
             return
-        x, y, patch = grid
-        x, y, length = x - ax, y - ay, math.hypot(bx - ax, by - ay)
-        if length < _POINT:
-            _fill(patch, x * x + y * y, stroke)
-            return
-        ux, uy = (bx - ax) / length, (by - ay) / length
-        along, across = x * ux + y * uy, y * ux - x * uy
-        along -= np.minimum(np.maximum(along, 0), length)
-        _fill(patch, along * along + across * across, stroke)
+        along = np.subtract(*ends[::-1])
+        turned = _AROUND + math.atan2(along[1], along[0]) - np.pi / 2
+        circle = np.column_stack([np.cos(turned), np.sin(turned)])
+        half = np.repeat(ends[::-1], len(circle) // 2, axis=0)  # first the half circle about the end
+        if stroke.edge is not None and stroke.edge_width > 0:
+            self._fill(half + max(stroke.radius + stroke.edge_width - _GROWN_PX, 0.0) * circle, stroke.edge)
+        self._fill(half + max(stroke.radius - _GROWN_PX, 0.0) * circle, stroke.colour)
 
     def disc(self, centre: Sequence[float] | Array, stroke: Stroke) -> None:
         """Draw a disc; nothing if its centre is not finite.
@@ -116,11 +114,7 @@ class Canvas:
         self.line(centre, centre, stroke)
 
     def cross(self, centre: Sequence[float] | Array, arm: float, stroke: Stroke) -> None:
-        """Draw a diagonal cross.
-
-        Args:
-            centre: (2,) px. arm: half its width, px.
-        """
+        """Draw a diagonal cross. `centre`: (2,) px. `arm`: half its width, px."""
         x, y = map(float, centre)
         for rise in (arm, -arm):
             self.line((x - arm, y - rise), (x + arm, y + rise), stroke)
@@ -132,38 +126,29 @@ class Canvas:
             centre: (2,) px. shape: (2, 2) px^2, the matrix S of the border ``d^T S^-1 d = 1``.
             fill: opacity of the interior, 0 to 1.
         """
-        cx, cy = map(float, centre)
-        if not np.isfinite(shape).all():
+        if not (np.isfinite(shape).all() and np.isfinite(centre).all()):
             return
         values, vectors = np.linalg.eigh(shape + 0.25 * np.eye(2))  # not thinner than a pixel
         axes = np.sqrt(np.maximum(values, 0.25))
         if axes.max() > 2 * max(self.image.shape):
             return
-        reach = np.sqrt((axes**2 * vectors**2).sum(axis=1))
-        left, top, right, bottom = cx - reach[0], cy - reach[1], cx + reach[0], cy + reach[1]
-        grid = self._grid(left, top, right, bottom, stroke.radius + 1)
-        if grid is None:
-            return
-        x, y, patch = grid
-        x, y = x - cx, y - cy
-        u, v = (float(vectors[0, k] / axes[k]) * x + float(vectors[1, k] / axes[k]) * y for k in (0, 1))
-        level = np.sqrt(u * u + v * v)
-        slope = np.sqrt((u / axes[0]) ** 2 + (v / axes[1]) ** 2) / np.maximum(level, 1e-6)
-        distance = (level - 1) / np.maximum(slope, 1e-6)
-        inside = np.clip(0.5 - distance, 0, 1) * fill
-        border = np.clip(stroke.radius + 0.5 - np.abs(distance), 0, 1)
-        _blend(patch, np.maximum(inside, border).astype(np.float32), stroke.colour)
+        border = centre + np.column_stack([np.cos(_AROUND), np.sin(_AROUND)]) * axes @ vectors.T
+        low, high = np.floor(border.min(axis=0)).astype(int) - 2, np.ceil(border.max(axis=0)).astype(int) + 3
+        patch = self.image[max(low[1], 0) : max(high[1], 0), max(low[0], 0) : max(high[0], 0)]
+        if patch.size:
+            inner = patch.copy()
+            Canvas(inner)._fill(border - np.maximum(low, 0), stroke.colour)
+            self._cv2.addWeighted(inner, fill, patch, 1 - fill, 0, dst=patch)
+        width = max(round(2 * stroke.radius), 1)
+        corners = [np.round(border * 2**_SHIFT).astype(np.int32)]
+        self._cv2.polylines(self.image, corners, True, stroke.colour[::-1], width, self._cv2.LINE_AA, _SHIFT)
 
     def shade(self, box: Box, colour: Rgb, opacity: float) -> None:
-        """Cover a box with a translucent colour.
-
-        Args:
-            opacity: 0 to 1.
-        """
+        """Cover a box with a translucent colour. `opacity`: 0 to 1."""
         patch = self.image[max(box.top, 0) : max(box.bottom, 0), max(box.left, 0) : max(box.right, 0)]
-        levels = np.arange(256)[:, None] * (1 - opacity) + np.array(colour[::-1]) * opacity + 0.5
-        for channel in range(3):
-            patch[..., channel] = np.take(levels[:, channel].astype(np.uint8), patch[..., channel])
+        if patch.size:
+            full = np.full_like(patch, colour[::-1])
+            self._cv2.addWeighted(full, opacity, patch, 1 - opacity, 0, dst=patch)
 
     def stamp(self, left: int, top: int, coverage: Coverage, colour: Rgb) -> None:
         """Blend a colour where a mask says so.
@@ -174,63 +159,22 @@ class Canvas:
         height, width = coverage.shape
         x, y = max(left, 0), max(top, 0)
         patch = self.image[y : max(top + height, 0), x : max(left + width, 0)]
-        cut = coverage[y - top : y - top + patch.shape[0], x - left : x - left + patch.shape[1]]
-        _blend(patch, cut, colour)
+        cut = coverage[y - top : y - top + patch.shape[0], x - left : x - left + patch.shape[1], None]
+        patch[:] = patch + cut * (np.array(colour[::-1], dtype=np.float32) - patch) + 0.5
 
-    def _grid(
-        self, left: float, top: float, right: float, bottom: float, margin: float
-    ) -> tuple[Any, Any, Image] | None:
-        """Return columns (w,), rows (h, 1) and the part of the image around a box; None if empty or NaN."""
-        if not math.isfinite(left + top + right + bottom):
-            return None
-        height, width = self.image.shape[:2]
-        x0, y0 = max(math.floor(left - margin), 0), max(math.floor(top - margin), 0)
-        x1, y1 = min(math.ceil(right + margin) + 1, width), min(math.ceil(bottom + margin) + 1, height)
-        if x1 <= x0 or y1 <= y0:
-            return None
-        x = np.arange(x0, x1, dtype=np.float32)
-        y = np.arange(y0, y1, dtype=np.float32)[:, None]
-        return x, y, self.image[y0:y1, x0:x1]
-
-
-def _fill(patch: Image, squared: Any, stroke: Stroke) -> None:
-    """Blend a stroke by each pixel's squared distance from its middle, px^2."""
-    edge_width = stroke.edge_width if stroke.edge is not None else 0.0
-    reach = stroke.radius + edge_width + 0.5
-    where = np.nonzero(squared < reach * reach)
-    near = np.sqrt(squared[where])[:, None]
-    pixels = patch[where].astype(np.float32)
-    if stroke.edge is not None:
-        pixels += np.minimum(reach - near, 1) * (_bgr(stroke.edge) - pixels)
-    inner = np.minimum(np.maximum(stroke.radius + 0.5 - near, 0), 1)
-    pixels += inner * (_bgr(stroke.colour) - pixels)
-    patch[where] = pixels + 0.5
-
-
-@cache
-def _bgr(colour: Rgb) -> NDArray[np.float32]:
-    return np.array(colour[::-1], dtype=np.float32)
-
-
-def _blend(patch: Image, coverage: Coverage, colour: Rgb) -> None:
-    where = np.nonzero(coverage > 0)
-    pixels = patch[where].astype(np.float32)
-    pixels += coverage[where][:, None] * (_bgr(colour) - pixels)
-    patch[where] = pixels + 0.5
-
-
-_CACHED: Final = 500
-"""Texts whose masks are kept."""
-_MORE: Final = " …"
+    def _fill(self, corners: Array, colour: Rgb) -> None:
+        """Fill a convex polygon of corners (n, 2) px."""
+        place = np.round(np.clip(corners, -_FARTHEST_PX, _FARTHEST_PX) * 2**_SHIFT).astype(np.int32)
+        self._cv2.fillConvexPoly(self.image, place, colour[::-1], self._cv2.LINE_AA, _SHIFT)
 
 
 class Lettering:
-    """A font of one size."""
+    """Text as masks, in DejaVu Sans, which comes with matplotlib: the same on every machine."""
 
     def __init__(self, size_px: int):
-        """Take the size of the font, px."""
         self.size_px = size_px
-        self._masks: dict[str, Coverage] = {}
+        self.mask = lru_cache(500)(self._mask)
+        """Returns the coverage (line height, width), 0 to 1, of a text."""
 
     @cached_property
     def _font(self) -> Any:
@@ -243,22 +187,13 @@ class Lettering:
     @cached_property
     def line_height(self) -> int:
         """Height of a line, px."""
-        ascent, descent = self._font.getmetrics()
-        return int(ascent + descent)
+        return int(sum(self._font.getmetrics()))
 
     def width(self, text: str) -> int:
         """Return the width of a text, px."""
         return int(np.ceil(self._font.getlength(text)))
 
-    def mask(self, text: str) -> Coverage:
-        """Return the coverage (line height, width), 0 to 1, of a text."""
-        if text not in self._masks:
-            if len(self._masks) >= _CACHED:
-                self._masks.clear()
-            self._masks[text] = self._drawn(text)
-        return self._masks[text]
-
-    def _drawn(self, text: str) -> Coverage:
+    def _mask(self, text: str) -> Coverage:
         from PIL import Image, ImageDraw
 
         image = Image.new("L", (max(self.width(text), 1), self.line_height))
@@ -266,11 +201,7 @@ class Lettering:
         return np.asarray(np.asarray(image) / np.float32(255), dtype=np.float32)
 
     def wrap(self, text: str, width: int, lines: int) -> list[str]:
-        """Break a text into lines; what does not fit ends with an ellipsis.
-
-        Args:
-            width: of a line, px.
-        """
+        """Break a text into lines; what does not fit ends with an ellipsis. `width`: of a line, px."""
         out = [""]
         words = text.split()
         for i, word in enumerate(words):
@@ -285,11 +216,7 @@ class Lettering:
         return [self.shortened(line, width) for line in out]
 
     def shortened(self, text: str, width: int) -> str:
-        """Return a text that fits, cut with an ellipsis where needed.
-
-        Args:
-            width: px.
-        """
+        """Return a text that fits, cut with an ellipsis where needed. `width`: px."""
         if self.width(text) <= width:
             return text
         while text and self.width(text + _MORE) > width:
@@ -297,7 +224,6 @@ class Lettering:
         return (text.rstrip() + _MORE).strip()
 
 
-Offset = tuple[int, int]
 _DISTANCES: Final = (1.0, 1.7, 2.6, 4.0, 6.0)
 """Distances of a label from its point that are tried, in heights of a line."""
 _HEIGHTS: Final = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)

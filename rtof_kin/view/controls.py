@@ -21,11 +21,7 @@ class Playback:
     """Position, speed and pause of a motion; may be used by several threads."""
 
     def __init__(self, start: float, stop: float):
-        """Pause at the start.
-
-        Args:
-            start, stop: times of the first and the last frame, s.
-        """
+        """Pause at the start. `start`, `stop`: times of the first and the last frame, s."""
         self.start, self.stop = start, stop
         self.repeat = True
         self._lock = threading.Lock()
@@ -54,11 +50,7 @@ class Playback:
             return time
 
     def play(self, now: float, playing: bool = True) -> None:
-        """Go on, from the start if at the end, or pause.
-
-        Args:
-            now: of the clock, s. playing: False to pause.
-        """
+        """Go on, from the start if at the end, or pause. `now`: of the clock, s. `playing`: False to pause."""
         time = self.at(now)
         with self._lock:
             if playing and time >= self.stop:
@@ -66,20 +58,12 @@ class Playback:
             self._time, self._since, self._playing = time, now, playing
 
     def seek(self, time: float, now: float) -> None:
-        """Go to a time, without pausing.
-
-        Args:
-            time: s; limited to those of the motion. now: of the clock, s.
-        """
+        """Go to a time, without pausing. `time`: s; limited to those of the motion. `now`: of the clock, s."""
         with self._lock:
             self._time, self._since = min(max(time, self.start), self.stop), now
 
     def set_speed(self, speed: float, now: float) -> None:
-        """Change the speed.
-
-        Args:
-            now: of the clock, s.
-        """
+        """Change the speed. `now`: of the clock, s."""
         time = self.at(now)
         with self._lock:
             self._time, self._since, self._speed = time, now, speed
@@ -105,11 +89,7 @@ class Controls:
         notes: Sequence[str] = (),
         images: bool = False,
     ):
-        """Build the panel.
-
-        Args:
-            verdict: first line. notes: what is not shown, and why.
-        """
+        """Build the panel. `verdict`: first line. `notes`: what is not shown, and why."""
         self._server, self._scene, self._playback, self._step = server, scene, playback, 1 / rate_hz
         self.changed, self._images = True, images
         gui = server.gui
@@ -135,11 +115,7 @@ class Controls:
             self.status.content = text
 
     def show_time(self, seconds: float) -> None:
-        """Move the slider.
-
-        Args:
-            seconds: time that is shown, s.
-        """
+        """Move the slider. `seconds`: time that is shown, s."""
         self._slider.value = float(np.clip(round(seconds, 3), self._slider.min, self._slider.max))
 
     def show_playing(self) -> None:
@@ -257,11 +233,7 @@ class Controls:
                 one.camera.fov = layer.vertical_view
 
     def look_freely(self, client: Any) -> None:
-        """Return to the first view.
-
-        Args:
-            client: of viser; None for all of them.
-        """
+        """Return to the first view. `client`: of viser; None for all of them."""
         self._scene.behind = None
         self._follow.value = True
         self._set_following(True)

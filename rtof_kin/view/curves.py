@@ -10,11 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.clinical.angle_table import angle_table
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
-from rtof_kin.view.blocks import BlockCache, MotionBlocks
+from rtof_kin.view.blocks import BlockCache
 from rtof_kin.view.legend import curves_html
 
 WHOLE_S: Final = 300.0
@@ -37,8 +38,7 @@ class AngleBlocks:
             computed at once.
     """
 
-    def __init__(self, motion: MotionBlocks):
-        """Compute nothing yet."""
+    def __init__(self, motion: MotionReader):
         self._motion = motion
         table = angle_table(motion.skeleton.table)
         self.names = tuple(row.name for row in table.rows)
@@ -47,7 +47,7 @@ class AngleBlocks:
         self._doubtful = {first + k for first in self._hinges for k in (1, 2)}
         self.in_parts = motion.times[-1] - motion.times[0] > WHOLE_S
         size = int(_PART_S * motion.rate_hz) if self.in_parts else len(motion)
-        self._blocks = BlockCache(len(motion), self._available, self._compute, max(size, 1))
+        self._blocks = BlockCache(len(motion), self._compute, max(size, 1))
 
     def part(self, frame: int, seconds: float = 0.0) -> ClinicalAngles | None:
         """Return the angles of the part of the motion around a frame; None while they are computed.
@@ -66,15 +66,9 @@ class AngleBlocks:
         """Stop computing."""
         self._blocks.close()
 
-    def _available(self) -> int:
-        if self._motion.available == len(self._motion):
-            return len(self._motion)
-        margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
-        return max(self._motion.available - margin, 0)
-
     def _compute(self, start: int, stop: int) -> ClinicalAngles:
         margin = int(_MARGIN_S * self._motion.rate_hz) if self.in_parts else 0
-        found = clinical_angles(self._motion.frames(max(start - margin, 0), min(stop + margin, len(self._motion))))
+        found = clinical_angles(self._motion.read(max(start - margin, 0), min(stop + margin, len(self._motion))))
         for first in self._hinges:
             values = found.values[:, first : first + 3]
             known = np.isfinite(values[:, 0])
@@ -108,7 +102,6 @@ class Curves:
     """Panel with up to three curves."""
 
     def __init__(self, server: Any, angles: AngleBlocks):
-        """Add the panel."""
         self._angles, self.changed = angles, True
         gui = server.gui
         self._shown_limits = _EMPTY

@@ -49,7 +49,6 @@ class FaceFinder:
     """Regions of the face of the tracked person in a picture."""
 
     def __init__(self, projected: ProjectedMotion):
-        """Take the motion in the pixels of the picture."""
         skeleton = projected.motion.skeleton
         camera = projected.view.camera
         self._projected, self._picture = projected, Box(0, 0, camera.width_px, camera.height_px)
@@ -64,11 +63,7 @@ class FaceFinder:
         self._largest = -(-min(self._picture.width, self._picture.height) // _BLOCKS_OF_ALL)
 
     def region(self, moment: Moment | None) -> FaceRegion:
-        """Return what to blur at an instant.
-
-        Args:
-            moment: of the motion; None where there is none.
-        """
+        """Return what to blur at an instant. `moment`: of the motion; None where there is none."""
         whole = FaceRegion(None, self._largest)
         if moment is None or self._joint is None:
             return whole
@@ -120,11 +115,7 @@ def _top_of_head(skeleton: SkeletonModel) -> Array:
 
 
 def pixelate(image: Image, region: FaceRegion) -> None:
-    """Replace a region of an image, in place, by the mean colours of its blocks.
-
-    Args:
-        image: (height, width, 3).
-    """
+    """Replace a region of an image, in place, by the mean colours of its blocks. `image`: (height, width, 3)."""
     height, width = image.shape[:2]
     box = region.box or Box(0, 0, width, height)
     left, top = max(box.left, 0), max(box.top, 0)

@@ -13,6 +13,7 @@ from rtof_kin.body.motion_file import MotionReader, motion_folder
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, new_file
+from rtof_kin.core.packages import optional
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path, read_measurements
 from rtof_kin.view.canvas import Image
@@ -180,7 +181,7 @@ def _source(video: str | Path | None, view: PictureView, motion: Motion, setting
     return PlainSource(size, motion.times, settings.background)
 
 
-def _painter(result: ResultFiles, view: PictureView, settings: OverlaySettings) -> Painter:
+def _painter(result: ResultFiles, view: ScaledView, settings: OverlaySettings) -> Painter:
     projected = ProjectedMotion(result.motion, view)
     texts = CaptionTexts(
         title=_title(result) if settings.title is None else " ".join(settings.title.split()),
@@ -238,16 +239,11 @@ def _draw(
 
 
 def resized(image: Image, size: tuple[int, int]) -> Image:
-    """Return an image in another size.
-
-    Args:
-        image: (height, width, 3). size: width and height, px.
-    """
+    """Return an image in another size. `image`: (height, width, 3). `size`: width and height, px."""
     if (image.shape[1], image.shape[0]) == size:
         return image
-    from PIL import Image as Pictures
-
-    return np.array(Pictures.fromarray(image).resize(size, Pictures.Resampling.BILINEAR, reducing_gap=2.0))
+    cv2 = optional("cv2", "view", "another size of pictures")
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
 def _interval(settings: OverlaySettings) -> str:

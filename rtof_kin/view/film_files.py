@@ -1,4 +1,7 @@
-"""Pictures that a motion is drawn on: the frames of a video, or a plain background."""
+"""Films: pictures that a motion is drawn on, of a video or plain, and the MP4 or GIF that is written.
+
+No sound and no metadata of a source (place, time, device) is copied, because only pictures are passed on.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -45,24 +47,6 @@ class Picture:
     """Counted from 0."""
     total: int
     """Number of pictures; 0 where unknown."""
-
-
-class FilmSource(Protocol):
-    """Where pictures come from."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height, px."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate of the pictures in the file that is written, Hz."""
-        ...
-
-    def pictures(self) -> Iterator[Picture]:
-        """Generate the pictures."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -113,6 +97,9 @@ class PlainSource:
         for i, time in enumerate(self.times.tolist()):
             image = np.full((height, width, 3), _COLOURS[self.background], dtype=np.uint8)
             yield Picture(image, time, time - float(self.times[0]), i, len(self.times))
+
+
+FilmSource = VideoSource | PlainSource
 
 
 def open_source(path: str | Path, view: PictureView) -> VideoSource:
@@ -212,36 +199,10 @@ _BT709: Final = 1
 """FFmpeg's number of the colour space of BT.709."""
 
 
-class FilmWriter(Protocol):
-    """Takes pictures."""
-
-    encoder: str
-    """Name of the encoder."""
-
-    def __enter__(self) -> Self:
-        """Open the file."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close it."""
-        ...
-
-    def due(self, stamp: float) -> bool:
-        """Return whether a picture at a time in the file, s, is taken."""
-        ...
-
-    def write(self, image: Image, stamp: float) -> None:
-        """Add a picture (height, width, 3), BGR, at a time in the file, s."""
-        ...
-
-
 class Mp4Writer:
     """An MP4 of H.264, or of what this PyAV can encode; pictures keep their time stamps."""
 
     def __init__(self, path: Path, size: tuple[int, int], rate_hz: float):
-        """Take the file, width and height of the pictures, and their mean rate."""
         self._av = optional("av", "view")
         known = [name for name in _ENCODERS if name in self._av.codecs_available]
         if not known:
@@ -254,7 +215,6 @@ class Mp4Writer:
         self._stream: Any = None
 
     def __enter__(self) -> Self:
-        """Open the file."""
         self._container = self._av.open(str(self._path), "w", options={"movflags": "+faststart", "fflags": "+bitexact"})
         rate = Fraction(self._rate).limit_denominator(1001)
         stream = self._container.add_stream(self.encoder, rate=rate, options=_ENCODERS[self.encoder])
@@ -273,19 +233,11 @@ class Mp4Writer:
         return self
 
     def due(self, stamp: float) -> bool:  # noqa: ARG002
-        """Return True: all pictures are taken.
-
-        Args:
-            stamp: s.
-        """
+        """Return True: all pictures are taken."""
         return True
 
     def write(self, image: Image, stamp: float) -> None:
-        """Add a picture.
-
-        Args:
-            image: (height, width, 3), BGR. stamp: s.
-        """
+        """Add a picture. `image`: (height, width, 3), BGR. `stamp`: s."""
         first = self._first = stamp if self._first is None else self._first
         base = self._stream.codec_context.time_base
         self._last = max(self._last + 1, round((stamp - first) / base))
@@ -307,10 +259,7 @@ class Mp4Writer:
         reason = getattr(error, "strerror", None) or error
         return WritingError(f"{self._path.name}: cannot be written by {self.encoder} ({reason})")
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the file."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             if kind is None and self._first is not None:
                 self._mux(None)
@@ -332,7 +281,6 @@ class GifWriter:
     encoder = "GIF"
 
     def __init__(self, path: Path, rate_hz: float):
-        """Take the file and the mean rate of the pictures, Hz."""
         self._path = path
         self._images: list[Any] = []
         self._stamps: list[float] = []
@@ -340,26 +288,17 @@ class GifWriter:
         self._step = 1 / rate_hz
 
     def __enter__(self) -> Self:
-        """Do nothing: the file is written at the end."""
         return self
 
     def due(self, stamp: float) -> bool:
-        """Return whether a picture at this time is taken.
-
-        Args:
-            stamp: s.
-        """
+        """Return whether a picture at this time is taken. `stamp`: s."""
         if not self._stamps:
             return True
         number = np.floor((stamp - self._stamps[0]) * GIF_RATE_HZ + 1e-6)
         return bool(number > np.floor((self._stamps[-1] - self._stamps[0]) * GIF_RATE_HZ + 1e-6))
 
     def write(self, image: Image, stamp: float) -> None:
-        """Add a picture.
-
-        Args:
-            image: (height, width, 3), BGR. stamp: s.
-        """
+        """Add a picture. `image`: (height, width, 3), BGR. `stamp`: s."""
         from PIL import Image as Pictures
 
         height, width = image.shape[:2]
@@ -373,10 +312,7 @@ class GifWriter:
         self._images.append(rgb.quantize(256, Pictures.Quantize.FASTOCTREE, dither=Pictures.Dither.NONE))
         self._stamps.append(stamp)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Write the file."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None or not self._images:
             return
         last = self._stamps[-1] + max(self._step, self._shortest)
@@ -391,6 +327,9 @@ class GifWriter:
             optimize=False,
             disposal=1,
         )
+
+
+FilmWriter = Mp4Writer | GifWriter
 
 
 def check_suffix(path: str | Path) -> str:

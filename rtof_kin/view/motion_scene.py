@@ -9,16 +9,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.keypoints import Measurements
 from rtof_kin.data.poses import PoseSequence
+from rtof_kin.formats.measurements_file import MeasurementsReader
 from rtof_kin.view.block_content import BlockContent, block_content
-from rtof_kin.view.blocks import BlockCache, MeasurementBlocks, MotionBlocks
+from rtof_kin.view.blocks import BlockCache, frame_at
 from rtof_kin.view.camera_layer import DEPTH, CameraBlock, CameraLayer, camera_block
-from rtof_kin.view.layers import Companion, PathLayer, Person, SensorBlock, Sensors
+from rtof_kin.view.layers import Companion, Person, RootPath, SensorBlock, Sensors
 from rtof_kin.view.legend import PALETTE, SECOND, TRUTH
 
 WORLD: Final = "/world"
@@ -184,9 +186,9 @@ class MotionScene:
     def __init__(
         self,
         server: Any,
-        motion: MotionBlocks,
-        measurements: MeasurementBlocks | None = None,
-        second: MotionBlocks | None = None,
+        motion: MotionReader,
+        measurements: MeasurementsReader | None = None,
+        second: MotionReader | None = None,
     ):
         """Add everything to the scene; nothing is shown before `show`.
 
@@ -198,11 +200,11 @@ class MotionScene:
                 f"{measurements.path}: has {len(measurements)} frames, the motion {len(motion)}; reconstruct again"
             )
         self._server, self._motion, self._measurements, self._second = server, motion, measurements, second
-        given = None if measurements is None else measurements.first
-        start = motion.frames(0, min(len(motion), motion.available, 60))
+        given = None if measurements is None else measurements.read(0, 1)
+        start = motion.read(0, min(len(motion), 60))
         self.stage = Stage(server, start.poses, motion.skeleton, given)
         self.person = Person(server, "/world/motion", motion.skeleton, start.confidence is not None)
-        self._path = PathLayer(server, "/world/motion/root path")
+        self._path = RootPath(server, "/world/motion/root path")
         self.sensors: Sensors | None = None
         self.truth: Companion | None = None
         self.second: Companion | None = None
@@ -214,10 +216,8 @@ class MotionScene:
         self.layers = self._handles(start.confidence is not None)
         self.behind: int | None = None
         """Camera through which one looks: its image is behind the person."""
-        self._blocks = BlockCache(len(motion), self._available, self._compute)
-        self._paths = BlockCache(
-            len(motion), self._path_available, self._compute_path, int(_PATH_BLOCK_S * motion.rate_hz) + 1
-        )
+        self._blocks = BlockCache(len(motion), self._compute)
+        self._paths = BlockCache(len(motion), self._compute_path, int(_PATH_BLOCK_S * motion.rate_hz) + 1)
         self._path_shown: Any = None
 
     def show(self, frame: int, seconds: float = 0.0) -> SceneBlock | None:
@@ -245,11 +245,7 @@ class MotionScene:
         return block
 
     def set_visible(self, layer: Layer, visible: bool) -> None:
-        """Show or hide a layer.
-
-        Args:
-            layer: of `layers`.
-        """
+        """Show or hide a layer. `layer`: of `layers`."""
         part = {
             Layer.CAMERAS: "frustum",
             Layer.IMAGE: "image",
@@ -271,7 +267,7 @@ class MotionScene:
         """
         for companion, sign in ((self.truth, 1.0), (self.second, -1.0)):
             if companion is not None:
-                companion.stand(sign * distance * self.stage.sideways)
+                companion.frame.position = sign * distance * self.stage.sideways
 
     def close(self) -> None:
         """Stop computing blocks."""
@@ -299,14 +295,14 @@ class MotionScene:
         person = self.person
         out: dict[Layer, list[Any]] = {
             Layer.SEGMENTS: [person.body.handle],
-            Layer.AXES: [person.axes.handle],
+            Layer.AXES: [person.axes],
             Layer.PATH: [self._path.handle],
             Layer.FLOOR: [self.stage.floor],
         }
         if confidence and person.ellipsoids is not None:
-            out[Layer.CONFIDENCE] = [person.ellipsoids.handle]
+            out[Layer.CONFIDENCE] = [person.ellipsoids]
         if self.sensors is not None:
-            out[Layer.SENSORS] = [self.sensors.layer.boxes, self.sensors.layer.axes]
+            out[Layer.SENSORS] = [self.sensors.boxes, self.sensors.axes]
         if self.cameras:
             parts = (Layer.CAMERAS, Layer.IMAGE, Layer.DETECTED, Layer.REPROJECTED)
             out |= {layer: list(self.cameras) for layer in parts}
@@ -323,24 +319,15 @@ class MotionScene:
 
     # --- blocks ----------------------------------------------------------------------------------
 
-    def _available(self) -> int:
-        frames = self._motion.available
-        if self._measurements is not None:
-            frames = min(frames, self._measurements.available)
-        if self._second is not None and (known := self._second.available) < len(self._second):
-            last = self._second.times[known - 1] if known else -np.inf
-            frames = min(frames, int(np.searchsorted(self._motion.times, last)))
-        return frames
-
     def _compute(self, start: int, stop: int) -> SceneBlock:
-        motion = self._motion.frames(start, stop)
+        motion = self._motion.read(start, stop)
         skeleton, poses = motion.skeleton, motion.poses
         content = block_content(poses, skeleton, self.person.solids, start, motion.confidence)
         truth = sensors = None
         cameras: list[CameraBlock] = []
         video_times: list[Array] = []
         if self._measurements is not None:
-            given = self._measurements.frames(start, stop)
+            given = self._measurements.read(start, stop)
             if self.truth is not None and given.truth is not None:
                 truth = block_content(given.truth, skeleton, self.truth.solids, start)
             if self.sensors is not None:
@@ -354,9 +341,9 @@ class MotionScene:
         """Return the second motion at the times of a block, not shown where it has no frame then."""
         if self._second is None or self.second is None:
             return None
-        at = np.array([self._second.frame_at(time) for time in times])
+        at = np.array([frame_at(self._second.times, time) for time in times])
         first, last = int(at.min()), int(at.max())
-        found = self._second.frames(first, last + 1)
+        found = self._second.read(first, last + 1)
         content = block_content(found.poses, found.skeleton, self.second.solids, start)
         index = at - first
         arrays: dict[str, Any] = {
@@ -370,15 +357,12 @@ class MotionScene:
 
     # --- path ------------------------------------------------------------------------------------
 
-    def _path_available(self) -> int:
-        margin = 0 if self._motion.available == len(self._motion) else int(_PATH_S * self._motion.rate_hz)
-        return max(self._motion.available - margin, 0)
-
     def _compute_path(self, start: int, stop: int) -> tuple[Array, NDArray[np.uint8]]:
         margin = int(_PATH_S * self._motion.rate_hz)
         start, stop = max(start - margin, 0), min(stop + margin, len(self._motion))
-        p, provenance = self._motion.thinned_root(start, stop, max((stop - start) // _PATH_POINTS, 1))
-        return p, PALETTE[provenance]
+        p, provenance = self._motion.root(start, stop)
+        step = max((stop - start) // _PATH_POINTS, 1)
+        return p[::step], PALETTE[provenance[::step]]
 
     def _show_path(self, frame: int) -> None:
         found = self._paths.at(frame)

@@ -1,4 +1,9 @@
-"""`Painter`: draws a motion and its captions on the pictures of a film, one after the other."""
+"""`Painter`: draws a motion and its captions on the pictures of a film, one after the other.
+
+The colour of a bone is that of its child's provenance; pink is bridged. What was not observed is not drawn.
+Bones of the right side have a white edge, all others a black one. Captions have time, title, faults while they last
+and a legend; labels beside the joints have angles with their 95 % bands.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
-from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.core.array_types import Array, Mask
+from rtof_kin.clinical.angles import clinical_angles
+from rtof_kin.core.array_types import Array
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
@@ -26,6 +30,21 @@ USUAL: Final = tuple(f"{side}_{joint}_flexion" for joint in ("knee", "hip", "elb
 """Angles that are shown unless others are chosen."""
 UNKNOWN: Final = "-"
 """Value of an angle that is not observed, or unreliable."""
+BLACK: Final[Rgb] = (20, 20, 20)
+WHITE: Final[Rgb] = (255, 255, 255)
+CROSSES: Final[Rgb] = (240, 228, 66)
+"""Crosses at detected points; yellow of Okabe and Ito."""
+_GREY, _PALE, _FAULT = (120, 120, 120), (200, 200, 200), (255, 205, 90)
+_SQUARED_95: Final = 5.991
+"""95 % quantile of chi-squared with two degrees of freedom."""
+_FILL, _LABEL_OPACITY, _CAPTION_OPACITY = 0.18, 0.6, 0.75
+_SMALLEST_PX: Final = 11
+_SIZE: Final = 0.0165
+"""Size of the font over the square root of the picture's area."""
+_FAULT_LINES, _FAULTS = 2, 2
+"""Most lines of a fault; most faults that are named at a time."""
+_ALONG: Final = np.linspace(0, 1, 5)
+"""Points along each bone that labels should not cover, fractions of its length."""
 
 
 @dataclass(frozen=True)
@@ -54,23 +73,12 @@ class AngleLabels:
         return f"{self.titles[index]} {sign}{'8' * digits[0]}°{band}"
 
     def text(self, index: int, moment: Moment) -> str:
-        """Return the title and the value of an angle at an instant."""
-        frames = moment.frames
-        value = float(moment.mix(self.values_deg[frames, index]))
-        half = float(moment.mix(self.half_deg[frames, index]))
-        return f"{self.titles[index]} {value_text(value, half)}"
-
-
-def value_text(value_deg: float, half_deg: float) -> str:
-    """Return an angle in words, e.g. '45°  ± 4°'.
-
-    Args:
-        value_deg: deg; NaN where unknown. half_deg: half width of its 95 % band, deg; NaN where unknown.
-    """
-    if not np.isfinite(value_deg):
-        return UNKNOWN
-    band = f"  ± {max(half_deg, 1):.0f}°" if np.isfinite(half_deg) else ""
-    return f"{round(value_deg)}°{band}".replace("-", "−")
+        """Return the title and the value of an angle at an instant, e.g. 'R knee 45°  ± 4°'."""
+        value, half = (float(moment.mix(x[moment.frames, index])) for x in (self.values_deg, self.half_deg))
+        if not np.isfinite(value):
+            return f"{self.titles[index]} {UNKNOWN}"
+        band = f"  ± {max(half, 1):.0f}°" if np.isfinite(half) else ""
+        return f"{self.titles[index]} {round(value)}°{band}".replace("-", "−")
 
 
 def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLabels:
@@ -83,44 +91,51 @@ def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLa
         UnknownNameError: there is no such angle.
     """
     angles = clinical_angles(motion)
-    names = tuple(dict.fromkeys(_observed(angles) if chosen is None else chosen))
+    known = dict(zip(angles.names, np.isfinite(angles.trusted_values).any(axis=0).tolist(), strict=True))
+    names = tuple(name for name in USUAL if known.get(name)) if chosen is None else tuple(dict.fromkeys(chosen))
     angles = angles.select(names)
-    table = angle_table(motion.skeleton.table)
-    child = {row.name: joint.child for joint in table.joints for row in joint.angles}
+    child = {row.name: joint.child for joint in angle_table(motion.skeleton.table).joints for row in joint.angles}
     half = np.full(angles.values.shape, np.nan) if angles.sigma is None else BAND_95 * angles.sigma
-    return AngleLabels(
-        names,
-        tuple(map(short_name, names)),
-        tuple(motion.skeleton.index(*(child[name] for name in names))),
-        np.degrees(angles.trusted_values),
-        np.degrees(half),
-    )
+    joints = tuple(motion.skeleton.index(*(child[name] for name in names)))
+    return AngleLabels(names, tuple(map(_short, names)), joints, np.degrees(angles.trusted_values), np.degrees(half))
 
 
-def _observed(angles: ClinicalAngles) -> list[str]:
-    """Return those of the usual angles that have a reliable value at any time."""
-    known: Mask = np.asarray(np.isfinite(angles.trusted_values).any(axis=0))
-    return [name for name in USUAL if name in angles.names and known[angles.names.index(name)]]
-
-
-def short_name(name: str) -> str:
+def _short(name: str) -> str:
     """Return a short title of an angle: 'R knee', 'L hip adduction'."""
     side, _, rest = name.partition("_")
     title = f"{side[0].upper()} {rest}" if side in SIDES else name
     return title.replace("_", " ").removesuffix(" flexion")
 
 
-_SMALLEST_PX: Final = 11
-_SIZE: Final = 0.0165
-"""Size of the font over the square root of the picture's area."""
-_OPACITY: Final = 0.75
-_FAULT_LINES: Final = 2
-"""Most lines of a fault."""
-_FAULTS: Final = 2
-"""Most faults that are named at a time."""
-_FAULT: Final[Rgb] = (255, 205, 90)
-_NOWHERE: Final = "no motion here"
-_UNSEEN: Final = "not observed"
+class Style:
+    """Strokes whose widths follow the size of a picture."""
+
+    def __init__(self, width_px: int, height_px: int):
+        size = float(np.sqrt(width_px * height_px))
+        self.bone = max(size / 520, 1.0)
+        """Half width of a bone, px."""
+        self.edge = max(size / 1400, 0.7)
+        """Width of the edge around bones and joints, px."""
+        self.thin = max(size / 2200, 0.6)
+        """Half width of crosses, of leaders and of the borders of ellipses, px."""
+        self.cross = 2.2 * self.bone
+        """Half the width of a cross, px."""
+
+    def stroke(self, colour: Rgb, right: bool = False, radius: float | None = None) -> Stroke:
+        """Return how a bone is drawn, or a joint of a radius, px."""
+        return Stroke(colour, self.bone if radius is None else radius, WHITE if right else BLACK, self.edge)
+
+
+def draw_skeleton(
+    canvas: Canvas, pose: ProjectedPose, bones: Sequence[tuple[int, int]], names: Sequence[str], style: Style
+) -> None:
+    """Draw bones and joints of a person. `bones`: pairs of points of the pose. `names`: of the points."""
+    colours = [COLOURS[Provenance(int(kind))] for kind in pose.provenance]
+    right = [name.startswith("Right") or (name[:1] == "R" and name[1:2].isupper()) for name in names]
+    for parent, child in sorted(bones, key=lambda bone: pose.provenance[bone[1]]):
+        canvas.line(pose.uv_px[parent], pose.uv_px[child], style.stroke(colours[child], right[child]))
+    for i, uv in enumerate(pose.uv_px):
+        canvas.disc(uv, style.stroke(colours[i], right[i], 1.7 * style.bone))
 
 
 @dataclass(frozen=True)
@@ -139,36 +154,16 @@ class CaptionTexts:
     """Whether 95 % ellipses are drawn."""
 
 
-@dataclass(frozen=True)
-class _Item:
-    """An entry of the legend; without a stroke a detected point."""
-
-    text: str
-    stroke: Stroke | None
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A line of text at a place."""
-
-    text: str
-    left: int
-    top: int
-    colour: Rgb
-
-
 class Captions:
-    """Captions of the pictures of a film."""
+    """Captions above and below the pictures of a film."""
 
     def __init__(self, texts: CaptionTexts, width_px: int, height_px: int):
-        """Take the texts and the size of the pictures."""
-        self._texts = texts
-        self._width, self._height = width_px, height_px
-        self._style = SkeletonStyle(width_px, height_px)
-        self.lettering = Lettering(font_size(width_px, height_px))
+        self._texts, self._width, self._height = texts, width_px, height_px
+        self._style = Style(width_px, height_px)
+        self.lettering = Lettering(max(round(_SIZE * float(np.sqrt(width_px * height_px))), _SMALLEST_PX))
         self._pad = max(self.lettering.size_px // 3, 3)
-        inner = width_px - 2 * self._pad
-        self._legend = self._legend_rows(_items(texts, self._style), inner)
+        self._swatch = 2 * self.lettering.size_px
+        self._legend = self._legend_rows()
 
     def boxes(self, time: float | None) -> tuple[Box, Box]:
         """Return the boxes above and below that captions cover.
@@ -176,10 +171,9 @@ class Captions:
         Args:
             time: s, of the motion; None where there is none.
         """
-        line = self.lettering.line_height
-        above = line + 2 * self._pad
-        below = (len(self._fault_lines(time)) + len(self._legend)) * line + 2 * self._pad
-        return Box(0, 0, self._width, above), Box(0, self._height - below, self._width, below)
+        line, pad = self.lettering.line_height, 2 * self._pad
+        below = (len(self._fault_lines(time)) + len(self._legend)) * line + pad
+        return Box(0, 0, self._width, line + pad), Box(0, self._height - below, self._width, below)
 
     def draw(self, canvas: Canvas, time: float | None, video_time: float, seen: bool = True) -> None:
         """Draw captions.
@@ -189,23 +183,37 @@ class Captions:
         """
         above, below = self.boxes(time)
         for box in (above, below):
-            canvas.shade(box, BLACK, _OPACITY)
-        line, pad = self.lettering.line_height, self._pad
-        now, colour = f"{_NOWHERE} (video: {video_time:.2f} s)", _FAULT
+            canvas.shade(box, BLACK, _CAPTION_OPACITY)
+        lettering, line, pad = self.lettering, self.lettering.line_height, self._pad
+        now, colour = f"no motion here (video: {video_time:.2f} s)", _FAULT
         if time is not None:
-            now, colour = f"{time:.2f} s{'' if seen else f', {_UNSEEN}'}", WHITE
-        canvas.stamp(pad, above.top + pad, self.lettering.mask(now), colour)
-        left = 2 * pad + self.lettering.line_height + self.lettering.width(now)
-        title = self.lettering.shortened(self._texts.title, self._width - left - pad)
-        canvas.stamp(left, above.top + pad, self.lettering.mask(title), WHITE)
-        faults = self._fault_lines(time)
-        for i, text in enumerate(faults):
-            canvas.stamp(pad, below.top + pad + i * line, self.lettering.mask(text), _FAULT)
-        for i, row in enumerate(self._legend):
-            self._draw_legend(canvas, row, below.top + pad + (len(faults) + i) * line)
+            now, colour = f"{time:.2f} s{'' if seen else ', not observed'}", WHITE
+        canvas.stamp(pad, above.top + pad, lettering.mask(now), colour)
+        left = 2 * pad + line + lettering.width(now)
+        title = lettering.shortened(self._texts.title, self._width - left - pad)
+        canvas.stamp(left, above.top + pad, lettering.mask(title), WHITE)
+        top = below.top + pad
+        for text in self._fault_lines(time):
+            canvas.stamp(pad, top, lettering.mask(text), _FAULT)
+            top += line
+        for row in self._legend:
+            for left, text, stroke in row:
+                ends = np.array([left + self._style.bone, left + self._swatch - self._style.bone])
+                middle = top + line / 2
+                if stroke is None:
+                    canvas.cross((float(ends.mean()), middle), self._style.cross, self.crosses)
+                else:
+                    canvas.line((ends[0], middle), (ends[1], middle), stroke)
+                canvas.stamp(left + self._swatch + pad, top, lettering.mask(text), WHITE)
+            top += line
+
+    @property
+    def crosses(self) -> Stroke:
+        """How crosses at detected points are drawn."""
+        return Stroke(CROSSES, self._style.thin, BLACK, self._style.edge)
 
     def _fault_lines(self, time: float | None) -> list[str]:
-        """Return the sentences of the faults at an instant."""
+        """Return the sentences of the faults at an instant, s."""
         if time is None:
             return []
         now = [fault for fault in self._texts.faults if fault.start <= time <= fault.stop]
@@ -215,150 +223,35 @@ class Captions:
             lines += self.lettering.wrap(text, self._width - 2 * self._pad, _FAULT_LINES)
         return lines + ([f"and {len(now) - _FAULTS} more faults"] if len(now) > _FAULTS else [])
 
-    # --- legend ----------------------------------------------------------------------------------
-
-    def _legend_rows(self, items: Sequence[_Item], width: int) -> list[list[tuple[int, _Item]]]:
-        """Return rows of entries with their left ends, px."""
-        rows: list[list[tuple[int, _Item]]] = [[]]
+    def _legend_rows(self) -> list[list[tuple[int, str, Stroke | None]]]:
+        """Return rows of entries: left end, px, text, and stroke, None for a detected point."""
+        texts, style = self._texts, self._style
+        items: list[tuple[str, Stroke | None]] = [
+            (WORDS[how], style.stroke(COLOURS[how])) for how in sorted(texts.provenances, reverse=True)
+        ]
+        items += [("right", style.stroke(_GREY, right=True)), ("left, middle", style.stroke(_GREY))]
+        items += [("detected point", None)] if texts.detected else []
+        items += [("95 % of the joint's position", Stroke(WHITE, style.thin))] if texts.bands else []
+        rows: list[list[tuple[int, str, Stroke | None]]] = [[]]
         left = self._pad
-        for item in items:
-            size = self._swatch + self._pad + self.lettering.width(item.text)
-            if rows[-1] and left + size > width:
+        for text, stroke in items:
+            size = self._swatch + self._pad + self.lettering.width(text)
+            if rows[-1] and left + size > self._width - 2 * self._pad:
                 rows.append([])
                 left = self._pad
-            rows[-1].append((left, item))
+            rows[-1].append((left, text, stroke))
             left += size + 2 * self._pad + self.lettering.size_px // 2
         return rows
-
-    @property
-    def _swatch(self) -> int:
-        return 2 * self.lettering.size_px
-
-    def _draw_legend(self, canvas: Canvas, row: Sequence[tuple[int, _Item]], top: int) -> None:
-        middle = top + self.lettering.line_height / 2
-        radius = self._style.bone
-        for left, item in row:
-            if item.stroke is None:
-                stroke = Stroke(DETECTED, self._style.thin, BLACK, self._style.edge / 2)
-                canvas.cross((left + self._swatch / 2, middle), self._style.cross, stroke)
-            else:
-                ends = (left + radius, middle), (left + self._swatch - radius, middle)
-                canvas.line(ends[0], ends[1], item.stroke)
-            canvas.stamp(left + self._swatch + self._pad, top, self.lettering.mask(item.text), WHITE)
-
-
-def font_size(width_px: int, height_px: int) -> int:
-    """Return the size of the font for a picture, px."""
-    return max(round(_SIZE * float(np.sqrt(width_px * height_px))), _SMALLEST_PX)
-
-
-def _items(texts: CaptionTexts, style: SkeletonStyle) -> list[_Item]:
-    """Return the entries of a legend."""
-    shown = sorted(texts.provenances, reverse=True)
-    items = [_Item(WORDS[how], style.bone_stroke(how, right=False)) for how in shown]
-    for text, edge in (("right", WHITE), ("left, middle", BLACK)):
-        items.append(_Item(text, Stroke((120, 120, 120), style.bone, edge, style.edge)))
-    if texts.detected:
-        items.append(_Item("detected point", None))
-    if texts.bands:
-        items.append(_Item("95 % of the joint's position", Stroke(WHITE, style.thin)))
-    return items
-
-
-BLACK: Final[Rgb] = (20, 20, 20)
-WHITE: Final[Rgb] = (255, 255, 255)
-DETECTED: Final[Rgb] = (240, 228, 66)
-"""Of the crosses at detected points; yellow of Okabe and Ito."""
-_SQUARED_95: Final = 5.991
-"""95 % quantile of chi-squared with two degrees of freedom."""
-_FILL: Final = 0.18
-
-
-class SkeletonStyle:
-    """Widths of lines that follow the size of a picture."""
-
-    def __init__(self, width_px: int, height_px: int):
-        """Take the size of the picture."""
-        size = float(np.sqrt(width_px * height_px))
-        self.bone = max(size / 520, 1.0)
-        """Half width of a bone, px."""
-        self.edge = max(size / 1400, 0.7)
-        """Width of the edge around bones and joints, px."""
-        self.joint = 1.7 * self.bone
-        """Radius of a joint, px."""
-        self.thin = max(size / 2200, 0.6)
-        """Half width of crosses and of the borders of ellipses, px."""
-        self.cross = 2.2 * self.bone
-        """Half the width of a cross, px."""
-
-    def bone_stroke(self, provenance: int, right: bool) -> Stroke:
-        """Return how a bone is drawn."""
-        return Stroke(COLOURS[Provenance(provenance)], self.bone, WHITE if right else BLACK, self.edge)
-
-
-def draw_skeleton(
-    canvas: Canvas,
-    pose: ProjectedPose,
-    bones: tuple[tuple[int, int], ...],
-    names: tuple[str, ...],
-    style: SkeletonStyle,
-) -> None:
-    """Draw bones and joints."""
-    for parent, child in sorted(bones, key=lambda bone: pose.provenance[bone[1]]):
-        stroke = style.bone_stroke(int(pose.provenance[child]), is_right(names[child]))
-        canvas.line(pose.uv_px[parent], pose.uv_px[child], stroke)
-    for i, uv in enumerate(pose.uv_px):
-        colour = COLOURS[Provenance(int(pose.provenance[i]))]
-        canvas.disc(uv, Stroke(colour, style.joint, WHITE if is_right(names[i]) else BLACK, style.edge))
-
-
-def draw_bands(
-    canvas: Canvas, uv_px: Array, covariance_px: Array, provenance: NDArray[np.uint8], style: SkeletonStyle
-) -> None:
-    """Draw the 95 % ellipses of joints.
-
-    Args:
-        uv_px: (J, 2). covariance_px: (J, 2, 2) px^2; NaN where unknown. provenance: (J,) of the joints.
-    """
-    for uv, covariance, how in zip(uv_px, covariance_px, provenance, strict=True):
-        stroke = Stroke(COLOURS[Provenance(int(how))], style.thin)
-        canvas.ellipse(uv, _SQUARED_95 * covariance, stroke, _FILL)
-
-
-def draw_detected(canvas: Canvas, uv_px: Array, style: SkeletonStyle) -> None:
-    """Draw a cross at each detected point.
-
-    Args:
-        uv_px: (L, 2); NaN where not detected.
-    """
-    stroke = Stroke(DETECTED, style.thin, BLACK, style.edge / 2)
-    for uv in uv_px:
-        canvas.cross(uv, style.cross, stroke)
-
-
-def is_right(name: str) -> bool:
-    """Return whether a joint or landmark is of the right side."""
-    return name.startswith("Right") or (len(name) > 1 and name[0] == "R" and name[1].isupper())
-
-
-_LABEL_OPACITY: Final = 0.6
-_ALONG: Final = np.linspace(0, 1, 5)
-"""Points along each bone that labels should not cover, fractions of its length."""
 
 
 class Painter:
     """Draws on pictures of one size; labels keep their places from one picture to the next."""
 
     def __init__(self, projected: ProjectedMotion, angles: AngleLabels, texts: CaptionTexts, settings: OverlaySettings):
-        """Take the motion in the pixels of the pictures, labels, captions and what to draw."""
-        camera = projected.view.camera
-        size = camera.width_px, camera.height_px
+        size = projected.view.camera.width_px, projected.view.camera.height_px
         self._projected, self._angles, self._settings = projected, angles, settings
-        self._style = SkeletonStyle(*size)
-        self._captions = Captions(texts, *size)
-        self._layout = LabelLayout()
-        width = self._captions.lettering.width
-        self._widths = {name: width(angles.widest(a)) for a, name in enumerate(angles.names)}
+        self._style, self._captions, self._layout = Style(*size), Captions(texts, *size), LabelLayout()
+        self._widths = [self._captions.lettering.width(angles.widest(a)) for a in range(len(angles.names))]
         self._face = FaceFinder(projected) if settings.blur_face else None
 
     def paint(self, image: Image, video_time: float) -> bool:
@@ -381,49 +274,38 @@ class Painter:
         return seen
 
     def _draw_person(self, canvas: Canvas, pose: ProjectedPose, moment: Moment) -> None:
-        projected = self._projected
+        projected, style = self._projected, self._style
         if self._settings.bands:
-            nearest = moment.after if moment.weight > 0.5 else moment.before
-            covariance = projected.covariance_px(nearest)
-            if covariance is not None:
-                J = len(covariance)
-                draw_bands(canvas, pose.uv_px[:J], covariance, pose.provenance[:J], self._style)
-        draw_skeleton(canvas, pose, projected.bones, projected.names, self._style)
+            covariance = projected.covariance_px(moment.after if moment.weight > 0.5 else moment.before)
+            for uv, C, kind in zip(pose.uv_px, [] if covariance is None else covariance, pose.provenance, strict=False):
+                canvas.ellipse(uv, _SQUARED_95 * C, Stroke(COLOURS[Provenance(int(kind))], style.thin), _FILL)
+        draw_skeleton(canvas, pose, projected.bones, projected.names, style)
         if self._settings.points:
-            draw_detected(canvas, projected.detected(moment), self._style)
+            for uv in projected.detected(moment):
+                canvas.cross(uv, style.cross, self._captions.crosses)
 
     def _draw_labels(self, canvas: Canvas, pose: ProjectedPose, moment: Moment) -> None:
-        lettering = self._captions.lettering
+        """Draw the angles of the joints that lie in the free part of the picture, each with a line to its joint."""
+        lettering, angles, style = self._captions.lettering, self._angles, self._style
         pad = max(lettering.size_px // 4, 2)
         above, below = self._captions.boxes(pose.time)
         free = Box(0, above.bottom, canvas.box.width, below.top - above.bottom)
-        labels, joints = self._wanted(pose, free, pad)
+        middle = float(np.nanmean(pose.uv_px[:, 0])) if np.isfinite(pose.uv_px).any() else 0.0
+        labels = []
+        for name, joint, width in zip(angles.names, angles.joints, self._widths, strict=True):
+            u, v = pose.uv_px[joint].tolist()
+            if 0 <= u < free.width and free.top <= v < free.bottom:
+                labels.append(Label(name, u, v, width + 2 * pad, lettering.line_height + 2 * pad, u < middle))
         ends = pose.uv_px[np.array(self._projected.bones)]
         avoided = (ends[:, :1] + _ALONG[:, None] * (ends[:, 1:] - ends[:, :1])).reshape(-1, 2)
         for name, box in self._layout.place(labels, free, avoided).items():
-            a = self._angles.names.index(name)
-            self._draw_leader(canvas, box, pose.uv_px[joints[name]])
+            a = angles.names.index(name)
+            joint = pose.uv_px[angles.joints[a]]
+            end = np.clip(joint, [box.left, box.top], [box.right, box.bottom])
+            if not box.left < joint[0] < box.right:
+                end[1] = box.top + box.height / 2
+            canvas.line(joint, end, Stroke(WHITE, style.thin, BLACK, style.edge))
             canvas.shade(box, BLACK, _LABEL_OPACITY)
-            text = self._angles.text(a, moment)
-            colour = (200, 200, 200) if text.endswith(UNKNOWN) else WHITE
+            text = angles.text(a, moment)
+            colour = _PALE if text.endswith(UNKNOWN) else WHITE
             canvas.stamp(box.left + pad, box.top + pad, lettering.mask(text), colour)
-
-    def _wanted(self, pose: ProjectedPose, free: Box, pad: int) -> tuple[list[Label], dict[str, int]]:
-        """Return labels of the joints that lie in the free part of the picture, and these joints."""
-        lettering, angles = self._captions.lettering, self._angles
-        middle = float(np.nanmean(pose.uv_px[:, 0])) if np.isfinite(pose.uv_px).any() else 0.0
-        labels, joints = [], {}
-        for name, joint in zip(angles.names, angles.joints, strict=True):
-            u, v = pose.uv_px[joint]
-            if not (0 <= u < free.width and free.top <= v < free.bottom):
-                continue
-            width = self._widths[name] + 2 * pad
-            labels.append(Label(name, u, v, width, lettering.line_height + 2 * pad, bool(u < middle)))
-            joints[name] = joint
-        return labels, joints
-
-    def _draw_leader(self, canvas: Canvas, box: Box, joint: Array) -> None:
-        """Draw a thin line from a joint to the nearest point of its label."""
-        end = np.clip(joint, [box.left, box.top], [box.right, box.bottom])
-        end[1] = box.top + box.height / 2 if not box.left < joint[0] < box.right else end[1]
-        canvas.line(joint, end, Stroke(WHITE, self._style.thin, BLACK, self._style.edge / 2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from rtof_kin.body.skeleton import Motion, SkeletonModel
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import Provenance
 
 Frames = NDArray[np.int_]
@@ -22,33 +23,6 @@ _CLOSER: Final = 0.78125
 """Distance of the camera, over that at which a sphere around all points just fits into the picture: people
 are narrower than the sphere."""
 _STANDS: Final = 2.5  # [m] largest radius of a motion that is seen whole; a larger one is followed
-
-
-class PictureView(Protocol):
-    """A view with the frames of a motion, e.g. `KeypointSequence` of `Measurements`."""
-
-    @property
-    def camera(self) -> Camera:
-        """With the size of the upright image."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """L names of the detected landmarks."""
-        ...
-
-    @property
-    def video_times(self) -> Array:
-        """(T,) s of the motion's frames in the video's own time."""
-        ...
-
-    def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points (n, ..., 3) of frames (n,) to pixels of the upright video (n, ..., 2)."""
-        ...
-
-    def in_video(self, frames: Any) -> Array:
-        """Return detected points (n, L, 2) in pixels of the upright video; NaN where not detected."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -65,21 +39,17 @@ class VirtualView:
     """Nothing is detected."""
 
     def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points to pixels (n, ..., 2).
-
-        Args:
-            p_world: (n, ..., 3) m. frames: (n,) of the motion.
-        """
+        """Project points to pixels (n, ..., 2). `p_world`: (n, ..., 3) m. `frames`: (n,) of the motion."""
         moved = self.moved[np.asarray(frames)]
         return self.camera.project(p_world - moved.reshape(len(moved), *[1] * (p_world.ndim - 2), 3))
 
     def in_video(self, frames: Any) -> Array:
-        """Return no points (n, 0, 2).
-
-        Args:
-            frames: (n,) of the motion.
-        """
+        """Return no points (n, 0, 2). `frames`: (n,) of the motion."""
         return np.zeros((len(np.asarray(frames)), 0, 2))
+
+
+PictureView = KeypointSequence | VirtualView
+"""A view with the frames of a motion: a camera of `Measurements`, or a virtual one."""
 
 
 def virtual_view(motion: Motion) -> VirtualView:
@@ -141,19 +111,11 @@ class ScaledView:
         return self.view.names
 
     def project(self, p_world: Array, frames: Any) -> Array:
-        """Project points to pixels (n, ..., 2) of the picture.
-
-        Args:
-            p_world: (n, ..., 3) m. frames: (n,) of the motion.
-        """
+        """Project points (n, ..., 3) m of frames (n,) to pixels (n, ..., 2) of the picture."""
         return self._scaled(self.view.project(p_world, frames))
 
     def in_video(self, frames: Any) -> Array:
-        """Return detected points (n, L, 2) in the picture.
-
-        Args:
-            frames: (n,) of the motion.
-        """
+        """Return detected points (n, L, 2) in the picture. `frames`: (n,) of the motion."""
         return self._scaled(self.view.in_video(frames))
 
     def _scaled(self, uv: Array) -> Array:
@@ -187,11 +149,7 @@ class Moment:
         return np.array([self.before, self.after])
 
     def mix(self, values: Array) -> Array:
-        """Interpolate values (2, ...) of both frames.
-
-        Args:
-            values: of `frames`.
-        """
+        """Interpolate values (2, ...) of both frames. `values`: of `frames`."""
         if self.weight == 0:
             return np.asarray(values[0])
         return np.asarray((1 - self.weight) * values[0] + self.weight * values[1])
@@ -213,8 +171,7 @@ class ProjectedPose:
 class ProjectedMotion:
     """A motion with the ends of its limbs (head, hands, toes) in the pixels of a view."""
 
-    def __init__(self, motion: Motion, view: PictureView):
-        """Take a motion and the view with its frames."""
+    def __init__(self, motion: Motion, view: PictureView | ScaledView):
         self.motion, self.view = motion, view
         skeleton, poses = motion.skeleton, motion.poses
         ends = limb_ends(skeleton)

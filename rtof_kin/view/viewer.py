@@ -1,9 +1,10 @@
-"""`MotionViewer`: scene, panel, curves and videos of a motion, played in a loop."""
+"""`Viewer`: a source in the browser, recorded (`MotionViewer`) or live (`LiveViewer`)."""
 
 from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,17 +13,17 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from rtof_kin.body.motion_file import motion_path
+from rtof_kin.body.motion_file import MotionReader, motion_path
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.formats.measurements_file import MEASUREMENTS, measurements_path
+from rtof_kin.formats.measurements_file import MEASUREMENTS, MeasurementsReader, measurements_path
 from rtof_kin.view.block_content import block_content
-from rtof_kin.view.blocks import MeasurementBlocks, MotionBlocks
+from rtof_kin.view.blocks import frame_at
 from rtof_kin.view.camera_layer import VideoFrames
 from rtof_kin.view.controls import Controls, Playback
 from rtof_kin.view.curves import AngleBlocks, Curves
-from rtof_kin.view.layers import PathLayer, Person
+from rtof_kin.view.layers import Person, RootPath
 from rtof_kin.view.legend import PALETTE, Verdict, legend_html, read_verdict, sentences_html
 from rtof_kin.view.live_client import LiveClient
 from rtof_kin.view.motion_scene import MotionScene, Stage
@@ -41,9 +42,9 @@ _PATIENCE: Final = 20.0
 class Opened:
     """A motion on the disk with all that belongs to it."""
 
-    motion: MotionBlocks
-    measurements: MeasurementBlocks | None
-    second: MotionBlocks | None
+    motion: MotionReader
+    measurements: MeasurementsReader | None
+    second: MotionReader | None
     verdict: Verdict
     notes: tuple[str, ...]
     """What is not shown, and how to get it."""
@@ -53,7 +54,6 @@ class MotionFiles:
     """The files of a viewer; a context that opens and closes them."""
 
     def __init__(self, motion: str | Path, second: str | Path | None = None):
-        """Take the places; nothing is opened."""
         self._path = motion_path(motion)
         self._second = None if second is None else motion_path(second)
         self._stack = ExitStack()
@@ -61,10 +61,10 @@ class MotionFiles:
     def __enter__(self) -> Opened:
         with ExitStack() as stack:
             folder, notes = self._path.parent, []
-            motion = stack.enter_context(MotionBlocks(self._path))
+            motion = stack.enter_context(MotionReader(self._path))
             measurements = None
             if (beside := measurements_path(folder)).is_file():
-                measurements = stack.enter_context(MeasurementBlocks(beside))
+                measurements = stack.enter_context(MeasurementsReader(beside))
             else:
                 notes.append(
                     f"No {MEASUREMENTS} beside the motion: no camera, sensors, detected points or truth. "
@@ -72,7 +72,7 @@ class MotionFiles:
                 )
             second = None
             if self._second is not None:
-                second = stack.enter_context(MotionBlocks(self._second))
+                second = stack.enter_context(MotionReader(self._second))
             self._stack = stack.pop_all()
             return Opened(motion, measurements, second, read_verdict(folder), tuple(notes))
 
@@ -80,7 +80,41 @@ class MotionFiles:
         self._stack.close()
 
 
-class MotionViewer:
+class Viewer(ABC):
+    """Scene and panel of a source; `run` shows what it has until it is stopped."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def run(self, stop: threading.Event) -> None:
+        """Show the present state, at most 60 times a second, until an event is set.
+
+        Raises:
+            RtofError: a file turned out to be damaged.
+        """
+        step = 1 / FASTEST
+        due = time.monotonic()
+        while not stop.is_set():
+            self.update(time.monotonic())
+            due = max(due + step, time.monotonic() - step)
+            stop.wait(max(due - time.monotonic(), 0.001))
+
+    @abstractmethod
+    def update(self, now: float) -> None:
+        """Show what belongs to this moment, if it is new. `now`: of `time.monotonic`, s.
+
+        Raises:
+            RtofError: a file turned out to be damaged.
+        """
+
+    def close(self) -> None:  # noqa: B027
+        """Stop all threads."""
+
+
+class MotionViewer(Viewer):
     """A motion in the browser; `run` plays it until it is stopped."""
 
     def __init__(self, server: Any, files: Opened, videos: Sequence[str | Path] = ()):
@@ -115,36 +149,10 @@ class MotionViewer:
         self.sent = 0
         """Number of frames that were sent to the browsers."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def run(self, stop: threading.Event) -> None:
-        """Show what is asked for until an event is set.
-
-        Raises:
-            RtofError: a file turned out to be damaged.
-        """
-        step = 1 / FASTEST
-        due = time.monotonic()
-        while not stop.is_set():
-            self.update(time.monotonic())
-            due = max(due + step, time.monotonic() - step)
-            stop.wait(max(due - time.monotonic(), 0.001))
-
     def update(self, now: float) -> None:
-        """Show the frame of this moment, if it is another one.
-
-        Args:
-            now: of `time.monotonic`, s.
-
-        Raises:
-            RtofError: a file turned out to be damaged.
-        """
+        """Show the frame of this moment, if it is another one."""
         wanted = self.playback.at(now)
-        frame = self._files.motion.frame_at(wanted)
+        frame = frame_at(self._files.motion.times, wanted)
         if frame != self.frame or self.controls.changed:
             self._show(frame, wanted, now)
         time_shown = float(self._files.motion.times[self.frame])
@@ -167,8 +175,7 @@ class MotionViewer:
         if block is None:
             self.controls.changed = True
             self.playback.seek(wanted, now)
-            share = 100 * motion.available / len(motion)
-            self.controls.tell(f"loading: {share:.0f} % of the motion can be shown yet")
+            self.controls.tell("loading")
             return
         self.frame, i = frame, frame - block.motion.start
         self.sent += 1
@@ -218,7 +225,6 @@ def _check_shape(video: VideoFrames, aspect: float) -> None:
         )
 
 
-_STEP: Final = 1 / 60
 _PATH_S: Final = 60.0
 """[s] of the root's path."""
 _PATH_STEP: Final = 0.1
@@ -227,7 +233,7 @@ _OLD: Final = 1.0
 """[s] without an estimate after which the viewer says so."""
 
 
-class LiveViewer:
+class LiveViewer(Viewer):
     """Scene of a live estimator; `run` shows its newest pose until it is stopped.
 
     Attributes:
@@ -235,15 +241,11 @@ class LiveViewer:
     """
 
     def __init__(self, server: Any, client: LiveClient):
-        """Build scene and panel.
-
-        Args:
-            server: of `local_server`.
-        """
+        """Build scene and panel. `server`: of `local_server`."""
         self._server, self._client = server, client
         self.stage = Stage(server, None, client.skeleton, floor=client.floor)
         self.person = Person(server, "/world/motion", client.skeleton, confidence=False)
-        self._path = PathLayer(server, "/world/motion/root path")
+        self._path = RootPath(server, "/world/motion/root path")
         self._points: list[tuple[float, Array, int]] = []
         self.shown, self._last, self._at = 0, -np.inf, time.monotonic()
         gui = server.gui
@@ -251,7 +253,7 @@ class LiveViewer:
         with gui.add_folder("shown"):
             for label, handle in (
                 ("segments", self.person.body.handle),
-                ("joint axes", self.person.axes.handle),
+                ("joint axes", self.person.axes),
                 ("root path", self._path.handle),
                 ("floor", self.stage.floor),
             ):
@@ -261,18 +263,8 @@ class LiveViewer:
             follow.on_update(lambda _: setattr(self.stage, "following", follow.value))
         gui.add_html(legend_html())
 
-    def run(self, stop: threading.Event) -> None:
-        """Show the newest pose until an event is set."""
-        while not stop.is_set():
-            self.update(time.monotonic())
-            stop.wait(_STEP)
-
     def update(self, now: float) -> None:
-        """Show the newest pose if it is new.
-
-        Args:
-            now: of `time.monotonic`, s.
-        """
+        """Show the newest pose, if it is new."""
         poses, lag = self._client.latest()
         lines = [f"live, from {self._client.url}"]
         if poses is None:

@@ -10,17 +10,8 @@ from scene_support import SIGMA, walking, with_provenance
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.data.poses import PoseSequence, Provenance
-from rtof_kin.view.block_content import (
-    LARGEST_SEMI_AXIS,
-    Mesh,
-    barrel,
-    block_content,
-    box,
-    ellipsoids,
-    segment_provenance,
-    segment_solids,
-    sphere,
-)
+from rtof_kin.view.block_content import LARGEST_SEMI_AXIS, block_content, ellipsoids, segment_provenance, segment_solids
+from rtof_kin.view.layers import barrel
 from rtof_kin.view.legend import COLOURS
 
 FRAMES = 8
@@ -45,15 +36,11 @@ def test_solids_reach_from_joint_to_joint() -> None:
         assert solids.sizes[parent, 0] == pytest.approx(joint.radius, rel=0.3)
 
 
-@pytest.mark.parametrize("mesh", [barrel(), sphere(), box()])
-def test_meshes_are_closed_and_face_outwards(mesh: Mesh) -> None:
-    triangles = mesh.vertices[mesh.faces]
-    volumes = np.einsum("fi,fi->f", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) / 6
-    assert np.all(volumes > -1e-12)  # all are seen from outside: these solids are convex about the origin
-    low, high = {True: (4.0, 4.19), False: (4.19, 8.0)}[
-        len(mesh.vertices) == len(sphere().vertices) and np.allclose(mesh.vertices, sphere().vertices)
-    ]
-    assert low * 0.9 < volumes.sum() <= high + 1e-9
+@pytest.mark.parametrize(("power", "volume"), [(2.0, 4.19), (3.0, 5.2)])
+def test_meshes_are_closed_and_face_outwards(power: float, volume: float) -> None:
+    mesh = barrel(power)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(volume, rel=0.08)
     assert np.abs(mesh.vertices).max() == pytest.approx(1.0)
 
 

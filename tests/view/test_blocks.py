@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
-
 import numpy as np
 import pytest
 
@@ -49,39 +46,21 @@ def test_waiting_for_a_frame_does_not_lose_it() -> None:
     assert playback.at(3.0) == pytest.approx(1.1)
 
 
-def test_blocks_are_computed_once_and_only_what_can_be_read() -> None:
-    ready, made = [100], []
+def test_blocks_are_computed_once_and_ahead() -> None:
+    made: list[tuple[int, int]] = []
 
     def compute(start: int, stop: int) -> tuple[int, int]:
         made.append((start, stop))
         return start, stop
 
-    cache = BlockCache(250, lambda: ready[0], compute, block=100)
+    cache = BlockCache(250, compute, block=100)
     try:
-        assert cache.at(150) is None
-        assert cache.at(99, 5.0) == ((0, 100), 99)
-        ready[0] = 250
         assert cache.at(201, 5.0) == ((200, 250), 1)
         assert cache.at(10, 5.0) == ((0, 100), 10)
-        cache.at(60, 5.0)  # the next one is computed ahead
-        deadline = time.monotonic() + 5
-        while (100, 200) not in made and time.monotonic() < deadline:
-            time.sleep(0.005)
-        assert sorted(made) == [(0, 100), (100, 200), (200, 250)]
+        assert cache.at(60, 5.0) == ((0, 100), 60)
+        assert cache.at(150, 5.0) == ((100, 200), 50)
+        assert sorted(made) == [(0, 100), (100, 200), (200, 250)]  # the second one while the first was shown
     finally:
-        cache.close()
-
-
-def test_waiting_is_also_for_what_is_not_yet_read() -> None:
-    ready = [0]
-    cache = BlockCache(10, lambda: ready[0], lambda start, stop: (start, stop))
-    reader = threading.Timer(0.1, lambda: ready.__setitem__(0, 10))
-    reader.start()
-    try:
-        assert cache.at(3) is None
-        assert cache.at(3, 5.0) == ((0, 10), 3)
-    finally:
-        reader.join()
         cache.close()
 
 
@@ -89,7 +68,7 @@ def test_failure_of_a_block_is_raised_where_it_is_asked_for() -> None:
     def fail(start: int, stop: int) -> None:
         raise RtofError(f"damaged at {start} to {stop}")
 
-    cache = BlockCache(10, lambda: 10, fail)
+    cache = BlockCache(10, fail)
     with pytest.raises(RtofError, match="damaged at 0 to 10"):
         cache.at(3, 5.0)
     cache.close()

@@ -121,7 +121,7 @@ def test_estimates_are_shown_where_they_are() -> None:
             until(lambda: "gone &lt;b&gt;" in viewer.status.content and "250 ms" in viewer.status.content)
             stop.set()
             thread.join(10.0)
-            axes = viewer.person.axes.handle
+            axes = viewer.person.axes
             np.testing.assert_allclose(axes.batched_positions, poses.p_world_joint[-1], atol=2e-5)
             R = so3.from_quat_wxyz(axes.batched_wxyzs)
             np.testing.assert_allclose(R, poses.R_world_bone[-1], atol=1e-5)

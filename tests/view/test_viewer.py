@@ -13,12 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from scene_support import BENT, RATE, camera, measured, walking, with_provenance, written
 
+from rtof_kin.body.motion_file import MotionReader
 from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera_motion import CameraMotion, stabilised
 from rtof_kin.data.poses import Provenance
-from rtof_kin.view.blocks import MotionBlocks
+from rtof_kin.view.blocks import frame_at
 from rtof_kin.view.camera_layer import camera_block
 from rtof_kin.view.curves import AngleBlocks, Curves
 from rtof_kin.view.layers import solid_colours
@@ -85,8 +86,8 @@ def test_colours_of_solids_stay_apart() -> None:
 def test_person_stands_where_the_motion_says(scene: MotionScene, files: Opened) -> None:
     for frame in (0, 77):
         assert scene.show(frame, 10.0) is not None
-        poses = files.motion.frames(frame, frame + 1).poses
-        axes = scene.person.axes.handle
+        poses = files.motion.read(frame, frame + 1).poses
+        axes = scene.person.axes
         np.testing.assert_allclose(axes.batched_positions, poses.p_world_joint[0], atol=1e-5)
         np.testing.assert_allclose(so3.from_quat_wxyz(axes.batched_wxyzs), poses.R_world_bone[0], atol=1e-5)
         body = scene.person.body.handle
@@ -126,11 +127,11 @@ def test_sensors_sit_on_their_segments_with_measured_axes(scene: MotionScene, fi
     scene.show(40, 10.0)
     assert scene.sensors is not None
     assert files.measurements is not None
-    given = files.measurements.frames(40, 41)
-    poses = files.motion.frames(40, 41).poses
+    given = files.measurements.read(40, 41)
+    poses = files.motion.read(40, 41).poses
     joints = files.motion.skeleton.index(*given.segments)
     at = poses.p_world_joint[0, joints] + np.einsum("sij,sj->si", poses.R_world_bone[0, joints], given.p_bone_sensor)
-    axes = scene.sensors.layer.axes
+    axes = scene.sensors.axes
     np.testing.assert_allclose(axes.batched_positions, at, atol=1e-5)
     np.testing.assert_allclose(so3.from_quat_wxyz(axes.batched_wxyzs), given.R_world_sensor[0], atol=1e-5)
 
@@ -138,7 +139,7 @@ def test_sensors_sit_on_their_segments_with_measured_axes(scene: MotionScene, fi
 def test_line_from_the_camera_through_a_point_meets_the_joint(scene: MotionScene, files: Opened) -> None:
     scene.show(50, 10.0)
     layer = scene.cameras[0]
-    poses = files.motion.frames(50, 51).poses
+    poses = files.motion.read(50, 51).poses
     joints = poses.p_world_joint[0] - camera().center_world
     for what in ("detected", "reprojected"):
         handle = layer.points[what]
@@ -221,7 +222,7 @@ def test_angles_in_parts_are_those_of_the_whole_but_for_hinges_that_have_not_mov
     monkeypatch.setattr("rtof_kin.view.curves.WHOLE_S", 1.0)
     monkeypatch.setattr("rtof_kin.view.curves._PART_S", 2.0)
     monkeypatch.setattr("rtof_kin.view.curves._MARGIN_S", 0.2)
-    with MotionBlocks(written(tmp_path, motion) / "motion.h5") as blocks:
+    with MotionReader(written(tmp_path, motion) / "motion.h5") as blocks:
         angles = AngleBlocks(blocks)
         assert angles.in_parts
         first = angles.part(0, 20.0)
@@ -246,7 +247,7 @@ def test_viewer_plays_at_its_speed_and_follows_the_slider(server: Any, files: Op
     with MotionViewer(server, files) as viewer:
         viewer.playback.play(0.0)
         for now in np.arange(0.0, 1.0, 1 / 60):
-            viewer.scene.show(files.motion.frame_at(viewer.playback.at(float(now))), 5.0)
+            viewer.scene.show(frame_at(files.motion.times, viewer.playback.at(float(now))), 5.0)
             viewer.update(float(now))
         assert viewer.frame == round((1 - 1 / 60) * RATE)
         assert 45 <= viewer.sent <= 52
