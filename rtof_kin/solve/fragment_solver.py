@@ -221,7 +221,7 @@ class FragmentSolver:
 
 
 def _spread(blocks: Sequence[Block]) -> Confidence | None:
-    """Covariances of what nobody sees, zero in blocks without any; None for none at all."""
+    """Covariances of what is unseen, zero in blocks without any; None for none at all."""
     if all(block.spread is None for block in blocks):
         return None
     return joined([block.spread or block.confidence.scaled(0.0) for block in blocks if block.confidence is not None])

@@ -91,7 +91,7 @@ class JointSpaceSettings:
     hinges: bool = True
     """Whether knees and elbows turn about one axis only."""
     limits: bool = True
-    """Whether hinges keep the skeleton's anatomical limits (`limits`)."""
+    """Whether hinges keep the skeleton's anatomical limits (`joint_space.state.Limits`)."""
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.root_position`)."""
     smooth_start_hz: float = 6.0
