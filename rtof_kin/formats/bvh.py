@@ -277,7 +277,6 @@ def write_bvh(path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy"
     Args:
         order: order of the rotation channels, the same for all joints, since some readers take the first joint's for
             all, and others always z x y.
-        overwrite: whether an existing file is replaced.
 
     Raises:
         InvalidInputError: no such order, a name with a line end or a brace, or a value that is not finite.

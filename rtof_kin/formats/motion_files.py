@@ -121,9 +121,6 @@ def motion_columns(motion: Motion, masks: ObservationMasks | None = None) -> lis
 def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
@@ -148,9 +145,6 @@ def _cells(values: NDArray[Any]) -> list[str]:
 def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
     convention, skeleton and joint offsets in that of the table.
-
-    Args:
-        overwrite: whether an existing file is replaced.
 
     Raises:
         RtofError: pyarrow is not installed, or the file cannot be written.
