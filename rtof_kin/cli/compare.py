@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 from rich.table import Table
 
-from rtof_kin.cli.options import SOLVER, Figures, File, Model, Overwrite, Paper, Seed, Threads, Workers, command
+from rtof_kin.cli.options import (
+    SOLVER,
+    Figures,
+    File,
+    Model,
+    Overwrite,
+    Paper,
+    Seed,
+    Threads,
+    Workers,
+    command,
+    written,
+)
 from rtof_kin.cli.reconstruction import solver_settings
 from rtof_kin.cli.terminal import job_progress, out, print_files, print_headline, progress
 from rtof_kin.clinical.repetitions import Kind
@@ -23,9 +35,7 @@ from rtof_kin.reconstruction.settings import ReconstructionSettings
 if TYPE_CHECKING:
     from rtof_kin.data.gait_reference import GaitReference
 
-Folder = Annotated[
-    Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; nothing is written without")
-]
+Folder = Annotated[Path | None, written("folder to write; nothing is written without")]
 
 
 @command
@@ -116,12 +126,7 @@ def study(
     /,
     *,
     output: Annotated[
-        Path,
-        Parameter(
-            name=("--output", "-o"),
-            metavar="OUT",
-            help="folder for results and every run: the same command resumes there after an interruption",
-        ),
+        Path, written("folder for results and every run: the same command resumes there after an interruption")
     ],
     path: Literal["greedy", "ranked"] | None = None,
     seconds: Annotated[float, Parameter(metavar="S", help="use as many seconds at most")] = 120.0,

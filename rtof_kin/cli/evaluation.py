@@ -9,25 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Group, Parameter
-from rich.table import Column, Table
 
-from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command
-from rtof_kin.cli.terminal import (
-    SCORE_COLUMNS,
-    figure_text,
-    job_progress,
-    out,
-    print_scores,
-    print_tables,
-    with_zero_motion,
-)
+from rtof_kin.cli.options import Fields, Output, Overwrite, Workers, command, written
+from rtof_kin.cli.terminal import job_progress, out, print_scores, with_zero_motion
 from rtof_kin.core.choices import SPACES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, RtofError
 
 if TYPE_CHECKING:
     from rtof_kin.body.skeleton import Motion
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.reporting.document import Document
 
 Movement = Literal["walk", "squat", "sit-to-stand", "arms", "floor", "other"]
 Root = Annotated[Path, Parameter(metavar="DIR", help="folder of the data set")]
@@ -45,9 +35,7 @@ def evaluate_motion(
     truth: Annotated[Path, Parameter(metavar="TRUTH")],
     clinical: bool = False,
     movement: Movement = "other",
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="write the table of angles there too")
-    ] = None,
+    output: Annotated[Path | None, written("write the table of angles there too")] = None,
 ) -> None:
     """Errors of a reconstructed motion against its truth, or of the package on a public data set.
 
@@ -86,11 +74,7 @@ def evaluate_motion(
         "By joint below: not aligned.",
         soft_wrap=True,
     )
-    columns = {key: label for key, label in SCORE_COLUMNS.items() if key != "coverage"}
-    table = Table(Column("joint", no_wrap=True), *columns.values())
-    for joint, figures in metrics.per_joint.items():
-        table.add_row(joint, *(figure_text(key, figures.get(key)) for key in columns))
-    out.print(table)
+    print_scores(metrics.per_joint, "joint")
     if clinical or output:
         _evaluate_angles(found, recording, movement, output)
 
@@ -99,19 +83,15 @@ def _evaluate_angles(motion: Motion, truth: Path | Recording, movement: Movement
     """Print the errors of clinical angles, and write them if asked."""
     from rtof_kin.protocols.angles import against_opensim, against_recording
     from rtof_kin.protocols.tables import write_results
+    from rtof_kin.reporting.document import show
 
     if isinstance(truth, Path):
         found = against_opensim(motion, truth, movement)
     else:
         found = against_recording(motion, truth, movement)
-    _print(found)
+    show(found, out)
     if output:
         out.print("wrote " + ", ".join(map(str, write_results(found, output))), soft_wrap=True)
-
-
-def _print(found: Document) -> None:
-    out.print(found.headline, style="bold red" if found.alarm else "bold", soft_wrap=True)
-    print_tables(found.printed)
 
 
 def _measure(name: str, root: Path, folder: Path, json: Path | None = None, **how: Any) -> int:
@@ -121,10 +101,11 @@ def _measure(name: str, root: Path, folder: Path, json: Path | None = None, **ho
         RtofError: nothing could be measured.
     """
     from rtof_kin.protocols import run
+    from rtof_kin.reporting.document import show
 
     with job_progress() as update:
         found = run(name, root, folder, progress=update, json_file=json, **how)
-    _print(found.document)
+    show(found.document, out)
     out.print("wrote " + ", ".join(map(str, found.written)), soft_wrap=True)
     if found.problem:
         raise RtofError(found.problem)
@@ -139,19 +120,7 @@ def total_capture(
     settings: Annotated[
         dict[str, Any],
         Fields(
-            "subjects",
-            "takes",
-            "cameras",
-            "keypoints",
-            "layout",
-            "noise_px",
-            "sensors",
-            "modes",
-            "calibrate",
-            "posture",
-            "studies",
-            "seed",
-            "save",
+            "subjects takes cameras keypoints layout noise_px sensors modes calibrate posture studies seed save",
             lifter="model",
             of="rtof_kin.protocols.total_capture:TotalCaptureProtocol",
         ),
@@ -191,13 +160,7 @@ def human36m(
     settings: Annotated[
         dict[str, Any],
         Fields(
-            "cameras_file",
-            "keypoints",
-            "subjects",
-            "actions",
-            "cameras",
-            "modes",
-            "save",
+            "cameras_file keypoints subjects actions cameras modes save",
             lifter="model",
             of="rtof_kin.protocols.human36m:Human36MProtocol",
         ),
@@ -225,12 +188,7 @@ def _angles_of(dataset: str) -> Callable[..., int]:
         settings: Annotated[
             dict[str, Any],
             Fields(
-                "takes",
-                "mode",
-                "keypoints",
-                "calibrate",
-                "align",
-                "seconds",
+                "takes mode keypoints calibrate align seconds",
                 lifter="model",
                 models="model-dir",
                 size_px="size",

@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.cli.options import Overwrite, command
+from rtof_kin.cli.options import Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files
 from rtof_kin.core.errors import InvalidInputError, RtofError
 from rtof_kin.core.files.folder import check_new_file, new_file
@@ -27,9 +27,7 @@ def inspect(
     declare: Annotated[list[str] | None, Parameter(consume_multiple=True, metavar="FIELD=VALUE")] = None,
     every: Annotated[bool, Parameter(name="--all")] = False,
     fix: bool = False,
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="new folder for --fix")
-    ] = None,
+    output: Annotated[Path | None, written("new folder for --fix")] = None,
     plot: Annotated[Path | None, Parameter(metavar="PNG")] = None,
     schema: bool = False,
     overwrite: Overwrite = False,
@@ -203,9 +201,7 @@ def export(
     target: Path | None = None,
     /,
     *,
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="OUT", help="the same, as for other commands")
-    ] = None,
+    output: Annotated[Path | None, written("the same, as for other commands")] = None,
     to: tuple[str, ...] = (),
     recording: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     flip: bool = True,

@@ -20,7 +20,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command
+from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command, written
 from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
 from rtof_kin.clinical.angles import clinical_angles
@@ -60,9 +60,7 @@ def live(
     camera: Annotated[list[str] | None, Parameter(metavar="SOURCE")] = None,
     imus: Annotated[list[str] | None, Parameter(metavar="SOURCE")] = None,
     map: Annotated[Path | None, Parameter(metavar="FILE")] = None,
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="FOLDER", help="record everything into a new folder")
-    ] = None,
+    output: Annotated[Path | None, written("record everything into a new folder", "FOLDER")] = None,
     send: Annotated[list[str] | None, Parameter(metavar="OUTPUT")] = None,
     browser: bool = False,
     settings: Annotated[

@@ -30,14 +30,16 @@ class Fields:
     """Fields of a settings' dataclass that become options of a command.
 
     Args:
-        names: of the fields, in the order of the help. renamed: field -> option, without dashes.
+        names: of the fields, separated by spaces. renamed: field -> option, without dashes.
         of: 'module:class', where the parameter is annotated as a mapping; the command then gets only the values that
             were given. group: title in the help. defaults: field -> default, where it is not that of the class.
     """
 
-    def __init__(self, *names: str, of: str = "", group: str = "", defaults: Mapping[str, Any] = {}, **renamed: str):
-        self.options = {name: name for name in names} | renamed
-        self.of, self.group, self.defaults = of, group, defaults
+    def __init__(
+        self, names: str = "", of: str = "", group: str = "", defaults: Mapping[str, Any] | None = None, **renamed: str
+    ):
+        self.options = {name: name for name in names.split()} | renamed
+        self.of, self.group, self.defaults = of, group, defaults or {}
 
 
 def command(function: Function) -> Function:
@@ -169,8 +171,14 @@ def _size(_: Any, tokens: Sequence[Token]) -> tuple[int, int]:
 
 # --- options of several commands: each has one name and one meaning -----------------------------------------------
 
-Output = Annotated[Path, Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write")]
-File = Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="file to write")]
+
+def written(what: str, metavar: str = "OUT") -> Parameter:
+    """Return the option -o for what a command writes."""
+    return Parameter(name=("--output", "-o"), metavar=metavar, help=what)
+
+
+Output = Annotated[Path, written("folder to write")]
+File = Annotated[Path, written("file to write", "FILE")]
 Overwrite = Annotated[bool, Parameter(help="replace what an earlier run wrote there")]
 Figures = Annotated[bool, Parameter(help="draw figures, where matplotlib is installed")]
 Model = Annotated[
@@ -208,7 +216,7 @@ Threads = Annotated[
     ),
 ]
 Paper = Annotated[bool, Parameter(group="Solver", help="the energy as printed, in cartesian space")]
-SOLVER: Final = Fields("frames", "space", "backend", "guards", "lift_with_sensors", group="Solver")
+SOLVER: Final = Fields("frames space backend guards lift_with_sensors", group="Solver")
 """Fields of `ReconstructionSettings` that are options."""
 Start = Annotated[float | None, Parameter(metavar="S", help="begin at this time")]
 Stop = Annotated[float | None, Parameter(metavar="S", help="end at this time")]

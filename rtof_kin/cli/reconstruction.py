@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import SOLVER, Fields, Overwrite, Paper, Threads, command
+from rtof_kin.cli.options import SOLVER, Fields, Overwrite, Paper, Threads, command, written
 from rtof_kin.cli.terminal import (
     out,
     print_calibration,
@@ -55,11 +55,8 @@ def reconstruct(
     recording: Path,
     /,
     *,
-    output: Annotated[
-        Path | None,
-        Parameter(name=("--output", "-o"), metavar="OUT", help="folder to write; with --calibrate-only a file"),
-    ] = None,
-    task: Annotated[ReconstructionTask, Fields("mode", "model", "calibrate", "calibration", "figures")],
+    output: Annotated[Path | None, written("folder to write; with --calibrate-only a file")] = None,
+    task: Annotated[ReconstructionTask, Fields("mode model calibrate calibration figures")],
     calibrate_only: bool = False,
     calibrated: Annotated[Path | None, Parameter(metavar="FOLDER")] = None,
     verbose: bool = False,

@@ -22,6 +22,7 @@ from rtof_kin.cli.options import (
     Seed,
     Threads,
     command,
+    written,
 )
 from rtof_kin.cli.reconstruction import reconstruct_and_print, solver_settings
 from rtof_kin.cli.terminal import (
@@ -57,35 +58,24 @@ def run(
     files: list[Path] | None = None,
     /,
     *,
-    output: Annotated[
-        Path | None,
-        Parameter(name=("--output", "-o"), metavar="OUT", help="folder for recording, motion, angles and report"),
-    ] = None,
+    output: Annotated[Path | None, written("folder for recording, motion, angles and report")] = None,
     only: Literal["recording", "files"] | None = None,
     demo: bool = False,
     setup: Annotated[
         SetupSettings,
         Fields(
-            "height",
-            "pose",
-            "person",
-            "camera_name",
-            "phone_log",
-            "keep_video",
-            "model_dir",
+            "height pose person camera_name phone_log keep_video model_dir",
             rate_hz="rate",
             size_px="size",
             group="Recording",
         ),
     ],
     fetch_models: FetchModels = None,
-    second: Annotated[
-        SecondCamera, Fields("second", "second_person", "second_camera", "synchronised", group="Second camera")
-    ],
-    task: Annotated[ReconstructionTask, Fields("model", "calibration", "figures", group="Motion")],
+    second: Annotated[SecondCamera, Fields("second second_person second_camera synchronised", group="Second camera")],
+    task: Annotated[ReconstructionTask, Fields("model calibration figures", group="Motion")],
     calibrate: Annotated[bool | None, Parameter(group="Motion")] = None,
     analysis: Annotated[
-        AnalysisSettings, Fields("sex", "repetitions", "from_standing", weight_kg="weight", group="Analysis")
+        AnalysisSettings, Fields("sex repetitions from_standing", weight_kg="weight", group="Analysis")
     ],
     settings: Annotated[ReconstructionSettings, SOLVER],
     paper: Paper = False,

@@ -7,11 +7,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from rtof_kin.cli.options import Fields, Figures, Overwrite, command
+from rtof_kin.cli.options import Fields, Figures, Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.core.files.text import write_text
-from rtof_kin.recording.session import Session
+from rtof_kin.recording.index import Session
 from rtof_kin.reporting.analysis import MARKER, AnalysisSettings, write_analysis
 
 
@@ -22,19 +22,15 @@ def report(
     *,
     output: Annotated[
         Path | None,
-        Parameter(
-            name=("--output", "-o"),
-            metavar="FILE",
-            help="page; default: report.html beside the motion, where no tables or scores are asked for",
-        ),
+        written("page; default: report.html beside the motion, where no tables or scores are asked for", "FILE"),
     ] = None,
     analysis: Annotated[
-        AnalysisSettings, Fields("sex", "repetitions", "from_standing", "height", weight_kg="weight", group="Analysis")
+        AnalysisSettings, Fields("sex repetitions from_standing height", weight_kg="weight", group="Analysis")
     ],
     tables: Annotated[Path | None, Parameter(name="--analysis", metavar="FOLDER", group="Analysis")] = None,
     gait_reference: Annotated[Path | None, Parameter(metavar="FILE", group="Analysis")] = None,
     figures: Figures = True,
-    session: Annotated[Session, Fields("subject", "operator", "date", "place", "protocol", group="Labels")],
+    session: Annotated[Session, Fields("subject operator date place protocol", group="Labels")],
     overwrite: Overwrite = False,
 ) -> None:
     """One page of a reconstructed motion that opens in any browser.

@@ -8,15 +8,13 @@ import os
 import signal
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Column, Table
 from rich.text import Text
 
 from rtof_kin.core.errors import plain
@@ -40,8 +38,6 @@ SCORE_COLUMNS = {
     "flexion_deg": "flexion\n\n[deg]",
     "coverage": "valid",
 }
-_WIDEST_FIGURE = 10
-"""Columns of longer cells hold text."""
 _LONG = 600.0
 """[s] of jobs that the remaining time is estimated from."""
 _MEAN_NORM = 1.596
@@ -219,12 +215,14 @@ def accuracy(metrics: Mapping[str, float] | None, sigmas: tuple[float, float] | 
 
 def print_sections(headline: Headline) -> None:
     """Print the verdict of every section of the audit with its reasons."""
-    table = Table("section", Column("verdict", no_wrap=True), "why", box=SIMPLE_HEAD, pad_edge=False)
-    for verdict in headline.sections:
-        if verdict.section != "truth":  # see `print_scores`
-            grade = verdict.grade.value
-            table.add_row(verdict.section, Text(grade, STYLES.get(grade, "")), "\n".join(verdict.reasons))
-    out.print(table)
+    from rtof_kin.reporting.document import Badge, Table, show_table
+
+    rows = [
+        (one.section, Badge(one.grade.value, one.grade.value), "\n".join(one.reasons))
+        for one in headline.sections
+        if one.section != "truth"  # see `print_scores`
+    ]
+    show_table(Table(("section", "verdict", "why"), rows), out)
 
 
 def print_headline(headline: Headline, what: str = "") -> None:
@@ -235,10 +233,10 @@ def print_headline(headline: Headline, what: str = "") -> None:
 
 def print_calibration(calibration: SelfCalibration) -> None:
     """Print every estimated quantity with its standard deviations."""
-    table = Table("quantity", "of", "value", "+-", "prior +-", "verdict", title="self-calibration")
-    for row in calibration.table():
-        table.add_row(*row)
-    out.print(table)
+    from rtof_kin.reporting.document import Table, show_table
+
+    columns = ("quantity", "of", "value", "+-", "prior +-", "verdict")
+    show_table(Table(columns, calibration.table(), title="self-calibration"), out)
 
 
 def with_zero_motion(recording: Any) -> dict[str, Any]:
@@ -255,30 +253,22 @@ def with_zero_motion(recording: Any) -> dict[str, Any]:
     return {"zero motion": evaluate(still, recording.truth, recording.skeleton)}
 
 
-def print_scores(scores: Mapping[str, Mapping[str, float]]) -> None:
-    """Print one row of errors for each stage.
+def print_scores(scores: Mapping[str, Mapping[str, float]], of: str = "stage") -> None:
+    """Print one row of errors for each stage, or joint.
 
     Args:
-        scores: stage -> figures of `SCORE_COLUMNS`.
+        scores: stage -> figures of `SCORE_COLUMNS`, those that there are.
     """
     from rtof_kin.body.metrics import BEGUN_TOGETHER
+    from rtof_kin.reporting.document import Table, show_table
 
-    title = "error against the truth, mean over frames"
-    first = Column("stage", no_wrap=True)
-    table = Table(first, *SCORE_COLUMNS.values(), title=title, show_edge=False)  # fits in 80 columns
-    for stage, metrics in scores.items():
-        table.add_row(stage, *(figure_text(key, metrics[key]) for key in SCORE_COLUMNS))
-    out.print(table)
-    if "imu" in scores:
-        out.print(BEGUN_TOGETHER)
+    rows = [[name, *(_figure(key, scores[name].get(key)) for key in SCORE_COLUMNS)] for name in scores]
+    title = "error against the truth, mean over frames" if of == "stage" else ""
+    notes = (BEGUN_TOGETHER,) if "imu" in scores else ()
+    show_table(Table((of, *SCORE_COLUMNS.values()), rows, title, notes), out)  # fits in 80 columns
 
 
-def figure_text(key: str, value: float | None) -> str:
-    """Format a figure.
-
-    Args:
-        key: of `SCORE_COLUMNS`. value: empty for None.
-    """
+def _figure(key: str, value: float | None) -> str:
     if value is None:
         return ""
     if key == "coverage":
@@ -302,25 +292,3 @@ def _entries(folder: str | Path) -> list[str]:
 def print_files(folder: str | Path) -> None:
     """Print the files of a folder."""
     out.print(f"wrote {folder}: {', '.join(_files(folder))}", soft_wrap=True)
-
-
-def print_tables(tables: Sequence[Any]) -> None:
-    """Print tables with their notes."""
-    for table in tables:
-        rows = table.text()
-        columns = [_column(*texts) for texts in zip(table.columns, *rows, strict=True)]
-        shown = Table(*columns, title=table.title)
-        for row in rows:
-            shown.add_row(*row)
-        out.print(shown, crop=False)
-        for note in table.notes:
-            out.print(f"  {note}", style="dim", soft_wrap=True)
-
-
-def _column(heading: str, *cells: str) -> Column:
-    """Column that folds text but never cuts a figure."""
-    widest = max(map(len, cells), default=0)
-    if widest > _WIDEST_FIGURE:
-        return Column(heading, min_width=min(widest, 2 * _WIDEST_FIGURE), overflow="fold")
-    words = heading.split()
-    return Column("\n".join(words), justify="right", min_width=max(widest, *map(len, words)))

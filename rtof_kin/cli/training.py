@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from rtof_kin.cli.options import Fields, Overwrite, command
+from rtof_kin.cli.options import Fields, Overwrite, command, written
 from rtof_kin.cli.terminal import err, out
 from rtof_kin.core.errors import InvalidInputError
 
@@ -30,9 +30,7 @@ def train(
     *,
     total_capture: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     human36m: Annotated[Path | None, Parameter(metavar="DIR")] = None,
-    output: Annotated[Path, Parameter(name=("--output", "-o"), metavar="FILE", help="model to write")] = Path(
-        "model.pt"
-    ),
+    output: Annotated[Path, written("model to write", "FILE")] = Path("model.pt"),
     resume: bool = False,
     initial: Annotated[str | None, Parameter(metavar="MODEL")] = None,
     network: Annotated[Literal["rays", "videopose3d"], Trained] = "rays",
@@ -41,22 +39,8 @@ def train(
     settings: Annotated[
         dict[str, Any],
         Fields(
-            "windows",
-            "minutes",
-            "channels",
-            "dropout",
-            "causal",
-            "prior",
-            "batch",
-            "learning_rate",
-            "weight_decay",
-            "ema",
-            "bfloat16",
-            "validation_windows",
-            "device",
-            "seed",
-            "deterministic",
-            "same_windows",
+            "windows minutes channels dropout causal prior batch learning_rate weight_decay ema bfloat16 "
+            "validation_windows device seed deterministic same_windows",
             threads="draw-threads",
             of="lifting.training.settings:TrainConfig",
             group="How it is trained",

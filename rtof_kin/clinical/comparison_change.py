@@ -42,7 +42,7 @@ normal one over what s^2 leaves open of v:
 
 This is Student's t for K = 0 and the normal for s = 0; between them it is the distribution of Behrens and
 Fisher (Fisher, Annals of Eugenics 6, 1935) with one of the variances known. Its false positives never
-exceed the level (tests/clinical/test_mixed_error.py). Degrees of freedom by Satterthwaite do not keep small
+exceed the level (tests/clinical/test_comparison_change.py). Degrees of freedom by Satterthwaite do not keep small
 levels, at which multiple tests are decided: with nu = 2 and K = 0.1 v there are 16 times too many at 0.1 %.
 """
 

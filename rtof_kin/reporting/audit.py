@@ -45,6 +45,8 @@ _WIDE_M: Final = 0.5
 _SHORT_S: Final = 0.15
 """[s] of a fault that was mended and hardly matters."""
 _POSITION: Final = "position in the room"
+_CORRECTION: Final = "correction in standard deviations of the prior"
+_SIGMAS: Final = "3 and 6 standard deviations"
 _EXPECTED: Final = "error expected by the stated standard deviations, RMS"
 
 
@@ -77,38 +79,18 @@ def _inputs(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             yield AuditResult.not_checked(section, check.subject, check.advice, check.name)
             continue
         note = ": ".join(part for part in (check.cause if check.failed else "", check.advice) if part)
-        yield AuditResult(
-            section,
-            check.name,
-            check.subject,
-            check.value,
-            check.unit,
-            check.limit,
-            check.limit,
-            "limit of the check",
-            note,
-        )
+        figure = (check.name, check.subject, check.value, check.unit, check.limit, check.limit)
+        yield AuditResult(section, *figure, "limit of the check", note)
 
 
 def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     first = statistics.first
     shares = [
-        (
-            "share of joints and frames without a valid position",
-            "motion",
-            statistics["invalid"].mean_of_all,
-            2.0,
-            30.0,
-            "their position is unobserved",
-        ),
-        (
-            "share of joints and frames without an observation",
-            "motion",
-            statistics["unobserved"].mean_of_all,
-            25.0,
-            75.0,
-            "interpolated, or from the prior",
-        ),
+        (f"share of joints and frames without {what}", "motion", statistics[name].mean_of_all, warn, fail, note)
+        for what, name, warn, fail, note in (
+            ("a valid position", "invalid", 2.0, 30.0, "their position is unobserved"),
+            ("an observation", "unobserved", 25.0, 75.0, "interpolated, or from the prior"),
+        )
     ]
     if first.keypoints is None:
         yield AuditResult.not_checked("streams", "keypoints", "the motion is from sensors only")
@@ -130,18 +112,9 @@ def _streams(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     seconds = statistics.frames / first.motion.poses.rate_hz
     most = {FaultKind.UNSEEN: 0.3 * seconds, FaultKind.ENDED: 0.4 * seconds}  # as the shares above
     for fault in statistics.faults:
-        yield AuditResult(
-            "streams",
-            FAULT,
-            fault.what,
-            fault.stop - fault.start,
-            "s",
-            _SHORT_S,
-            max(most.get(fault.kind, math.inf), _SHORT_S),
-            _USER,
-            fault.kind.value,
-            fault.start,
-        )
+        fail = max(most.get(fault.kind, math.inf), _SHORT_S)
+        figure = (FAULT, fault.what, fault.stop - fault.start, "s", _SHORT_S, fail)
+        yield AuditResult("streams", *figure, _USER, fault.kind.value, fault.start)
     of_camera = () if first.camera is None else first.camera.sentences
     for warning in statistics.warnings:
         if warning in of_camera:  # its effect is in the stated uncertainty
@@ -169,18 +142,10 @@ def _image(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             why = "never observed together with a valid position"
             yield AuditResult.not_checked("image", subject, why, name)
             continue
-        yield AuditResult(
-            "image",
-            name,
-            subject,
-            float(median),
-            "px",
-            limits[0] * height,
-            limits[1] * height,
-            f"{100 * limits[0]:g} and {100 * limits[1]:g} % {_DETECTORS}",
-            "errors of detector, bone lengths, camera or synchronisation",
-            float(at),
-        )
+        warn, fail = (limit * height for limit in limits)
+        source = f"{100 * limits[0]:g} and {100 * limits[1]:g} % {_DETECTORS}"
+        note = "errors of detector, bone lengths, camera or synchronisation"
+        yield AuditResult("image", name, subject, float(median), "px", warn, fail, source, note, float(at))
 
 
 def _sensors(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -237,17 +202,8 @@ def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         why = f"no height was given for comparison; it is {own:.2f} m tall"
         yield AuditResult.not_checked("body", "skeleton", why)
     else:
-        yield AuditResult(
-            "body",
-            "difference from the height given",
-            "skeleton",
-            100 * abs(own - height),
-            "cm",
-            3.0,
-            10.0,
-            _USER,
-            f"given {height:.2f} m, the skeleton is {own:.2f} m tall",
-        )
+        name, note = "difference from the height given", f"given {height:.2f} m, the skeleton is {own:.2f} m tall"
+        yield AuditResult("body", name, "skeleton", 100 * abs(own - height), "cm", 3.0, 10.0, _USER, note)
     name, source = "beyond its anatomical limit, largest", "limits of the skeleton table"
     excess = statistics["limit excess"]
     hinged = {skeleton.names[j] for j in hinges(skeleton)}
@@ -255,18 +211,9 @@ def _body(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
         if largest > 0:
             # Euler angles of a ball joint may leave their limits in a real posture, a hinge may not.
             fail = 30.0 if dof.rsplit("_", 1)[0] in hinged else math.inf
-            yield AuditResult(
-                "body",
-                name,
-                clinical_name(skeleton.table, dof),
-                float(np.degrees(largest)),
-                "deg",
-                10.0,
-                fail,
-                f"{source}; {_USER}",
-                "a wrong angle, or unusual anatomy; angles are not clipped",
-                float(at),
-            )
+            note = "a wrong angle, or unusual anatomy; angles are not clipped"
+            size, subject = float(np.degrees(largest)), clinical_name(skeleton.table, dof)
+            yield AuditResult("body", name, subject, size, "deg", 10.0, fail, f"{source}; {_USER}", note, float(at))
     if not np.any(excess.largest > 0):
         yield AuditResult("body", name, "any angle", 0.0, "deg", 10.0, 30.0, source)
 
@@ -293,18 +240,9 @@ def calibration_results(found: SelfCalibration | None) -> Iterator[AuditResult]:
         if quantity.verdict is Verdict.PRIOR:
             size = 0.0  # no correction is applied
         weak = quantity.verdict is not Verdict.OBSERVED  # convicts nothing
-        yield AuditResult(
-            "calibration",
-            f"{quantity.kind}, correction in standard deviations of the prior",
-            quantity.item,
-            size,
-            "",
-            3.0,
-            math.inf if weak else 6.0,
-            "3 and 6 standard deviations",
-            quantity.verdict.value,
-            weak=weak,
-        )
+        name, fail = f"{quantity.kind}, {_CORRECTION}", math.inf if weak else 6.0
+        figure = (name, quantity.item, size, "", 3.0, fail, _SIGMAS)
+        yield AuditResult("calibration", *figure, quantity.verdict.value, weak=weak)
 
 
 def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
@@ -318,18 +256,10 @@ def camera_results(found: CameraEstimate | None) -> Iterator[AuditResult]:
     sizes = dict(zip(UNKNOWNS, np.abs(found.value), strict=True))
     priors = dict(zip(UNKNOWNS, prior_sigma(found.assumed), strict=True))
     for name, assumed, now, left, verdict in found.table():
-        yield AuditResult(
-            "calibration" if name in ("pitch", "roll") else ROOM,
-            f"{name}, correction in standard deviations of the prior",
-            "camera",
-            float(sizes[name] / priors[name]),
-            "",
-            3.0,
-            6.0,
-            "3 and 6 standard deviations",
-            f"{assumed} assumed, {now} found ({left} of the standard deviation remain)",
-            weak=verdict != FOUND,
-        )
+        section = "calibration" if name in ("pitch", "roll") else ROOM
+        figure = (f"{name}, {_CORRECTION}", "camera", float(sizes[name] / priors[name]), "", 3.0, 6.0, _SIGMAS)
+        note = f"{assumed} assumed, {now} found ({left} of the standard deviation remain)"
+        yield AuditResult(section, *figure, note, weak=verdict != FOUND)
 
 
 def _solver(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -351,16 +281,9 @@ def _solver(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
     if statistics.first.keypoints is not None:
         sigma = float(np.median([fragment.sigma_reprojection for fragment in solution.fragments]))
         top = _MODEL.sigma_reprojection_range[1]
-        yield AuditResult(
-            "solver",
-            "standard deviation of keypoints, estimated",
-            "median of fragments",
-            sigma,
-            "px",
-            0.96 * top,
-            source=f"{top:g} px is the solver's upper bound",
-            note="the keypoints carry little information, or the person is large in the image",
-        )
+        figure = ("standard deviation of keypoints, estimated", "median of fragments", sigma, "px", 0.96 * top)
+        note = "the keypoints carry little information, or the person is large in the image"
+        yield AuditResult("solver", *figure, source=f"{top:g} px is the solver's upper bound", note=note)
 
 
 def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
@@ -382,18 +305,8 @@ def _confidence(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:
             yield AuditResult.not_checked("confidence", subject, "too few observations", _EXPECTED)
             continue
         worst = int(np.nan_to_num(per_axis.largest).argmax())
-        yield AuditResult(
-            "confidence",
-            _EXPECTED,
-            subject,
-            math.sqrt(3) * factor * per_axis.rms_of_all,
-            unit,
-            warn,
-            fail,
-            _USER,
-            note,
-            float(per_axis.largest_at[worst]),
-        )
+        size, at = math.sqrt(3) * factor * per_axis.rms_of_all, float(per_axis.largest_at[worst])
+        yield AuditResult("confidence", _EXPECTED, subject, size, unit, warn, fail, _USER, note, at)
 
 
 def _room(statistics: ReconstructionStatistics) -> Iterator[AuditResult]:

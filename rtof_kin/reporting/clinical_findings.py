@@ -30,17 +30,14 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
     for a in shown:
         known = angles.known[:, a]
         if known.any():
-            yield AuditResult(
-                "angles",
+            figure = (
                 "share of frames without an observation",
                 angles.rows[a].label,
                 100 * float(1 - known.mean()),
                 "%",
-                10.0,
-                75.0,
-                _USER,
-                "gaps are not filled; ranges are of the observed frames",
             )
+            note = "gaps are not filled; ranges are of the observed frames"
+            yield AuditResult("angles", *figure, 10.0, 75.0, _USER, note)
     if angles.sigma is None:
         yield AuditResult.not_checked("angles", "95 % bands", NO_BANDS)
     else:
@@ -48,16 +45,9 @@ def _angles(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         for a in shown:
             if np.isfinite(sigma[:, a]).any():
                 half = float(BAND_95 * np.degrees(np.nanmedian(sigma[:, a])))
-                yield AuditResult(
-                    "angles",
-                    "half width of the 95 % band, median",
-                    angles.rows[a].label,
-                    half,
-                    "deg",
-                    *WIDEST,
-                    _USER,
-                    "low accuracy; a sensor on each of its two segments would improve it",
-                )
+                figure = ("half width of the 95 % band, median", angles.rows[a].label, half, "deg")
+                note = "low accuracy; a sensor on each of its two segments would improve it"
+                yield AuditResult("angles", *figure, *WIDEST, _USER, note)
     for note in analysis.notes["angles"]:
         yield AuditResult.not_checked("angles", "angles", note)
 
@@ -75,16 +65,9 @@ def _gait(analysis: MotionAnalysis) -> Iterator[AuditResult]:
     yield AuditResult.remark("gait", "walking", strides)
     for side, measures in gait.summary.items():
         count = measures["stride_time"][2]
-        yield AuditResult(
-            "gait",
-            "strides fewer than three",
-            side,
-            float(max(0, 3 - count)),
-            "",
-            0.0,
-            source=_USER,
-            note=f"{count} complete: a mean of so few may not represent usual walking",
-        )
+        note = f"{count} complete: a mean of so few may not represent usual walking"
+        missing = float(max(0, 3 - count))
+        yield AuditResult("gait", "strides fewer than three", side, missing, "", 0.0, source=_USER, note=note)
     for note in gait.notes:
         yield AuditResult.warning("gait", "gait", note)
 
@@ -95,17 +78,9 @@ def _torques(analysis: MotionAnalysis) -> Iterator[AuditResult]:
         yield AuditResult.not_checked("torques", "torques", NO_WEIGHT)
         return
     known = float(np.isfinite(torques.torques).mean())
-    yield AuditResult(
-        "torques",
-        "share of torques that could not be computed",
-        "joints",
-        100 * (1 - known),
-        "%",
-        50.0,
-        99.9,
-        _USER,
-        "no force was measured; which foot bears load is not always known",
-    )
+    figure = ("share of torques that could not be computed", "joints", 100 * (1 - known), "%")
+    note = "no force was measured; which foot bears load is not always known"
+    yield AuditResult("torques", *figure, 50.0, 99.9, _USER, note)
     reaction = analysis.ground_reaction
     for note in (*torques.notes, *(() if reaction is None else reaction.notes)):
         yield AuditResult.not_checked("torques", "torques", note)

@@ -10,7 +10,6 @@ import base64
 import hashlib
 from collections.abc import Iterable, Mapping
 from functools import cache
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -75,9 +74,3 @@ def css_string(text: str) -> str:
     """
     own = (c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text if c.isprintable())
     return f'"{"".join(own)}"'
-
-
-def bullets(texts: Iterable[str]) -> str:
-    """Return a bullet list, or nothing for no texts."""
-    items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-    return f"<ul>{items}</ul>" if items else ""

@@ -113,14 +113,14 @@ def test_only_steps_after_a_change_are_done_again(root: Path, out: Path, log: Pa
     one = write_recordings(root.parent / "one", a="pass")
     run(batch_of(one, out))
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, report --weight 70"))
+    run(batch_of(one, out, "reconstruct, export --weight 70, report"))
     assert calls(log) - before == {"a export": 1, "a report": 1}
-    assert (out / "a/angles/angles.csv").read_text() == "--weight 70 --overwrite"
+    assert (out / "a/export/angles.csv").read_text() == "--weight 70 --overwrite"
     before = calls(log)
-    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
+    run(batch_of(one, out, "reconstruct, export --weight 70, report, evaluate"))
     assert calls(log) - before == {"a evaluate": 1}
     assert (out / "a/log/evaluate.txt").read_text() == "evaluate says so\n"
-    run(batch_of(one, out, "reconstruct, report --weight 70, evaluate"))
+    run(batch_of(one, out, "reconstruct, export --weight 70, report, evaluate"))
     assert calls(log)["a evaluate"] == 1
     (one / "a" / "note.txt").write_text("a new file of the recording")
     before = calls(log)

@@ -180,17 +180,6 @@ def test_figure_panels_have_units_and_mark_unobserved_angles(analysis: MotionAna
         assert [text.get_text() for text in ankle.texts] == ["not observed"]
 
 
-def test_cycle_panels_show_the_mean_and_number_of_strides_of_each_side(analysis: MotionAnalysis) -> None:
-    ax = gait_cycles(analysis).axes[SHOWN.index("knee_flexion")]
-    for line, side in zip(ax.lines, ("right", "left"), strict=False):
-        curve = next(c for c in analysis.curves if c.name == f"{side}_knee_flexion")
-        np.testing.assert_allclose(line.get_ydata(), np.degrees(curve.mean))
-        assert line.get_label() == f"{side}, {len(curve.curves)} strides"
-    single = tuple(replace(curve, curves=curve.curves[:1]) for curve in analysis.curves)
-    ax = gait_cycles(replace(analysis, curves=single)).axes[SHOWN.index("knee_flexion")]
-    assert [line.get_label() for line in ax.lines[:2]] == ["right, 1 stride", "left, 1 stride"]
-
-
 def test_height_without_weight_and_unknown_repetitions_are_rejected() -> None:
     with pytest.raises(InvalidInputError, match="need a weight"):
         analyse(walk(), height=1.8)
@@ -266,19 +255,6 @@ def test_command_shows_gait_only_where_it_is_gait(tmp_path: Path, capsys: pytest
     assert not (tmp_path / "out" / "figures" / "gait_cycles.png").exists()
 
 
-def test_command_replaces_a_folder_only_with_overwrite(
-    motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "analysis"
-    command = ["report", str(motion_file.parent), "--analysis", str(out), "--no-figures"]
-    assert main(command) == 0
-    assert main([*command, "--weight", "70"]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert not (out / "torques.csv").exists()
-    assert main([*command, "--weight", "70", "--overwrite"]) == 0
-    assert (out / "torques.csv").exists()
-
-
 def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "motion"
     folder.mkdir()
@@ -289,21 +265,3 @@ def test_command_uses_the_weight_of_the_recording_unless_one_is_given(motion_fil
         out = tmp_path / str(weight)
         assert main(["report", str(given), "--analysis", str(out), "--no-figures", *more]) == 0
         assert read(out / "torques.json")["weight_kg"] == weight
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (["--height", "1.7"], "need a weight"),
-        (["--weight", "70000"], "kilograms"),
-        (["--weight", "70", "--height", "170"], "give metres"),
-    ],
-)
-def test_implausible_subjects_exit_with_one_line(
-    motion_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], message: str
-) -> None:
-    assert main(["report", str(motion_file), "--analysis", str(tmp_path / "out"), *more]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert message in error
-    assert not (tmp_path / "out").exists()

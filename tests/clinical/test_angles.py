@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import planted
@@ -15,10 +16,11 @@ from rtof_kin.body.metrics import flexion
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.clinical import decomposition as jcs
 from rtof_kin.clinical.angle_table import angle_table, clinical_name
-from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles
+from rtof_kin.clinical.angles import ClinicalAngles, all_observed, clinical_angles, opensim_angles
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, ShapeError, UnknownNameError
 from rtof_kin.data.poses import PoseSequence, Provenance
+from rtof_kin.formats.opensim import OpenSimTable, read_opensim_table, write_mot, write_sto
 
 Array = NDArray[np.float64]
 BODY = SkeletonModel.default()
@@ -101,15 +103,6 @@ def test_known_postures_have_their_angles(name: str) -> None:
 
 def test_all_angles_are_zero_in_the_anatomical_posture(any_skeleton: SkeletonModel) -> None:
     np.testing.assert_allclose(list(degrees(posture(any_skeleton), any_skeleton).values()), 0, atol=1e-9)
-
-
-def test_arm_angles_of_n_pose_and_t_pose() -> None:
-    for q, elevation in ((BODY.n_pose(), 0.0), (BODY.t_pose(), 90.0)):
-        found = degrees(posed(q[None]))
-        for side in ("right", "left"):
-            names = ("shoulder_elevation", "elbow_pronation", "elbow_flexion")
-            values = [found[f"{side}_{name}"] for name in names]
-            np.testing.assert_allclose(values, [elevation, 90, 0], atol=1e-9)
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 180.0, -135.0])
@@ -414,3 +407,53 @@ def test_the_table_describes_each_angle(any_skeleton: SkeletonModel) -> None:
         assert entry["clinical"] == row.label
         assert (entry["parent"] == "world") == (not entry["urdf"])
         assert set(entry["urdf"]) <= set(any_skeleton.dof_names)
+
+
+def table(in_degrees: bool = True, **columns: float) -> OpenSimTable:
+    values = np.tile(list(columns.values()), (3, 1))
+    return OpenSimTable(np.arange(3.0), tuple(columns), values, in_degrees)
+
+
+@pytest.mark.parametrize("write, name", [(write_mot, "walk.mot"), (write_sto, "walk.sto")])
+def test_exported_motion_has_the_angles_of_the_motion(write: object, name: str, tmp_path: Path) -> None:
+    write(tmp_path / name, walk())  # type: ignore[operator]
+    angles, others = opensim_angles(read_opensim_table(tmp_path / name))
+    own = clinical_angles(walk())
+    assert others == ()
+    both = own.known & angles.known
+    assert both[:, own.names.index("spine_flexion")].all()
+    assert both.any(axis=0).sum() > 30
+    difference = np.degrees(angles.values - own.values)[both]
+    assert np.abs((difference + 180) % 360 - 180).max() < 1e-6
+
+
+def test_signs_are_those_of_the_table() -> None:
+    angles, others = opensim_angles(
+        table(hip_flexion_r=30.0, lumbar_extension=-12.0, knee_angle_l=50.0, ankle_angle_r=-8.0, mtp_angle_r=3.0)
+    )
+    expected = {
+        "right_hip_flexion": 30.0,
+        "spine_flexion": 12.0,
+        "left_knee_flexion": 50.0,
+        "right_ankle_dorsiflexion": -8.0,
+    }
+    known = [name for name in angles.names if np.isfinite(angles[name]).all()]
+    assert {name: float(np.degrees(angles[name][0])) for name in known} == pytest.approx(expected)
+    assert others == ("mtp_angle_r",)
+    assert angles.sigma is None
+
+
+def test_radians_are_radians() -> None:
+    angles, _ = opensim_angles(table(in_degrees=False, knee_angle_r=1.5))
+    assert angles["right_knee_flexion"] == pytest.approx([1.5] * 3)
+
+
+def test_turns_are_continuous_and_within_the_range_of_the_angle() -> None:
+    values = np.array([[350.0], [355.0], [2.0]])
+    angles, _ = opensim_angles(OpenSimTable(np.arange(3.0), ("hip_flexion_r",), values, True))
+    assert np.degrees(angles["right_hip_flexion"]) == pytest.approx([-10, -5, 2])
+
+
+def test_a_model_without_a_known_coordinate_is_refused() -> None:
+    with pytest.raises(InvalidInputError, match="hip_flexion_r"):
+        opensim_angles(table(KneeFlexion=3.0))

@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import planted
 import pytest
 from clinical_support import limb, posture, walk
-from comparison_support import one
+from comparison_support import angles_of, one
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from report_support import certain_to
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
+from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
 from rtof_kin.clinical.comparison import (
     AngleComparison,
     Comparison,
@@ -25,6 +27,7 @@ from rtof_kin.clinical.comparison import (
     sides_of,
 )
 from rtof_kin.clinical.comparison_change import Verdict
+from rtof_kin.clinical.comparison_samples import align
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError, UnknownNameError
 
@@ -101,22 +104,6 @@ def test_more_frames_do_not_make_a_mean_more_certain() -> None:
         for t in (few, many)
     ]
     assert np.degrees(sigmas) == pytest.approx([5.0, 5.0])
-
-
-def test_constant_and_independent_errors_are_both_covered() -> None:
-    """The stated deviation holds for errors that last, and is not too small for any others."""
-    rng, times = np.random.default_rng(1), np.arange(60) / 60
-    covered = {"constant": 0, "half": 0, "white": 0}
-    for _ in range(200):
-        for kind, share in (("constant", 1.0), ("half", 0.5), ("white", 0.0)):
-            lasting = rng.normal(0, 3, (2, 1)) * np.sqrt(share)
-            error = lasting + rng.normal(0, 3, (2, 60)) * np.sqrt(1 - share)
-            a, b = (one(n, times, {KNEE: 30 + e}, 3.0) for n, e in zip("ab", error, strict=True))
-            low, high = of(compare(a, b, "time"), KNEE).changes[0].interval
-            covered[kind] += low <= 0 <= high
-    assert covered["constant"] / 200 == pytest.approx(0.95, abs=0.035)
-    assert covered["half"] >= covered["constant"]
-    assert covered["white"] == 200
 
 
 def test_only_samples_usable_in_both_are_compared() -> None:
@@ -350,3 +337,91 @@ def test_another_system_is_compared_in_time_where_the_spans_overlap() -> None:
     far = one("b.mot", TIMES + 100, {KNEE: WAVE}, other_system=True)
     assert choose_axis(a, far, agreement(a, far)).by == "range"
     assert choose_axis(a, far, None, "cycle").why == ""
+
+
+NAMES = ("right_knee_flexion", "left_knee_flexion", "right_hip_flexion", "right_elbow_flexion")
+GRID = np.arange(600) / 60
+
+
+def random_movement(seed: int) -> NDArray[np.float64]:
+    return 20 * planted.smooth_noise(seed, (600, len(NAMES)), 12, 1.0)
+
+
+def columns(values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    return dict(zip(NAMES, values.T, strict=True))
+
+
+def moved(angles: ClinicalAngles, seconds: float) -> ClinicalAngles:
+    """The same movement on a clock that shows earlier times by so many seconds."""
+    return replace(angles, times=angles.times - seconds)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.437, -3.21, 100.0])
+def test_planted_shift_is_found_to_milliseconds(shift: float) -> None:
+    a = angles_of(GRID, columns(random_movement(0)))
+    found = align(a, moved(a, shift), NAMES)
+    assert found.shift == pytest.approx(shift, abs=0.003)
+    assert found.agreement > 0.98
+    assert not found.poor
+    assert not found.ambiguous
+
+
+def test_shift_is_found_despite_offsets_scales_noise_and_another_rate() -> None:
+    values = random_movement(1)
+    a = angles_of(GRID, columns(values))
+    times = np.arange(100, 700) / 100
+    other = np.stack([np.interp(times, GRID, v) for v in values.T], axis=1)
+    noise = planted.smooth_noise(9, (600, len(NAMES)), 10, 4.0)
+    b = angles_of(times, columns(0.8 * other + [30, -10, 5, 0] + noise))
+    found = align(a, moved(b, 1.5), NAMES)
+    assert found.shift == pytest.approx(1.5, abs=0.05)
+    assert abs(found.shift - 1.5) < 4 * found.sigma
+    assert 0.002 < found.sigma < 0.05
+
+
+def test_stated_deviation_of_the_shift_is_that_of_its_errors() -> None:
+    scores = []
+    for seed in range(30):
+        values = random_movement(seed)
+        a = angles_of(GRID, columns(values))
+        noise = planted.smooth_noise(500 + seed, (600, len(NAMES)), 8, 8.0)
+        found = align(a, angles_of(GRID, columns(values + noise)), NAMES)
+        scores.append(found.shift / found.sigma)
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 2.0
+
+
+def test_other_movement_hardly_agrees() -> None:
+    first, second = (angles_of(GRID, columns(random_movement(seed))) for seed in (0, 77))
+    found = align(first, second, NAMES)
+    assert found.poor
+
+
+def test_walking_is_ambiguous_by_a_stride() -> None:
+    angles = clinical_angles(walk())
+    found = align(angles, angles, [name for name in NAMES if "elbow" not in name])
+    assert found.shift == pytest.approx(0.0, abs=1e-3)
+    assert abs(found.rival) == pytest.approx(1.2, abs=0.15)  # the stride time of this walk
+    assert found.ambiguous
+
+
+def test_agreement_without_a_shift_is_that_of_the_given_clocks() -> None:
+    a = angles_of(GRID, columns(random_movement(0)))
+    assert align(a, a, NAMES).unshifted == pytest.approx(align(a, a, NAMES).agreement)
+    assert align(a, moved(a, 0.5), NAMES).unshifted < 0.6
+    assert np.isnan(align(a, moved(a, 100.0), NAMES).unshifted)
+
+
+def test_nothing_that_moves_is_refused() -> None:
+    still = angles_of(GRID, dict.fromkeys(NAMES, 10.0))
+    with pytest.raises(InvalidInputError, match="--angles"):
+        align(still, still, NAMES)
+
+
+def test_gaps_do_not_count() -> None:
+    values = random_movement(3)
+    a = angles_of(GRID, columns(values))
+    values[100:200, 0] = np.nan
+    values[300:310] = np.nan
+    found = align(a, moved(angles_of(GRID, columns(values)), 0.25), NAMES)
+    assert found.shift == pytest.approx(0.25, abs=0.005)
+    assert found.agreement > 0.97

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rtof_kin.clinical.comparison_change import Change, Measured, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import Change, Measured, MixedError, Verdict, adjusted, change
 
 RNG = np.random.default_rng(0)
 
@@ -87,14 +87,6 @@ def test_p_values_are_holms() -> None:
     assert [c.verdict is Verdict.CHANGED for c in found] == [False, True, False, False, False]
 
 
-def test_family_of_equal_angles_alarms_at_most_as_often_as_the_level() -> None:
-    alarms = 0
-    for z in RNG.normal(0, np.sqrt(2), (600, 10)):
-        found = adjusted([change("mean", one(0.0, 1.0), one(b, 1.0), repeats="none") for b in z])
-        alarms += any(c.verdict is Verdict.CHANGED for c in found)
-    assert 0.025 <= alarms / 600 <= 0.07
-
-
 def test_a_difference_of_the_detectable_size_is_changed_whatever_the_others_show() -> None:
     still = [change("mean", one(0.0, 0.1), one(0.0, 0.1), repeats="none") for _ in range(9)]
     detectable = adjusted(still)[0].detectable
@@ -104,3 +96,43 @@ def test_a_difference_of_the_detectable_size_is_changed_whatever_the_others_show
         changed = [replace(other, p=1e-9) for other in still[1:]]
         if verdict is Verdict.CHANGED:
             assert adjusted([*changed, moved])[-1].verdict is verdict
+
+
+LEVELS = (0.05, 0.01, 0.002)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 5, 30])
+@pytest.mark.parametrize("difference", [0.3, 2.0, 15.0])
+def test_an_estimated_variance_alone_gives_student(dof: float, difference: float) -> None:
+    error = MixedError(0.0, 4.0, dof)
+    assert error.p(difference) == pytest.approx(2 * stats.t.sf(difference / 2, dof), rel=1e-6)
+    assert error.half_width(0.05) == pytest.approx(2 * stats.t.isf(0.025, dof), rel=1e-5)
+    assert error.effective_dof == dof
+
+
+def test_a_known_variance_alone_is_normal() -> None:
+    for error in (MixedError(4.0), MixedError(4.0, 0.0, 3.0), MixedError(3.0, 1.0)):
+        assert error.half_width(0.05) == pytest.approx(2 * stats.norm.isf(0.025))
+    assert MixedError(4.0, 1e-9, 2.0).p(3.0) == pytest.approx(2 * stats.norm.sf(1.5), rel=1e-5)
+
+
+def test_both_parts_are_wider_than_each_and_narrower_than_their_sum() -> None:
+    both, known, estimated = MixedError(2.0, 1.0, 3.0), MixedError(2.0), MixedError(0.0, 1.0, 3.0)
+    own = [error.half_width(0.01) for error in (both, known, estimated)]
+    assert max(own[1:]) < own[0] < sum(own[1:])
+    assert both.p(own[0]) == pytest.approx(0.01, rel=1e-6)
+
+
+def test_without_any_error_there_is_no_interval() -> None:
+    assert np.isnan(MixedError().half_width(0.05))
+
+
+@pytest.mark.parametrize("dof", [1, 2, 4, 10])
+@pytest.mark.parametrize("known", [0.0, 0.1, 1.0, 10.0])
+def test_false_positives_never_exceed_the_level(dof: float, known: float) -> None:
+    rng, count = np.random.default_rng(5), 3000
+    errors = rng.normal(0, np.sqrt(known + 1), count)
+    estimates = rng.chisquare(dof, count) / dof
+    p = np.array([MixedError(known, s, dof).p(e) for e, s in zip(errors, estimates, strict=True)])
+    for level in LEVELS:
+        assert np.mean(p < level) <= level + 3.5 * np.sqrt(level / count)

@@ -61,13 +61,6 @@ def test_threshold_and_clusters_are_those_of_spm1d_where_both_apply() -> None:
     assert [own.clusters[0].start, own.clusters[0].stop] == pytest.approx(ends, abs=0.01)
 
 
-def test_threshold_lies_between_one_test_and_bonferroni() -> None:
-    rng = np.random.default_rng(2)
-    angle = mapped(20 + smooth(rng, 8), 20 + smooth(rng, 8))[1].angles[0]
-    single, all_of_them = (stats.t.ppf(1 - level / 2, angle.dof) for level in (0.05, 0.05 / 101))
-    assert single < angle.threshold < all_of_them
-
-
 def test_threshold_agrees_with_a_permutation_test() -> None:
     rng = np.random.default_rng(3)
     both = smooth(rng, 20)

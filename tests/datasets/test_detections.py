@@ -147,16 +147,9 @@ def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Cam
     ("changed", "message"),
     [
         ({"uv_px": None}, r"no array 'uv_px' of shape \(T, L, 2\)"),
-        ({"uv_px": np.zeros((T, 21))}, r"uv_px: expected shape \(T, L, 2\)"),
         ({"uv_px": np.zeros((T, 17, 2))}, r"\(7, 17, 2\), and 21 landmarks .*landmarks.txt"),
-        ({"confidence": np.ones((T, 20))}, r"confidence.*\(7, 20\)"),
-        ({"times": np.arange(T - 1) / 30}, "cam1.npz"),
         ({"keypoints": np.zeros((T, 21, 2))}, r"cam1.npz 'keypoints'.*uv_px"),
         ({"confidence": np.full((T, 21), 87.0)}, r"outside \[0, 1\]"),
-        ({"uv_px": np.full((T, 21, 2), np.inf)}, "infinite"),
-        ({"uv_px": np.zeros((0, 21, 2)), "confidence": None}, "empty"),
-        ({"times": np.zeros(T)}, "time does not increase"),
-        ({"uv_px": np.array([{}], dtype=object)}, "pickled objects are never read"),
     ],
 )
 def test_wrong_arrays_are_refused(changed: dict[str, Any], message: str, tmp_path: Path, read: Any) -> None:
@@ -164,19 +157,6 @@ def test_wrong_arrays_are_refused(changed: dict[str, Any], message: str, tmp_pat
     with pytest.raises((FileFormatError, UnknownNameError), match=message) as caught:
         read()
     assert str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe", b"<html>login</html>\n"])
-def test_damaged_files_are_refused(content: bytes, tmp_path: Path, read: Any) -> None:
-    path = write(tmp_path / "S5_acting3_cam1.npz")
-    for damaged in (content, path.read_bytes()[:-100]):
-        path.write_bytes(damaged)
-        with pytest.raises(FileFormatError, match=r"S5_acting3_cam1.npz: damaged"):
-            read()
-    path.unlink()
-    path.with_suffix(".csv").write_bytes(content)
-    with pytest.raises(FileFormatError, match="S5_acting3_cam1.csv"):
-        read()
 
 
 def test_wrong_names_of_landmarks_are_refused(tmp_path: Path, read: Any) -> None:

@@ -71,40 +71,9 @@ def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positio
 
 
 def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> None:
-    names_of_32 = (
-        "Hip",
-        "RHip",
-        "RKnee",
-        "RFoot",
-        "RFootEnd",
-        "RToes",
-        "LHip",
-        "LKnee",
-        "LFoot",
-        "LFootEnd",
-        "LToes",
-        "Root2",
-        "Spine",
-        "Thorax",
-        "Neck",
-        "Head",
-        "LClavicle",
-        "LShoulder",
-        "LElbow",
-        "LWrist",
-        "LThumb",
-        "LThumb2",
-        "LHand",
-        "LHand2",
-        "RClavicle",
-        "RShoulder",
-        "RElbow",
-        "RWrist",
-        "RThumb",
-        "RThumb2",
-        "RHand",
-        "RHand2",
-    )
+    names = "Hip RHip RKnee RFoot RFootEnd RToes LHip LKnee LFoot LFootEnd LToes Root2 Spine Thorax Neck Head LClavicle"
+    names += " LShoulder LElbow LWrist LThumb LThumb2 LHand LHand2 RClavicle RShoulder RElbow RWrist RThumb RThumb2"
+    names_of_32 = f"{names} RHand RHand2".split()
     assert tuple(names_of_32[i] for i in JOINTS_OF_32) == SKELETON.names
     unused = {4, 5, 9, 10, 11, 16, 20, 21, 22, 23, 24, 28, 29, 30, 31}
     assert sorted({*JOINTS_OF_32, *unused}) == list(range(32))
@@ -258,16 +227,10 @@ LAST = CAMERA_IDS[3]
 @pytest.mark.parametrize(
     "change, message",
     [
-        (setter("intrinsics", value=None), "intrinsics: missing"),
-        (setter("extrinsics", value=[1]), "extrinsics: missing, or not a table"),
         (setter("extrinsics", value={}), "there is no camera of any subject"),
-        (setter("intrinsics", LAST, value=None), f"S9, camera {LAST}: intrinsics: missing"),
         (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-        (setter("intrinsics", LAST, "calibration_matrix", value=np.zeros((3, 3)).tolist()), "singular"),
         (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
-        (setter("extrinsics", "S9", LAST, "R", value="abc"), "R is not made of numbers"),
         (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
-        (setter("extrinsics", "S9", LAST, "t", value=[[np.nan], [1.0], [2.0]]), "t is not finite"),
     ],
 )
 def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
@@ -289,13 +252,8 @@ def changed_source(old: str, new: str) -> str:
     [
         ("h36m_cameras_intrinsic_params", "x", "there is no h36m_cameras_intrinsic_params"),
         ("intrinsic_params = [", "intrinsic_params = [open('x'), ", "is read, never run"),
-        ("intrinsic_params = [", "intrinsic_params = [" + "-" * 100_000 + "1, ", "never run"),
-        ("intrinsic_params = [", "intrinsic_params = [" + "[" * 1000 + "]" * 1000 + ", ", "never run"),
-        ("intrinsic_params = [", "intrinsic_params = [{}, ", "not a list of four cameras"),
         ("'54138969'", "'1'", "cameras 1, 55011271, 58860488, 60457274; expected 54138969"),
         ("'focal_length'", "'f'", "S9, camera 0: focal_length is missing"),
-        ("'res_w': 1000", "'res_w': 0", "width_px and height_px must be positive"),
-        ("'radial_distortion': [", "'radial_distortion': [0.0, ", r"not of shape \(3,\)"),
         ("'orientation': [", "'orientation': [0.0, ", r"not of shape \(4,\)"),
         ("[{}, {}, {}, {}]", "[{}]", "S2 does not have four cameras"),
     ],
@@ -311,7 +269,6 @@ def test_a_wrong_source_is_refused_with_the_field(tmp_path: Path, old: str, new:
     "field, value, error, message",
     [
         ("translation", [2.1, 4.9, 1.6], UnitError, "would stand 0.00557 m from .* millimetres"),
-        ("translation", [2.1e6, 4.9e6, 1.6e6], UnitError, r"would stand 5.57e\+03 m from"),
         ("orientation", [1.0, 1.0, 0.0, 0.0], FileFormatError, "orientation is not a unit quaternion"),
     ],
 )
@@ -324,24 +281,6 @@ def test_implausible_cameras(
     path.write_text(f"h36m_cameras_intrinsic_params={intrinsics}\nh36m_cameras_extrinsic_params={extrinsics}")
     with pytest.raises(error, match=f"S9, camera 0.*{message}"):
         read_cameras(path)
-
-
-@pytest.mark.parametrize(
-    "name, content, message",
-    [
-        ("cameras.toml", b"", "not a file of cameras; name the JSON file"),
-        ("cameras.json", b"{", "not readable as JSON"),
-        ("cameras.json", b"[]", "the file: missing, or not a table"),
-        ("cameras.json", b"\xff\xfe", "not a text file in UTF-8, so not JSON"),
-        ("cameras.py", b"def", "never run"),
-        ("cameras.py", b"", "empty; expected a list of cameras"),
-        ("cameras.py", b"#" * 5_000_000, "larger than 4 MiB"),
-    ],
-)
-def test_a_file_without_cameras_is_refused(tmp_path: Path, name: str, content: bytes, message: str) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(FileFormatError, match=rf"{name}.*: .*{message}"):
-        read_cameras(tmp_path / name)
 
 
 # --- cameras that do not belong to the keypoints -------------------------------------------------
@@ -446,7 +385,6 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
     [
         ([np.zeros((12, 17, 2))] * 3, "not a list of four cameras"),
         ([np.zeros((12, 16, 2))] * 4, r"camera 0: expected shape \(T, 17, 2\), got \(12, 16, 2\)"),
-        ([None] * 4, "camera 0: .*got NoneType"),
         ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
     ],
 )

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.reporting.audit_results import SECTIONS, AuditResult, Grade, section_verdict
+from rtof_kin.data.imu_stream import FaultKind
+from rtof_kin.reporting.audit_results import (
+    FAILED_FRAGMENTS,
+    ROOM_BAND,
+    SECTIONS,
+    UNOBSERVED_FRAGMENTS,
+    AuditResult,
+    Grade,
+    headline,
+    section_verdict,
+)
 
 NUMBERS = st.one_of(st.floats(0, 100), st.just(math.nan))
 LIMITS = st.one_of(st.floats(0, 100), st.just(math.inf))
@@ -105,3 +116,120 @@ def test_many_reasons_are_counted_and_similar_ones_merged() -> None:
     hand = AuditResult("image", "error", "Hand", 4.0, "px", 2.0, 5.0)
     (line,) = section_verdict("image", [figure(3), hand, figure(1)]).reasons
     assert line == "Hand: error 4 px (above 2 px); also Head"
+
+
+GOOD = AuditResult("image", "error", "Head", 1.0, "px", 2.0, 5.0)
+OFF = AuditResult("image", "error", "Foot", 50.0, "px", 2.0, 5.0, note="the camera is off")
+LOOSE = AuditResult("sensors", "residual", "LeftLeg", 3.0, "deg", 2.0, 5.0, note="mounting")
+LOST = AuditResult("solver", UNOBSERVED_FRAGMENTS, "all", 10.0, "%", 0.0, 50.0, note="the prior alone.")
+GONE = AuditResult("solver", FAILED_FRAGMENTS, "all", 20.0, "%", 0.0, 10.0, note="gave up.")
+FOCAL = AuditResult(
+    "inputs",
+    "height in the picture",
+    "camera",
+    0.2,
+    "1",
+    0.1,
+    0.1,
+    "limit of the check",
+    "the focal length is too short: compare it with the camera's file",
+)
+WARNING = AuditResult.warning("streams", "motion", "two sensors are exchanged")
+FAULT = AuditResult("streams", "fault, duration", "LeftLeg", 2.0, "s", -1.0, note="it stuck", at=1.0)
+UNKNOWN = AuditResult.not_checked("inputs", "camera", "the person does not move", "distance")
+WEAK = AuditResult.remark("calibration", "30 quantities", "1 observed, 29 weakly observed", weak=True)
+
+
+def test_contradicted_inputs_come_first_with_their_likely_cause() -> None:
+    found = headline([OFF, LOST, GONE, LOOSE, FOCAL, GOOD])
+    assert found.grade is Grade.FAIL
+    assert found.line.startswith("fail: the focal length is too short")
+    assert "camera: height in the picture 0.2 1, above 0.1 1" in found.text
+    assert "more fails in image, solver; more warns in solver, sensors" in found.text
+    assert "\n" not in found.line
+
+
+def test_of_several_contradicted_inputs_the_first_leads_as_they_are_in_the_order_of_cause() -> None:
+    tilted = replace(FOCAL, value=0.11, note="the references are tilted: calibrate")
+    assert headline([tilted, FOCAL]).line.startswith("fail: the references are tilted")
+
+
+@pytest.mark.parametrize(
+    ("results", "grade", "text"),
+    [
+        ([OFF, LOOSE, LOST, GONE], Grade.FAIL, "gave up"),
+        ([OFF, LOOSE, LOST], Grade.FAIL, "the prior alone"),
+        ([LOOSE, WARNING, OFF], Grade.FAIL, "the camera is off"),
+        ([LOOSE, FAULT, WARNING], Grade.WARN, "LeftLeg, 1.0 to 3.0 s: it stuck"),
+        ([LOOSE, WARNING], Grade.WARN, "motion: two sensors are exchanged"),
+        ([GOOD, LOOSE], Grade.WARN, "LeftLeg: residual 3 deg (above 2 deg): mounting"),
+    ],
+)
+def test_lost_frames_come_before_failures_and_these_before_warnings(
+    results: list[AuditResult], grade: Grade, text: str
+) -> None:
+    found = headline(results)
+    assert found.grade is grade
+    assert text in found.text.split(";")[0]
+
+
+def test_without_warnings_it_lists_what_was_checked_and_what_was_not() -> None:
+    found = headline([UNKNOWN, GOOD, WEAK])
+    assert found.grade is Grade.PASS
+    for part in (
+        "found in image;",
+        "calibration: 30 quantities: 1 observed, 29 weakly observed",
+        "not checked: camera: distance: the person does not move",
+        "no reference",
+    ):
+        assert part in found.text
+    truth = AuditResult("truth", "error", "motion", 20.0, "mm")
+    assert "no reference" not in headline([UNKNOWN, GOOD, WEAK, truth]).text
+
+
+def test_without_a_check_there_is_no_pass() -> None:
+    assert headline([]).grade is Grade.NOT_CHECKED
+    assert headline([UNKNOWN]).grade is Grade.NOT_CHECKED
+    assert headline([WEAK]).grade is Grade.WEAK
+
+
+def test_the_summary_has_grade_headline_and_sections() -> None:
+    plain = json.loads(json.dumps(headline([GOOD, LOOSE]).plain()))
+    assert plain["grade"] == "warn"
+    assert plain["headline"].startswith("LeftLeg")
+    assert plain["sections"] == {"image": "pass", "sensors": "warn"}
+
+
+BAND = AuditResult("room", ROOM_BAND, "position", 1.1, "m", note="the focal length is not checked", weak=True)
+LENS = AuditResult(
+    "room", "height of the ankle", "the person", 0.4, "m", 0.2, 0.2, note="the lens is higher: measure it"
+)
+
+
+def test_angles_pass_apart_from_a_position_in_the_room_that_nobody_verified() -> None:
+    found = headline([GOOD, BAND])
+    assert found.line.startswith(
+        "pass for the angles; position in the room not verified: ± 1.1 m, the focal length is not checked; "
+    )
+    assert (found.grade, found.room) == (Grade.PASS, Grade.WEAK)
+    assert found.plain()["room"] == {"grade": "weakly observed", "text": found.room_text}
+
+
+def test_a_contradicted_position_in_the_room_does_not_fail_the_angles_but_leads() -> None:
+    found = headline([GOOD, LENS, BAND])
+    assert found.line.startswith("pass for the angles; position in the room fails: the lens is higher")
+    assert (found.grade, found.room) == (Grade.PASS, Grade.FAIL)
+    assert headline([LOOSE, LENS]).line.startswith("warn: position in the room fails: the lens is higher")
+    declared = headline([FOCAL, LENS]).line
+    assert declared.startswith("fail: the focal length is too short")
+    assert "position in the room fails: the lens is higher" in declared
+
+
+def test_sides_that_may_be_exchanged_for_a_moment_lead_before_nothing() -> None:
+    note = FaultKind.SIDES_IN_DOUBT.value
+    sides = AuditResult("streams", FAULT.name, "keypoints of legs", 0.5, "s", 0.15, note=note, at=6.6)
+    other = AuditResult.warning("streams", "motion", "the sensors are 52 ± 6 ms late; corrected")
+    unseen = AuditResult("streams", "share of frames unseen", "LeftForeArm", 12.0, "%", 10.0, 90.0)
+    assert "52 ± 6 ms late" in headline((sides, other)).text
+    assert headline((sides, unseen)).text.startswith("LeftForeArm")
+    assert "may be exchanged" in headline((sides,)).text

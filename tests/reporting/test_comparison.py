@@ -137,14 +137,6 @@ def test_table_and_json_have_the_same_numbers(planted_change: Comparison, tmp_pa
     assert data["agreement"]["at_the_shift"] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_what_there_is_not_is_empty(tmp_path: Path) -> None:
-    found = compare(one("a", TIMES, COLUMNS_A), one("b", TIMES, COLUMNS_B), "range")
-    write_files(document(found), tmp_path)
-    row = next(csv.DictReader(io.StringIO((tmp_path / "comparison.csv").read_text())))
-    assert (row["rmse_deg"], row["p"], row["verdict"]) == ("", "", "not tested")
-    assert json.loads((tmp_path / "comparison.json").read_text())["angles"][0]["rmse_deg"] is None
-
-
 # --- inputs --------------------------------------------------------------------------------------
 
 

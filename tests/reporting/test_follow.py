@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -183,13 +182,6 @@ def test_single_trials_and_missing_bands_are_cautions() -> None:
     whole = follow_up(visits, by="range", names=["right_knee_flexion_range"])
     assert "Nothing is repeated" in " ".join(document(whole).cautions)
     assert document(whole).sentences[-1].startswith("b: nothing is tested (nothing states its error")
-
-
-def test_numbers_never_have_the_sign_of_zero(found: FollowUp) -> None:
-    measure = replace(found.measures[0].measure, unit="m")
-    assert value_text(measure, -0.001, True) == "0.00"
-    assert value_text(measure, 0.126, True) == "+0.13"
-    assert value_text(measure, float("nan")) == ""
 
 
 # --- files ---------------------------------------------------------------------------------------

@@ -1,8 +1,7 @@
 """Many independent jobs: engines that run them, their results in a folder, memory, and locks of a folder."""
 
-from rtof_kin.core.jobs.engine import Ended, Engine, InThisProcess
+from rtof_kin.core.jobs.engine import Ended, Engine, InThisProcess, RayCluster
 from rtof_kin.core.jobs.processes import Processes
-from rtof_kin.core.jobs.ray_cluster import RayCluster
 from rtof_kin.core.jobs.results import JobResult, Outcome, Progress, open_runs, run_jobs
 
 __all__ = [

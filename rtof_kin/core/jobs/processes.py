@@ -1,7 +1,8 @@
 """Engine of worker processes on this machine: one thread each, warm, and no more than the memory holds.
 
-A worker that is killed loses its own job only. The job is tried once more when all others are done, alone, since most
-processes are killed for want of memory. Workers end with the process that started them, even if that is killed.
+A worker that is killed loses its own job only: a pool of the standard library, or of joblib, gives up all of its
+jobs then. The job is tried once more when all others are done, alone, since most processes are killed for want of
+memory. Workers end with the process that started them, even if that is killed.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import os
 import signal
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing.connection import Connection, wait
 from typing import Any, Final
 
@@ -29,6 +30,7 @@ _POLL: Final = 1.0  # [s] between two looks at the memory
 _REMIND: Final = 60.0  # [s] between two messages that the memory is not enough
 _CONTEXT: Final = multiprocessing.get_context("spawn")
 _log = logging.getLogger(__name__)
+_Job = tuple[str, Any]
 
 
 @dataclass(frozen=True)
@@ -56,21 +58,21 @@ class Processes:
 
     def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """See `Engine.run`."""
-        pool = _Pool(self, function, self._most())
+        pool, again = _Pool(self, function), list[_Job]()
         try:
-            again = []
             for job, answer in pool.run(iter(jobs)):
-                if answer.lost is None or job is None:
+                if job is None:
                     yield answer
                 else:
                     _log.warning("%s: %s; tried once more when all others are done", job[0], answer.lost)
                     again.append(job)
-            for job in again:
-                for _, answer in pool.run(iter([job])):
+            for one in again:
+                for job, answer in pool.run(iter([one])):
                     reason = f"{answer.lost}, also when it ran alone: is there too little memory for it?"
-                    yield answer if answer.lost is None else Ended(answer.key, lost=reason)
+                    yield answer if job is None else Ended(answer.key, lost=reason)
         finally:
-            pool.end()
+            for workers in (pool.busy, pool.idle):
+                _end(workers)
 
     def _most(self) -> int:
         """Return the number of workers that cores and memory allow."""
@@ -78,9 +80,6 @@ class Processes:
         if not self.memory_per_job or total is None:
             return most
         return max(1, min(most, int(total // self.memory_per_job)))
-
-
-_Job = tuple[str, Any]
 
 
 class _Worker:
@@ -95,107 +94,87 @@ class _Worker:
             self.process.start()
         inner.close()  # so that the end of the process is the end of the pipe
 
-    @property
-    def memory(self) -> int:
-        """Resident memory, bytes."""
-        return resident_memory(self.process.pid or 0)
-
     def give(self, job: _Job) -> None:
         self.job, self.done = job, self.done + 1
-        with suppress(BrokenPipeError):  # it was killed: `take` tells
+        with suppress(BrokenPipeError):  # it was killed: `take` says so
             self.connection.send(job)
 
-    def take(self) -> Ended:
-        """Return what the job gave, or that its process is no more."""
+    def take(self) -> tuple[_Job | None, Ended]:
+        """Return what the job gave; with the job itself where its process is no more."""
         job, self.job = self.job, None
         assert job is not None
         try:
-            answer: Ended = self.connection.recv()
-            return answer
+            return None, self.connection.recv()
         except (EOFError, ConnectionError):
             self.process.join()
             code = self.process.exitcode or 0
             how = f"killed (signal {-code})" if code < 0 else f"ended (exit code {code})"
-            return Ended(job[0], lost=f"its process was {how}")
+            return job, Ended(job[0], lost=f"its process was {how}")
 
-    def end(self) -> None:
-        """Let a worker without a job end; terminate one with a job."""
-        self.connection.close()
-        if self.job is not None:
-            self.process.terminate()
+
+def _end(workers: list[_Worker]) -> None:
+    """End workers; those that have a job are terminated."""
+    for worker in workers:
+        worker.connection.close()
+        if worker.job is not None:
+            worker.process.terminate()
+    for worker in workers:
+        worker.process.join()
+    workers.clear()
 
 
 class _Pool:
     """The workers of a run."""
 
-    def __init__(self, settings: Processes, function: Callable[[Any], Any], most: int):
-        self.settings, self.function, self.most = settings, function, most
+    def __init__(self, settings: Processes, function: Callable[[Any], Any]):
+        self.settings, self.function, self.most = settings, function, settings._most()
         self.idle: list[_Worker] = []
         self.busy: list[_Worker] = []
         self._reminded = -_REMIND
 
     def run(self, jobs: Iterator[_Job]) -> Iterator[tuple[_Job | None, Ended]]:
         """Yield each job that ended; with the job itself where its process was lost."""
-        waiting = deque(_first(jobs))
+        waiting = list(islice(jobs, 1))
         while waiting or self.busy:
             while waiting and len(self.busy) < self.most and self._memory_is_enough():
-                self._start(waiting.popleft())
-                waiting.extend(_first(jobs))
-            held_back = waiting and len(self.busy) < self.most
+                worker = self.idle.pop() if self.idle else _Worker(self.function)
+                self.busy.append(worker)
+                worker.give(waiting.pop())
+                waiting = list(islice(jobs, 1))
             if not self.busy:
                 time.sleep(_POLL)
                 continue
+            held_back = waiting and len(self.busy) < self.most
             ready = wait([worker.connection for worker in self.busy], _POLL if held_back else None)
             for worker in [worker for worker in self.busy if worker.connection in ready]:
-                job = worker.job
                 self.busy.remove(worker)
-                answer = worker.take()
-                lost = worker.process.exitcode is not None
-                if lost or worker.done >= self.settings.jobs_per_worker:
-                    worker.end()
+                lost, answer = worker.take()
+                if lost is not None or worker.done >= self.settings.jobs_per_worker:
+                    worker.connection.close()
                 else:
                     self.idle.append(worker)
-                yield job if lost else None, answer
-
-    def _start(self, job: _Job) -> None:
-        worker = self.idle.pop() if self.idle else _Worker(self.function)
-        self.busy.append(worker)
-        worker.give(job)
+                yield lost, answer
 
     def _memory_is_enough(self) -> bool:
         """Return whether the memory is enough for one more job when those that run have all they need."""
         need, available = self.settings.memory_per_job, available_memory()
         if not need or available is None:
             return True
-        promised = sum(max(0.0, need - worker.memory) for worker in self.busy)
-        own = self.idle[-1].memory if self.idle else 0
-        if available - promised >= need - own:
+        own = _memory_of(self.idle[-1]) if self.idle else 0
+        if available - sum(max(0.0, need - _memory_of(worker)) for worker in self.busy) >= need - own:
             return True
-        if not self.busy and self.idle:  # they are warm, but hold memory
-            self._let_go(self.idle)
-        if not self.busy and time.monotonic() - self._reminded >= _REMIND:
-            self._reminded = time.monotonic()
-            _log.warning(
-                "waiting for memory: a job needs %.1f GB, and %.1f GB are available", need / _GB, available / _GB
-            )
+        if not self.busy:  # idle ones are warm, but hold memory
+            _end(self.idle)
+            if time.monotonic() - self._reminded >= _REMIND:
+                self._reminded = time.monotonic()
+                _log.warning(
+                    "waiting for memory: a job needs %.1f GB, and %.1f GB are available", need / _GB, available / _GB
+                )
         return False
 
-    def _let_go(self, workers: list[_Worker]) -> None:
-        for worker in workers:
-            worker.end()
-        for worker in workers:
-            worker.process.join()
-        workers.clear()
 
-    def end(self) -> None:
-        """End all workers; those that have a job are terminated."""
-        self._let_go(self.busy)
-        self._let_go(self.idle)
-
-
-def _first(jobs: Iterator[_Job]) -> list[_Job]:
-    """Return the next job, if there is one."""
-    return [job for job in [next(jobs, None)] if job is not None]
+def _memory_of(worker: _Worker) -> int:
+    return resident_memory(worker.process.pid or 0)
 
 
 @contextmanager

@@ -120,10 +120,8 @@ def _holds_other_results(folder: Path, settings: Mapping[str, Any], overwrite: b
         raise OutputExistsError(f"{folder}: holds other files; name a new folder")
     other = [k for k in sorted({*before, *settings}) if before.get(k) != settings.get(k)]
     if other and not overwrite:
-        raise OutputExistsError(
-            f"{folder}: holds results of other settings ({', '.join(other)}); name another folder, "
-            "or overwrite it (--overwrite)"
-        )
+        what = f"{folder}: holds results of other settings ({', '.join(other)})"
+        raise OutputExistsError(f"{what}; name another folder, or overwrite it (--overwrite)")
     return bool(other)
 
 
@@ -183,9 +181,7 @@ def _work(function: Callable[[Any], JobResult], folder: Path, job: tuple[str, An
     try:
         result = function(argument)
         np.savez_compressed(folder / f"{key}.npz", **result.arrays)  # type: ignore[arg-type]
-        partial = folder / f"{key}.json.part"
-        partial.write_text(json.dumps(_plain(result.facts)) + "\n", encoding="utf-8")
-        partial.replace(folder / f"{key}.json")
+        write_text(folder / f"{key}.json", json.dumps(_plain(result.facts)) + "\n", overwrite=True)
     except RtofError as error:
         return str(error)
     except Exception as error:
