@@ -183,15 +183,15 @@ def _motions(folder: Path) -> dict[str, list[Path]]:
     if file_in(folder):
         raise FileFormatError(folder, "is one motion; give the folder that has a folder for each visit")
     out = {}
-    for place in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
-        if motions := sorted(path for name in (MOTION, EARLIER) for path in place.rglob(name)):
-            out[place.name] = motions
+    for visit in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
+        if motions := sorted(path for name in (MOTION, EARLIER) for path in visit.rglob(name)):
+            out[visit.name] = motions
     return out
 
 
 def _trial(path: Path, visit: Path) -> Trial:
-    place = path.parent.parent if path.parent.name == _OF_RUN and path.parent != visit else path.parent
-    name = place.relative_to(visit).as_posix()
+    output = path.parent.parent if path.parent.name == _OF_RUN and path.parent != visit else path.parent
+    name = output.relative_to(visit).as_posix()
     summary = read_summary(path.parent / SUMMARY) if (path.parent / SUMMARY).is_file() else None
     with MotionReader(path) as reader:
         found = trial(visit.name if name == "." else name, reader)
