@@ -3,7 +3,7 @@
 Pavllo, Feichtenhofer, Grangier, Auli: 3D human pose estimation in video with temporal convolutions and
 semi-supervised training, CVPR 2019, sections 3 to 5. Input are pixels divided by the image's width. One
 network estimates joints relative to the root, a second one of the same shape the root. It uses neither
-intrinsics nor gravity, bones or sensors, and estimates no uncertainty. `recipes.Published` trains it.
+intrinsics nor gravity, bones or sensors, and estimates no uncertainty. `training.run.Published` trains it.
 
 An unseen landmark is replaced by its position in the nearest frame that saw it.
 """

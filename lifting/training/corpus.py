@@ -1,4 +1,8 @@
-"""Motion capture for training: many clips at one rate, each in one split."""
+"""Motion capture for training: many clips at one rate, each in one split.
+
+Training motion from datasets that users have obtained themselves. Their licences keep the data, and what is trained on
+them, with the user: a corpus carries a note on that into every lifter. Test takes are never opened here.
+"""
 
 from __future__ import annotations
 

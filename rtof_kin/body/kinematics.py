@@ -2,6 +2,14 @@
 
 The tree is `parents` (J,), with -1 for the root and parents before children, and `offsets` (J, 3) of each
 joint in its parent's link frame, m.
+
+Segment frames that all rigs share, from joint centres alone. Link frames of different rigs agree in the T-pose, but not
+with the joints: the lumbar joint lies 17 degrees behind the vertical over the hips in CMU's skeletons and 26 in Total
+Capture's. What is learned on one rig about the pelvis and the joints around it would be wrong by the difference on the
+other. The shared frame of the pelvis is defined by hip and lumbar joints, those of the limbs' long bones by their
+directions; the others are link frames. On CMU's mean skeleton all of them are.
+
+``R_world_shared = R_world_bone @ R_bone_shared`` and ``offset_shared = R_parent_shared^T offset``.
 """
 
 from __future__ import annotations

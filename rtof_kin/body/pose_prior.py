@@ -2,6 +2,10 @@
 
 ``models/build_pose_prior.py`` makes ``models/pose_prior.npz`` from the training subjects; ``rtof-kin train``
 makes one beside each lifter. Both call `rtof_kin.body.pose_prior_fit`.
+
+A person's neutral posture: how the joints stand when the person stands in the T-pose. Pelvis tilt, bends of the spine
+and the height of the clavicles differ between persons, and from the zero pose of the rig, by 5 to 20 degrees. One
+camera and sensors at the ends of the spine do not show them; a reference pose does.
 """
 
 from __future__ import annotations

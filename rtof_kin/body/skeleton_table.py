@@ -1,6 +1,10 @@
 """Skeleton table (``models/*.toml``): joints, parents, offsets, axes, limits, masses, names and landmarks.
 
 It is the only source of the skeleton; the number of joints is not fixed in the code.
+
+Mass, centre of mass and inertia of body segments (de Leva, J. Biomech. 29, 1996, table 4). Limb segments run from the
+proximal to the distal joint, the head from the vertex to C7, trunk segments from top to bottom. Fractions are of body
+mass and of segment length.
 """
 
 from __future__ import annotations

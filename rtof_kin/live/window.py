@@ -22,7 +22,7 @@ from rtof_kin.data.confidence import Confidence
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import LONGEST_BRIDGE, PoseSequence, Provenance
-from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
+from rtof_kin.inertial.root_path import FEET, ContactPoints, detect_contacts
 from rtof_kin.live.samples import FrameSample
 from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.solve.initial_guess import InitialGuess
@@ -340,7 +340,7 @@ def _problem(
         bone_imus = BoneImuSequence(
             times, np.tile(np.eye(3), (frames, S, 1, 1)), np.zeros((frames, S, 3)), sensors.levers, sensors.joints
         )
-    nowhere = Footholds(FEET, np.full((frames, len(FEET), 3), np.nan))
+    nowhere = ContactPoints(FEET, np.full((frames, len(FEET), 3), np.nan))
     return Observations(skeleton, frames, settings, guess, keypoints, bone_imus, nowhere)
 
 

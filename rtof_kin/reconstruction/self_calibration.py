@@ -334,7 +334,7 @@ class Knowledge:
 
 
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
-    """Estimate the clocks of a recording with sensors; nothing where nobody is seen or nothing moves.
+    """Estimate the clocks of a recording with sensors; nothing where no person is seen or nothing moves.
 
     Args:
         jobs: on the recording, or on parts of it in the order of time.

@@ -4,6 +4,12 @@ A fragment without any landmark has no information about the position and speed 
 segments turn as their sensors measure (`inertial.initial_poses`), the root follows standing feet and accelerations
 (`inertial.root_path`), and the differences from the observed poses at the two ends of an interval are distributed over
 it.
+
+SF2, single-frame sensor fusion: inertial-guided inverse kinematics (the paper's Algorithm 1). A rotation belongs to the
+segment that begins at its joint, so a sensor on the forearm corrects the bone ForeArm -> Hand; the angle theta is
+between the rest bone turned by the sensor and the observed bone; children keep their own observed directions when a
+parent is replaced. Unlike the paper, sensor and observation are weighed by their variances where both are known: with
+good detections the lift is the better.
 """
 
 from __future__ import annotations

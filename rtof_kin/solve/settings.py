@@ -87,11 +87,11 @@ class JointSpaceSettings:
     floor_cutoff: float = 0.1
     """[m] Scale of the Cauchy loss of an ankle's height."""
     sigma_contact: float = 0.02
-    """[m] of a foot's joint about its foothold, where footholds are given."""
+    """[m] of a foot's joint about its contact point, where contact points are given."""
     hinges: bool = True
     """Whether knees and elbows turn about one axis only."""
     limits: bool = True
-    """Whether hinges keep the skeleton's anatomical limits (`limits`)."""
+    """Whether hinges keep the skeleton's anatomical limits (`joint_space.state.Limits`)."""
     refit_root: bool = True
     """Whether the root of the initial guess is moved onto its rays (`inertial.root_position`)."""
     smooth_start_hz: float = 6.0

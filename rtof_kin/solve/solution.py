@@ -90,7 +90,7 @@ class Block:
     """Reports since the previous block."""
     confidence: Confidence | None = None
     spread: Confidence | None = None
-    """Covariances of what nobody sees (`joint_space.unseen`); None where everything is seen."""
+    """Covariances of what is unseen (`joint_space.covariance`); None where everything is seen."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +102,10 @@ class FragmentSolution:
     fragments: tuple[FragmentReport, ...]
     confidence: Confidence | None = None
     """Covariances of the poses by the Hessian, in joint space, where asked for; not inflated for autocorrelated errors
-    (see `uncertainty.covariance_inflation`)."""
+    (see `uncertainty`)."""
     spread: Confidence | None = None
-    """Covariances of what nobody sees, by the pose prior (`joint_space.unseen`), to be added to the inflated ones; None
-    where everything is seen."""
+    """Covariances of what is unseen, by the pose prior (`joint_space.covariance`), to be added to the inflated ones;
+    None where everything is seen."""
 
     @property
     def status(self) -> SolverStatus:

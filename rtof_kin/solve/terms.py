@@ -349,7 +349,7 @@ def distance(p_a: Matrix, p_b: Matrix, length: Matrix) -> Matrix:
 
 
 def position(p: Matrix, p_prior: Matrix) -> Matrix:
-    """Return position minus that of a prior or a foothold (3, n), m: E_P. p, p_prior: (3, n) m."""
+    """Return position minus that of a prior or a contact point (3, n), m: E_P. p, p_prior: (3, n) m."""
     return p - p_prior
 
 

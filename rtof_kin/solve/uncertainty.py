@@ -26,6 +26,10 @@ sensed   both segments of a pair (the one of a pair with the world) have a senso
 =======  ==========================================================================================
 
 The numbers were fitted on recordings of other people (``python -m benchmarks confidence --fit``).
+
+Difference between a solution and its initial guess, frame by frame, as covariances. The initial guess (SF2; without
+sensors the lifter) and the solution are two estimates of the same pose. Where they differ more than usual one of them
+is wrong, which the Hessian at the solution does not show. `CovarianceInflation` adds a share of the difference.
 """
 
 from __future__ import annotations

@@ -8,6 +8,11 @@ Corners (Shi and Tomasi 1994) of keyframes are followed into each frame by pyram
 after the frame was turned back by what is known of its rotation. A keyframe is made wherever the camera looks
 more than a few degrees away from all earlier ones, and used again whenever it comes back: errors grow with
 the range of the turning, not with time. Boxes around people are left out.
+
+Rotation of a camera from corresponding points of two images, and the focal length that makes them agree. Bearings of
+two images of a camera that turns about its optical centre differ by a rotation: least squares by Kabsch (1976),
+outliers by random samples of two points (Fischler and Bolles 1981). The focal length follows from how displacements
+grow towards the borders of the image (Hartley, IJCV 22, 1997: homographies K R K^-1).
 """
 
 from __future__ import annotations

@@ -1,4 +1,10 @@
-"""`Detections`: the keypoints of all people that a detector found in a video, in the detector's layout."""
+"""`Detections`: the keypoints of all people that a detector found in a video, in the detector's layout.
+
+Keypoints in tables: columns for each point, a row for each point of each frame, or markers in pixels. Rows for each
+point are written by people who save MediaPipe's landmarks as they come, and by Caliscope (``sync_index``, ``port``,
+``frame_time``, ``point_id``, ``img_loc_x``, ``img_loc_y``), whose file has all cameras: keep the rows of one. Points
+are numbered from 0; of Caliscope's holistic tracker, whose hands begin at 100 and face at 500, only the body is read.
+"""
 
 from __future__ import annotations
 

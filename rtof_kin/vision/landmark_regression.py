@@ -3,6 +3,16 @@
 A joint centre is estimated from all detected points by the conditional mean of a normal distribution
 (`PoseGaussian`), with the expected error. Points of people who lie or hang are rotated upright first, by
 quarter turns. Joints are those of the shipped skeleton.
+
+Normal distribution of the points of a person in an image, and its conditionals. A person is z = s (u - t): pixels u
+shifted and scaled so that the 21 joints are centred and have an RMS radius of 1. Mean and covariance of z were fitted
+to free motion seen from many directions. The place t has a flat prior; the scale s is the maximum-likelihood estimate
+from the detected points. Any subset of points then gives a regression of all others (Rasmussen and Williams 2006, A.2).
+
+Recognition of a detector's layout, by the names of its points or by geometry. Several layouts have the same number of
+points (BODY_25 and BODY_25B; COCO and Human3.6M; MediaPipe and the skeleton's own landmarks). Without names, the layout
+is the one under which the points are most likely to be a person's, by the distribution of
+`PoseGaussian`.
 """
 
 from __future__ import annotations

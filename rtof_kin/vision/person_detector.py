@@ -1,4 +1,13 @@
-"""`choose_detector`: the detector of people that is at hand, or one message that says what is missing."""
+"""`choose_detector`: the detector of people that is at hand, or one message that says what is missing.
+
+People and their 33 keypoints by MediaPipe's Pose Landmarker. Older packages (0.10) contain its models, newer ones (1.x)
+need a ``.task`` file. Both are run in the same way: contained models are bundled, in memory, with what a bundle states
+beside them, the normalisation of images to [-1, 1] for the detector of people and to [0, 1] for the landmarks.
+
+People and their keypoints by ONNX models (RTMPose, RTMO; YOLOX, RTMDet), run by ``rtmlib``. The kind of a model follows
+from its inputs and outputs: RTMPose has outputs (K, x) and (K, y), RTMO has boxes and keypoints, a person detector
+(YOLOX, RTMDet) has boxes only.
+"""
 
 from __future__ import annotations
 

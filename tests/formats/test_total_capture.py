@@ -112,7 +112,6 @@ def test_cut_sensors_file_states_the_whole_frames(rest: str, paths: dict[str, Pa
         ("Pelvis", "Head", -1, "line 3: .*twice"),
         ("13\t90", "12\t90", 1, "line .*90 frames of 12 sensors"),
     ],
-    ids=["count", "frame number", "renamed once", "no number", "twice once", "twice", "frames", "sensors"],
 )
 def test_invalid_sensors_file(old: str, new: str, count: int, message: str, paths: dict[str, Path]) -> None:
     support.edit(paths["sensors"], old, new, count=count)

@@ -195,8 +195,17 @@ HUGE = b"\x08" + struct.pack("<Q", 2**40)
     "damage",
     [
         content(IMU).replace(b"XDF:", b"XDF;"),
+        content(IMU).replace(b"<channel_count>7", b"<channel_count>9"),
+        content(IMU).replace(b"double64", b"object64"),
+        content(IMU).replace(b"</name>", b"</nome>"),
         content(IMU).replace(b'<?xml version="1.0"?>', b"<!DOCTYPE a [ ]>     "),
+        b"XDF:" + chunk(2, HEADER, 1) + chunk(2, HEADER, 1),
+        b"XDF:" + chunk(3, IMU.samples(0, 2), 1),
+        b"XDF:" + chunk(2, HEADER, 1) + chunk(3, HUGE, 1),
         b"XDF:" + chunk(2, HEADER, 1) + chunk(3, IMU.samples(0, 3) + b"\0", 1),
+        b"XDF:" + chunk(2, HEADER, 1) + chunk(4, b"\0" * 8, 1),
+        b"XDF:" + chunk(9, b""),
+        b"XDF:\x05",
         content(replace(IMU, times=np.where(np.arange(T) == 9, np.nan, TIMES))),
     ],
     ids=[

@@ -105,7 +105,6 @@ class Hdf5Writer:
 
         Args:
             about: name of an array, or its end -> attributes, e.g. unit, frame and shape.
-            overwrite: replace an existing file.
         """
         self._path, self._about, self._overwrite = path, about, overwrite
         self._open = ExitStack()

@@ -111,9 +111,6 @@ def measurable(array: Array) -> bool:
 def write_text(path: Path, text: str, overwrite: bool = False) -> None:
     """Write a UTF-8 file atomically.
 
-    Args:
-        overwrite: replace an existing file.
-
     Raises:
         OutputExistsError: it exists. WritingError: it cannot be written.
     """

@@ -1,4 +1,10 @@
-"""CasADi functions as machine code in a cache; interpreted where there is no C compiler."""
+"""CasADi functions as machine code in a cache; interpreted where there is no C compiler.
+
+Cache folder of shared libraries, shared by all processes of a user. Beside each library is a record with the SHA-256 of
+its bytes, its source and its compiler. A library that differs from its record (truncated, exchanged, of another source)
+is compiled again. Nothing is loaded from a folder that another user could write to; `trusted` returns a private folder
+instead.
+"""
 
 from __future__ import annotations
 

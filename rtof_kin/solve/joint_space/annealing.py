@@ -1,4 +1,16 @@
-"""Weights of the landmarks, estimated from their residuals during the optimisation."""
+"""Weights of the landmarks, estimated from their residuals during the optimisation.
+
+Places of a detector's points in the segments of the person, from the residuals of a solved recording. Each point has
+one constant offset o from its usual place, with the spread between persons as its prior:
+
+::
+
+    min_o  1/2 sum_t w_t |r_t - J_t o|^2 / (k sigma^2) + 1/2 o^T P^-1 o
+
+r are the residuals (observed minus projected), J their slopes by the place, w robust weights, sigma the standard
+deviation of a residual, and k the number of frames in a row that count as one, from the residuals' autocorrelation.
+What the poses have already taken up of an offset stays there.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,20 @@ At the optimum the Gauss-Newton Hessian is the inverse covariance of all states 
 are right. Only the diagonal blocks of its inverse are computed, the marginal covariance of each frame
 (`banded.inverse_diagonal`). Robust losses count with their weight at the optimum, and an active limit holds its angle
 to a degree.
+
+Covariance of unseen joints, by the pose prior. The Hessian takes the frames of a gap as independent draws
+from the prior, coupled by the jerk: over seconds it knows an unseen leg better than any frame of it. People do not:
+where nothing that a joint moves is seen, its angles return from the last observed ones to the prior's as those of free
+motion do,
+
+::
+
+    variance = (1 - exp(-(t / TIME)^2)) P
+
+with the time t to the nearest frame in which it was seen, and P the prior's covariance given the joints that are seen.
+Neither constant was fitted. Of errors of legs and arms unseen for 2 and 5 s without sensors, 93 to 100 % lay in their
+95 % bands on people outside of the fits in everyday motion (66 to 99 % by the Hessian alone), and 87 to 91 % in
+exercises (61 to 80 %).
 """
 
 from __future__ import annotations

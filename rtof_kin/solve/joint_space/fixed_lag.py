@@ -1,10 +1,18 @@
 """Fixed-lag smoother: the joint-space energy of the last N frames, with a prior of the frames before them.
 
-Frames are appended one by one. The frame that leaves the window is marginalised (`marginal_prior`); a few
+Frames are appended one by one. The frame that leaves the window is marginalised (`marginalised`); a few
 Levenberg-Marquardt iterations from the states of the last call follow. Observations of frames within the
 window may change until they leave it. The residuals are those of `FragmentSolver`, and so are the weights,
 but for accelerations of the last 0.2 s. In `finish` these count too: with a window as long as the recording
 the result is that of one fragment.
+
+Quadratic prior of the first frames of a window, from the frames before it. Frames leave a window by marginalisation:
+all terms that contain the leaving frame are linearised at the present states, robust weights included, and the frame is
+eliminated by the Schur complement. What remains is an energy of the three frames that the jerk couples with it::
+
+    E(x) = eta^T d + 1/2 d^T Lambda d        d = x - x_0 in tangent coordinates
+
+(Sibley, Matthies & Sukhatme 2010; Dong-Si & Mourikis 2011). Linearisation points x_0 are kept.
 """
 
 from __future__ import annotations

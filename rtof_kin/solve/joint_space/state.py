@@ -2,6 +2,11 @@
 
 A step is a tangent vector: the root's displacement in world (m) and, for each joint, a rotation vector in
 its own frame (rad; one number for a hinge). No posture is singular.
+
+Anatomical limits of knees and elbows: the flexion of every hinge, between the URDF's bounds. Ball joints are not
+limited. Bounds on their three Euler angles are not anatomical: they couple through the sequence, jump where it is
+singular, and people exceed them. A solver that keeps them turns the pelvis to hold a measured thigh within them
+(`benchmarks/results/limits.md`). Ball joints have the pose prior.
 """
 
 from __future__ import annotations
