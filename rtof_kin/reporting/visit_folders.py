@@ -150,10 +150,10 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
     """
     if isinstance(folder, str | Path):
         folder = Path(folder)
-        plan, places = read_plan(folder), _folders(folder)
+        plan, folders = read_plan(folder), _folders(folder)
     else:
-        plan, places, folder = Plan(), {Path(one).resolve().name: Path(one) for one in folder}, Path()
-    found = {name: motions for name, place in places.items() if (motions := _motions(place))}
+        plan, folders, folder = Plan(), {Path(one).resolve().name: Path(one) for one in folder}, Path()
+    found = {name: motions for name, visit in folders.items() if (motions := _motions(visit))}
     wanted = tuple(plan.names or found)
     if missing := [name for name in wanted if name not in found]:
         raise FileFormatError(
@@ -169,7 +169,7 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
     for name in wanted:
         trials = []
         for path in found[name]:
-            trials.append(_trial(path, places[name]))
+            trials.append(_trial(path, folders[name]))
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -181,8 +181,8 @@ def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | 
     return FoundVisits(tuple(visits), _baseline(visits, plan, folder), plan, tuple(notes))
 
 
-def _motions(place: Path) -> list[Path]:
-    return sorted(path for name in (MOTION, EARLIER) for path in place.rglob(name))
+def _motions(visit: Path) -> list[Path]:
+    return sorted(path for name in (MOTION, EARLIER) for path in visit.rglob(name))
 
 
 def _folders(folder: Path) -> dict[str, Path]:
@@ -195,8 +195,8 @@ def _folders(folder: Path) -> dict[str, Path]:
 
 
 def _trial(path: Path, visit: Path) -> Trial:
-    place = path.parent.parent if path.parent.name == _OF_RUN and path.parent != visit else path.parent
-    name = place.relative_to(visit).as_posix()
+    output = path.parent.parent if path.parent.name == _OF_RUN and path.parent != visit else path.parent
+    name = output.relative_to(visit).as_posix()
     summary = read_summary(path.parent / SUMMARY) if (path.parent / SUMMARY).is_file() else None
     with MotionReader(path) as reader:
         found = trial(visit.name if name == "." else name, reader)

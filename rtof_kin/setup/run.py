@@ -31,8 +31,7 @@ from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.reader import RecordingReader
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
 from rtof_kin.reporting.export import MARKER, export
 from rtof_kin.reporting.page import PAGE, report
