@@ -11,13 +11,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-import numpy as np
-
-from rtof_kin.calibration.clocks import find_video_offset
 from rtof_kin.calibration.result import read_self_calibration_toml
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import Mode
 from rtof_kin.core.environment import environment
 from rtof_kin.core.errors import InvalidInputError, OutputExistsError
@@ -25,8 +21,7 @@ from rtof_kin.core.files.folder import check_replaceable
 from rtof_kin.core.files.manifest import file_digest, fingerprint, made_from, read_contents, write_manifest
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.resources import lifter_path
-from rtof_kin.data.camera import Camera
-from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.lift import LifterLike
 from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
@@ -38,7 +33,7 @@ from rtof_kin.reporting.page import PAGE, report
 from rtof_kin.reporting.statistics import ReconstructionStatistics
 from rtof_kin.reporting.summary_file import SUMMARY, Summary, read_summary
 from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
-from rtof_kin.setup.second_camera import find_second_camera
+from rtof_kin.setup.join import ABOUT, join_recordings
 
 RECORDING, SECOND, JOINED, MOTION, ANGLES = "recording", "second", "joined", "motion", "angles"
 """Folders that `run` writes, beside the report; the second and third where there are two cameras."""
@@ -263,72 +258,3 @@ def _write_page(folder: Path, analysis: AnalysisSettings, kept: Callable[[str], 
         raise OutputExistsError(f"{page}: this package did not write it, or it was changed; move it elsewhere")
     write_text(page, report(folder / MOTION, None, analysis.weight_kg, analysis.sex), overwrite=own)
     write_manifest(folder, PAGE, inputs, [page])
-
-
-ABOUT: Final = "second camera"
-"""What sentences on it begin with."""
-
-
-@dataclass(frozen=True)
-class Joined:
-    """A recording with a second view."""
-
-    recording: Recording
-    """The first one, with the second camera's keypoints on its clock and that camera in its world."""
-    found: str
-    """What was estimated, in a sentence with standard deviations."""
-    doubt: str
-    """Why it may be wrong; empty where sure."""
-
-
-def join_recordings(
-    first: Recording, second: Recording, lifter: LifterLike | None = None, *, synchronised: bool = False
-) -> Joined:
-    """Join the videos of two cameras that saw the same person at the same time.
-
-    Clocks are found from the movement. Two calibrated cameras are in one world already; of others the second
-    one's pose, and both focal lengths, are found too (`find_second_camera`).
-
-    Args:
-        first: with sensors or without; its camera defines the world. lifter: default: the shipped one.
-
-    Raises:
-        InvalidInputError: the second one has sensors, or no keypoints, or the clocks have too little in
-            common. CalibrationError: the cameras do not see the person together for long enough.
-    """
-    if second.imus is not None:
-        raise InvalidInputError(f"recording {second.name}: has sensors; give the one with sensors as the first")
-    if _is_calibrated(first.video.camera) and _is_calibrated(second.video.camera):
-        offset, sigma, doubt = 0.0, 0.0, ""
-        if not synchronised:
-            poses, others = (lift(k, first.skeleton, lifter).poses for k in (first.video, second.video))
-            clock = find_video_offset(poses, others)
-            offset, sigma, doubt = clock.offset, clock.sigma, clock.doubt
-        view = second.video.on_clock(second.video.times + offset)
-        joined, pose = replace(first, views=(*first.views, view)), "as calibrated"
-    else:
-        camera = find_second_camera(first, second.video, lifter, around=0.0 if synchronised else None)
-        offset, sigma, doubt = camera.offset, camera.sigma_offset, camera.doubt
-        joined = camera.apply(first)
-        pose = (
-            f"{_apart(camera.first, camera.view.camera)}, position ± {_rms(camera.sigma_position):.2f} m, "
-            f"orientation ± {np.degrees(_rms(camera.sigma_turn)):.1f} degrees"
-        )
-    found = f"{ABOUT}: {pose}; the times of its video were moved by {offset:+.3f} ± {sigma:.3f} s"
-    notes = [f"doubtful: {ABOUT}: {doubt}"] if doubt else []
-    notes += [first.notes] if first.notes else []
-    return Joined(replace(joined, notes="\n".join([*notes, f"found: {found}"])), found, doubt)
-
-
-def _is_calibrated(camera: Camera) -> bool:
-    return camera.uncertainty is None and not camera.assumed
-
-
-def _apart(first: Camera, second: Camera) -> str:
-    metres = float(np.linalg.norm(second.center_world - first.center_world))
-    cosine = float(np.clip(first.R_camera_world[2] @ second.R_camera_world[2], -1.0, 1.0))
-    return f"{metres:.1f} m from the first one, looking {np.degrees(np.arccos(cosine)):.0f} degrees apart"
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

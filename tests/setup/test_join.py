@@ -11,15 +11,15 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.second_camera import SecondCamera
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup import run
-from rtof_kin.setup.run import join_recordings
-from rtof_kin.setup.second_camera import SecondCamera
+from rtof_kin.setup import join
+from rtof_kin.setup.join import join_recordings
 
 BODY = SkeletonModel.default()
 TRUTH = planted.moving(BODY, 240, radians=0.5)
@@ -72,7 +72,7 @@ def test_an_uncalibrated_camera_is_found_and_its_place_is_told(monkeypatch: pyte
         sigmas = np.full(3, 0.1), np.full(3, np.radians(2.0)), np.full(2, 0.05)
         return SecondCamera(first.video.camera, view, -LATER, 0.004, *sigmas, 0.01, "look at it")
 
-    monkeypatch.setattr(run, "find_second_camera", find)
+    monkeypatch.setattr(join, "find_second_camera", find)
     unsure = replace(FIRST, keypoints=replace(FIRST.video, camera=replace(FIRST.video.camera, uncertainty=UNSURE)))
     joined = join_recordings(unsure, second())
     apart = so3.angle_between(FIRST.video.camera.R_camera_world, SIDE.R_camera_world)
