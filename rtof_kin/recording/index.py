@@ -24,7 +24,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.cameras import filmed_stream
 from rtof_kin.recording.sensor_files import imu_stream
 from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
-from rtof_kin.recording.tables import BodyTable, PostureTable, RecordingTable, TruthTable
+from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,9 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         sensors, calibration = imu_stream(index.imus, body, source)
         imus = None if sensors is None else source.checked(sensors)
     if index.posture is not None:
-        posture = _read_posture(index.posture, body.names)
+        _check_joints(index.posture, "quat_wxyz", body.names)
+        quats = index.posture.quat_wxyz
+        posture = NeutralPosture(tuple(quats), np.array([*quats.values()]).reshape(-1, 4))
     if index.truth is not None:
         truth = source.checked(_truth_stream(index.truth, body, source))
     try:
@@ -192,13 +194,6 @@ def body_of(
     elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
         skeleton = known_body(skeleton_table, np.asarray(joint_offsets, dtype=float).tobytes())
     return skeleton.with_mass(mass_kg, sex)
-
-
-def _read_posture(table: PostureTable, joints: tuple[str, ...]) -> NeutralPosture:
-    """Return the quaternions of ``[posture.quat_wxyz]`` by joint."""
-    _check_joints(table, "quat_wxyz", joints)
-    quats = table.quat_wxyz
-    return NeutralPosture(tuple(quats), np.array([*quats.values()]).reshape(-1, 4))
 
 
 def _check_joints(table: InputTable, field: str, joints: tuple[str, ...]) -> None:
