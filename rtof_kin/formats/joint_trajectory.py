@@ -51,8 +51,8 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
 
 
 def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
-    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's
-    orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
+    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of
+    each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
     """
     path, source = Path(path), MotionSource.of(motion)
     skeleton = source.skeleton
