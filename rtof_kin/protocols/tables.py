@@ -13,7 +13,7 @@ from rtof_kin.core.files.folder import check_new_file
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.reporting import document
-from rtof_kin.reporting.document import Cell, Document, Figure
+from rtof_kin.reporting.document import Cell, Document
 
 NAME: Final = "tables"
 """Of the document: its files are ``tables.json`` and ``tables.md``."""
@@ -50,14 +50,6 @@ class Table(document.Table):
         """Return plain values for JSON; figures unrounded."""
         rows = [[None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows]
         return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
-
-
-def document_of(
-    title: str, headline: str, tables: Sequence[Table], facts: Mapping[str, Any], figures: Sequence[Figure] = ()
-) -> Document:
-    """Return the document of a protocol: its tables are printed, and in the JSON."""
-    facts = dict(facts) | {"tables": {table.name: table.as_dict() for table in tables}}
-    return Document(NAME, title, headline, printed=tables, figures=figures, facts=facts)
 
 
 def write_results(found: Document, folder: Path, json_file: Path | None = None, overwrite: bool = False) -> list[Path]:

@@ -25,7 +25,7 @@ from rtof_kin.core.errors import OutputExistsError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
 from rtof_kin.datasets.total_capture import TotalCapture
-from rtof_kin.protocols import Measured, published, run, total_capture
+from rtof_kin.protocols import Measured, measures, published, run, total_capture
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table
 from rtof_kin.protocols.total_capture import (
     CAMERAS,
@@ -84,7 +84,7 @@ def measured(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Found:
 @pytest.fixture
 def unpictured(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest."""
-    monkeypatch.setattr(total_capture, "figures", lambda *about: [])
+    monkeypatch.setattr(measures, "figures", lambda *about: [])
 
 
 def protocol(root: Path, **changed: Any) -> TotalCaptureProtocol:
@@ -215,7 +215,7 @@ def test_the_json_has_settings_and_rows_and_the_tables_are_complete(measured: Fo
     absent = {"S1_acting3", "S1_acting3_cam1", "S5_walking2", "S5_walking2_cam1"}
     assert set(content["failed"]) == absent
     assert content["failed"]["S1_acting3_cam1"].startswith("unknown take")
-    assert content["headline"] == "Total Capture, cartesian space: 2 recordings measured, 4 FAILED."
+    assert content["headline"] == "Total Capture: 2 recordings measured, 4 FAILED."
     tables = content["tables"]
     assert list(tables) == ["by_take", "inertial_only", "ablation", "sixteen_joints", "state_of_data"]
     incomplete = "INCOMPLETE, without: S1 acting3; S5 walking2."
