@@ -26,8 +26,7 @@ from rtof_kin.data.imu import ImuSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import write_camera_motion
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.reader import RecordingReader
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import Recording, RecordingReader
 
 FIRST, LAST = 0.0, 10.0
 
@@ -306,7 +305,7 @@ def test_reading_by_minutes_takes_the_memory_of_some_minutes(tmp_path: Path) -> 
     tiled(long, minutes * 3600, 0).save(tmp_path / "hour")
     script = f"""
 import resource
-from rtof_kin.recording.reader import RecordingReader
+from rtof_kin.recording.recording import RecordingReader
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 with RecordingReader.open({str(tmp_path / "hour")!r}) as reader:
     assert len(reader.times) == {minutes * 3600}
