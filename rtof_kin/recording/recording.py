@@ -1,4 +1,4 @@
-"""`Recording`: one take of one person, seen by cameras, by IMUs or by both, and its folder.
+"""`Recording`: one take of one person, seen by cameras, by IMUs or by both; `RecordingReader`: spans of its folder.
 
 The folder's format, ``recording.toml`` and the arrays that it names, is described in docs/recording.md.
 """
