@@ -1,7 +1,7 @@
 """The mean stride of a recorded walk, and a walk along a path made of it (for models/build_movements.py).
 
 The stride is a Fourier series of every channel over the phase, in units of the leg's length. Along the path
-each stance has one foothold; the ball of the foot moves from one to the next as it did in the recorded swing.
+each stance has one contact_point; the ball of the foot moves from one to the next as it did in the recorded swing.
 """
 
 from __future__ import annotations
@@ -240,7 +240,7 @@ def _above(height: Array, least: Array) -> Array:
 def _foot(
     stride: Stride, path: _Path, phase: Array, start: float, side: int, contact: tuple[float, float], stand: Array
 ) -> tuple[Array, Array]:
-    """Return the ball (T, 3) of a foot and its heading (T,): footholds, and recorded swings between."""
+    """Return the ball (T, 3) of a foot and its heading (T,): contact points, and recorded swings between."""
     last = path.phase[-1]
     on, off = (value - start for value in contact)
     first = int(np.floor(-on)) - 2

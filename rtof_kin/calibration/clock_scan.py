@@ -62,7 +62,7 @@ def velocities_in_image(poses: PoseSequence, keypoints: KeypointSequence, skelet
     """Return the segments' angular velocities in world as an image shows them.
 
     Raises:
-        CalibrationError: nobody is seen for two seconds.
+        CalibrationError: no person is seen for two seconds.
     """
     skeleton.check_joints(poses.names)
     shown = poses.valid.any(axis=1) & (keypoints.seen.mean(axis=1) > 0)

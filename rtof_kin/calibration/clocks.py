@@ -119,7 +119,7 @@ def find_clock(
 
     Raises:
         UnknownNameError: an unknown sensor or segment.
-        CalibrationError: no sensor moves, nobody is seen for long enough, or no offset has an overlap.
+        CalibrationError: no sensor moves, no person is seen for long enough, or no offset has an overlap.
         InvalidInputError: a sensor has neither orientation nor what it is estimated from.
     """
     seen = velocities_in_image(poses, keypoints, skeleton)

@@ -234,16 +234,16 @@ def quantities_of(
             for kind, item, own in parts
         )
 
-    kept, told = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool)
+    kept, observed = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool)
     nuisances = {u.name for u in unknowns if u.nuisance}
     for quantity, (_, _, own) in zip(listed(y, claimed), parts, strict=True):
         size = float(np.sqrt(np.mean((quantity.value / quantity.sigma) ** 2)))
-        told[own] = quantity.verdict is not Verdict.PRIOR or quantity.kind in nuisances
-        kept[own] = told[own] & (size >= significant or quantity.kind in nuisances)
+        observed[own] = quantity.verdict is not Verdict.PRIOR or quantity.kind in nuisances
+        kept[own] = observed[own] & (size >= significant or quantity.kind in nuisances)
     given = np.where(kept, y, 0.0)
     if kept.any() and not kept.all():
         given[kept] += np.linalg.solve(S[np.ix_(kept, kept)], S[np.ix_(kept, ~kept)] @ y[~kept])
-    return listed(given, np.where(told, claimed, variance))
+    return listed(given, np.where(observed, claimed, variance))
 
 
 def _doubted(quantity: Quantity, slices: Sequence[Slice], shared: Shared) -> Quantity:

@@ -251,7 +251,7 @@ class SequentialCalibration:
         self._quantities = self._listed()
 
     def update(self, window: WindowObservations) -> Slices[None]:
-        """Take a window into account, in slices of one or two ms; one in which nobody moves is left out.
+        """Take a window into account, in slices of one or two ms; one without motion is left out.
 
         Args:
             window: of as many frames as the problem has; later than those before.
@@ -271,13 +271,13 @@ class SequentialCalibration:
         yield
         fragment, factor = yield from self._settled(fragment)
         energies = (yield from self._searched(given, late, fragment.x, factor)) if late else np.zeros(1)
-        told, force = np.zeros_like(self._prior), np.zeros_like(self.y)
+        information, force = np.zeros_like(self._prior), np.zeros_like(self.y)
         if self.unknowns:
             fragment = replace(fragment, observations=self._weighted(now))
             self._problem.bind(fragment.observations.fragment(0, N))
             yield
-            told, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
-        self._account(N / now.rate_hz, told, force, energies)
+            information, force = yield from fragment.profile(self.unknowns, self.columns, self.y)
+        self._account(N / now.rate_hz, information, force, energies)
         yield
         self._quantities = self._listed()
 
@@ -360,13 +360,13 @@ class SequentialCalibration:
             yield
         return self.delay.interpolated(late, energies)
 
-    def _account(self, seconds: float, told: Array, force: Array, energies: Array) -> None:
-        if not all(np.isfinite(values).all() for values in (told, force, energies)):
+    def _account(self, seconds: float, information: Array, force: Array, energies: Array) -> None:
+        if not all(np.isfinite(values).all() for values in (information, force, energies)):
             return
         kept = max(0.0, 1 - seconds / self._pace.memory_s)
         self._seconds = kept * self._seconds + seconds
-        self._information = kept * self._information + told
-        self._vector = kept * self._vector + told @ (self.y - self._mean) - force
+        self._information = kept * self._information + information
+        self._vector = kept * self._vector + information @ (self.y - self._mean) - force
         self.windows += 1
         if self.delay:
             self.delay.add(energies, kept)

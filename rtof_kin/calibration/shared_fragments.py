@@ -249,8 +249,8 @@ class SharedFragments:
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
             fragment = self._profiled(corrected, first, *self._states[first])
-            told, slope = finished(fragment.profile(self.unknowns, self.columns, y))
-            hessian, gradient = hessian + told, gradient + slope
+            information, slope = finished(fragment.profile(self.unknowns, self.columns, y))
+            hessian, gradient = hessian + information, gradient + slope
         return hessian, gradient
 
     def unknowns_hessian(self, corrected: CalibrationObservations, first: int, x: Array, y: Array) -> UnknownsHessian:

@@ -11,7 +11,7 @@ from rtof_kin.cli.options import Fields, Figures, Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
 from rtof_kin.core.files.text import write_text
-from rtof_kin.recording.session import Session
+from rtof_kin.recording.index import Session
 from rtof_kin.reporting.analysis import MARKER, AnalysisSettings, write_analysis
 
 

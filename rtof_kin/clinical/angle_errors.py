@@ -17,7 +17,7 @@ how sure a value is than the number of samples.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -150,11 +150,7 @@ def error_rows(differences: Sequence[AngleDifferences], movements: Sequence[str]
         wanted += [(name, ALL), *((name, m) for m in classes)]
     rows = []
     for name, movement in wanted:
-        fits = _fits(name, movement)
-        if own := [one for one in differences if fits(one)]:
+        of_angle = [one for one in differences if name in (ALL, one.joint_angle)]
+        if own := [one for one in of_angle if movement in (ALL, one.movement)]:
             rows.append(angle_errors(own, name, movement))
     return tuple(rows)
-
-
-def _fits(name: str, movement: str) -> Callable[[AngleDifferences], bool]:
-    return lambda one: name in (ALL, one.joint_angle) and movement in (ALL, one.movement)

@@ -1,6 +1,6 @@
 """Clinical joint angles of a motion, with the observation source of each value.
 
-An unobserved angle is NaN, never the value of a prior. What an angle needs follows from its place in the
+An unobserved angle is NaN, never the value of a prior. What an angle needs follows from its position in the
 sequence, because the child's long axis is the last one:
 
 =========  ======================================  =========================================
@@ -292,21 +292,13 @@ def opensim_angles(found: OpenSimTable) -> tuple[ClinicalAngles, tuple[str, ...]
             used.add(name)
     others = tuple(name for name in found.names if name not in used)
     if not used:
+        usual = [row.opensim.removeprefix("-") for row in table.rows if "hip" in row.opensim]
         raise InvalidInputError(
             f"no coordinate is a clinical angle of this package: {', '.join(others[:8])}; rename columns to "
-            f"those of Rajagopal's model, e.g. {', '.join(_names(table)[:4])}"
+            f"those of Rajagopal's model, e.g. {', '.join(usual[:4])}"
         )
-    return _plain(found.times, values, table), others
-
-
-def _names(table: AngleTable) -> list[str]:
-    return [row.opensim.removeprefix("-") for row in table.rows if row.opensim and "hip" in row.opensim]
-
-
-def _plain(times: Array, values: Array, table: AngleTable) -> ClinicalAngles:
-    """Angles without provenance, bands and singular postures."""
-    nothing = np.zeros(values.shape)
-    return ClinicalAngles(times, values, nothing.astype(np.uint8), nothing.astype(np.bool_), table.rows)
+    nothing = np.zeros(values.shape)  # neither provenance, bands nor singular postures
+    return ClinicalAngles(found.times, values, nothing.astype(np.uint8), nothing.astype(np.bool_), table.rows), others
 
 
 def _continuous(angle: Array, row: AngleRow) -> Array:
@@ -359,7 +351,7 @@ def relative_to_standing(angles: ClinicalAngles, paths: BodyPaths) -> ClinicalAn
         paths: of the same motion, with `BodyPaths.standing`.
 
     Raises:
-        InvalidInputError: nobody stands still for half a second, or it was not looked for.
+        InvalidInputError: no standing still for half a second, or the paths do not have it.
     """
     if paths.standing is None:
         raise InvalidInputError("angles relative to standing: the paths are without the frames of standing")

@@ -23,7 +23,7 @@ import numpy as np
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES
 from rtof_kin.clinical.angles import ClinicalAngles, clinical_angles
-from rtof_kin.clinical.comparison_change import Change, Repeats, Verdict, adjusted, change
+from rtof_kin.clinical.comparison_change import Change, Verdict, adjusted, change
 from rtof_kin.clinical.comparison_samples import Alignment, Pair, Samples, Spans, align, in_time, over_phases, whole
 from rtof_kin.clinical.gait import PHASES, GaitAnalysis, analyse_gait
 from rtof_kin.clinical.gait_events import gait_events
@@ -64,6 +64,8 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
     known = np.isfinite(a) & np.isfinite(b)
     difference = (b - a)[known]
     worst = int(np.abs(difference).argmax())
+    own, other = a[known] - a[known].mean(), b[known] - b[known].mean()
+    size = float(np.sqrt(np.sum(own**2) * np.sum(other**2)))
     return CurveErrors(
         rmse=float(np.sqrt(np.mean(difference**2))),
         mae=float(np.mean(np.abs(difference))),
@@ -71,14 +73,8 @@ def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
         offset_removed=float(np.std(difference)),
         largest=float(difference[worst]),
         at=float(axis[known][worst]),
-        correlation=_correlation(a[known], b[known]),
+        correlation=float(np.sum(own * other) / size) if size > 1e-12 else float("nan"),
     )
-
-
-def _correlation(a: Array, b: Array) -> float:
-    own, other = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(own**2) * np.sum(other**2)))
-    return float(np.sum(own * other) / size) if size > 1e-12 else float("nan")
 
 
 By = Literal["time", "cycle", "repetition", "range"]
@@ -261,7 +257,8 @@ def compare(
     left_out = _left_out(a, b, by, names)
     chosen = [n for n in (names or a.angles.names) if n in common_angles(a, b) and n not in left_out]
     if by == "range":
-        left_out |= _uncertain_ranges(a, b, chosen)
+        rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles.select(chosen))]
+        left_out |= {row.name: f"{name}: {why}" for name, row in rows if (why := row.why_not_comparable)}
         chosen = [name for name in chosen if name not in left_out]
     axis, pairs = _pairs(a, b, by, chosen, shift, kind)
     for name in chosen:
@@ -307,12 +304,6 @@ def _left_out(a: Compared, b: Compared, by: By, names: Sequence[str]) -> dict[st
     return out
 
 
-def _uncertain_ranges(a: Compared, b: Compared, names: Sequence[str]) -> dict[str, str]:
-    """Angles whose range of A or B may not be compared, and why."""
-    rows = [(one.name, row) for one in (a, b) for row in ranges_of_motion(one.angles.select(names))]
-    return {row.name: f"{name}: {row.why_not_comparable}" for name, row in rows if row.why_not_comparable}
-
-
 def _pairs(
     a: Compared, b: Compared, by: By, names: Sequence[str], shift: float, kind: str
 ) -> tuple[Array | None, list[Pair]]:
@@ -340,10 +331,6 @@ def _pairs(
     return PHASES, over_phases(a.angles, b.angles, names, *spans)
 
 
-def _repeats(pair: Pair, repeated: bool) -> Repeats:
-    return "none" if not repeated else "paired" if pair.paired else "independent"
-
-
 def _span(one: Compared) -> str:
     return f"{one.angles.times[0]:.2f} to {one.angles.times[-1]:.2f} s"
 
@@ -357,7 +344,7 @@ def _tested(pairs: Sequence[Pair], by: By, axis: Array | None) -> list[AngleComp
                 measure,
                 getattr(pair.a, measure)(),
                 getattr(pair.b, measure)(),
-                _repeats(pair, repeated),
+                "none" if not repeated else "paired" if pair.paired else "independent",
                 tested=repeated or axis is None or measure == "mean" or pair.share >= LEAST_OF_RANGE,
             )
             for pair in pairs
@@ -412,16 +399,18 @@ def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
         return None
 
 
-def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | None = None) -> Choice:
-    """Return the axis on which two motions are compared; the reason is empty if it was asked for.
+def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, by: By | None = None) -> Choice:
+    """Return the axis on which two motions are compared; the reason is empty if it is given.
 
     Args:
         clocks: their `agreement`.
     """
-    if asked is not None:
-        return _asked(a, b, asked)
+    if by is not None:
+        return _requested(a, b, by)
     if a.other_system or b.other_system:
-        if _overlap(a, b) >= _LEAST_COMMON:
+        (start_a, stop_a), (start_b, stop_b) = _ends(a), _ends(b)
+        shorter = max(min(stop_a - start_a, stop_b - start_b), 1e-9)
+        if (min(stop_a, stop_b) - max(start_a, start_b)) / shorter >= _LEAST_COMMON:
             return Choice("time", "a table of coordinates is compared at the same instants")
         return Choice("range", "the time spans hardly overlap; --align finds a shift")
     if (reason := _one_take(a, b, clocks)) is not None:
@@ -432,11 +421,11 @@ def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, asked: By | 
 
 
 def compare_sides(
-    one: Compared, asked: By | None = None, *, names: Sequence[str] = (), kind: str = ""
+    one: Compared, by: By | None = None, *, names: Sequence[str] = (), kind: str = ""
 ) -> tuple[Comparison, str]:
     """Return left (A) against right (B) of a motion, and why on this axis, for the command and the report.
 
-    Unless asked, it is by gait cycle if the motion is walking with two strides of each side, else by the
+    Without one it is by gait cycle if the motion is walking with two strides of each side, else by the
     ranges of the whole recording: its repetitions may be of both legs, of the right or of the left one.
 
     Args:
@@ -446,8 +435,8 @@ def compare_sides(
         InvalidInputError, UnknownNameError: see `compare`.
     """
     left, right = sides_of(one)
-    if asked is not None:
-        choice = _asked(left, right, asked)
+    if by is not None:
+        choice = _requested(left, right, by)
     elif not one.not_gait and min(map(len, one.strides.values()), default=0) >= _LEAST_REPEATS:
         choice = Choice("cycle", "the motion is walking, with complete gait cycles of both sides")
     else:
@@ -466,8 +455,8 @@ def repeated_axis(a: Compared, b: Compared) -> Choice | None:
     return None
 
 
-def _asked(a: Compared, b: Compared, by: By) -> Choice:
-    """Axis that was asked for; of repetitions the kind that both have most of."""
+def _requested(a: Compared, b: Compared, by: By) -> Choice:
+    """Axis of a request; of repetitions the kind that both have most of."""
     least = {kind: min(len(x.repetitions.get(kind, ())) for x in (a, b)) for kind in KINDS}
     return Choice(by, "", max(KINDS, key=lambda kind: least[kind]))
 
@@ -486,10 +475,3 @@ def _one_take(a: Compared, b: Compared, clocks: Alignment | None) -> str | None:
 
 def _ends(one: Compared) -> tuple[float, float]:
     return float(one.angles.times[0]), float(one.angles.times[-1])
-
-
-def _overlap(a: Compared, b: Compared) -> float:
-    """Share of the shorter one that overlaps."""
-    (start_a, stop_a), (start_b, stop_b) = _ends(a), _ends(b)
-    shorter = max(min(stop_a - start_a, stop_b - start_b), 1e-9)
-    return (min(stop_a, stop_b) - max(start_a, start_b)) / shorter

@@ -54,7 +54,6 @@ from rtof_kin.clinical.visits import (
     Better,
     Measure,
     Movement,
-    Trial,
     Visit,
     incomparable,
     measures_of,
@@ -309,7 +308,7 @@ class FollowUp:
     kind: str
     """Of the repetitions; '' for others."""
     why: str
-    """Why it is measured by this; '' if it was asked for."""
+    """Why it is measured by this; '' if it was given."""
     repeated: Repeated
     measures: tuple[Followed, ...]
     incomparable: tuple[str, ...]
@@ -353,7 +352,7 @@ def follow_up(
 
     Raises:
         InvalidInputError: fewer than two visits, a motion that occurs twice, no common measure, or a trial
-            without what is asked for. UnknownNameError: a measure that there is not, or no such direction.
+            without what is requested. UnknownNameError: a measure that there is not, or no such direction.
     """
     visits, shares = tuple(visits), shares or BandShares()
     _check(visits, baseline)
@@ -366,7 +365,10 @@ def follow_up(
     names = _expanded(names, known)
     if wrong := set((better or {}).values()) - set(BETTERS):
         raise UnknownNameError("direction that is better", sorted(wrong), BETTERS)
-    repeated = _repeated(used, values)
+    repeated = Repeated.TRIALS
+    if not any(len(trials) > 1 for trials in used):
+        most = max((len(one.values) for visit in values for own in visit for one in own.values()), default=0)
+        repeated = Repeated.STRIDES if most > 1 else Repeated.NOTHING
     series: dict[Measure, list[Measured | None]] = {}
     for measure in measures:
         if names and measure.name not in names:
@@ -401,8 +403,11 @@ def follow_measures(
         better: measure -> direction that is better, beside `BETTER`.
     """
     directions = BETTER | dict(better)
-    return _together(
-        [_followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()]
+    followed = [_followed(measure, own, baseline, repeated, directions, shares) for measure, own in series.items()]
+    tested = iter(adjusted([change for one in followed for change in one.changes if change is not None]))
+    return tuple(
+        replace(one, changes=tuple(None if change is None else next(tested) for change in one.changes))
+        for one in followed
     )
 
 
@@ -435,13 +440,6 @@ def _check(visits: Sequence[Visit], baseline: int) -> None:
             seen.append((name, values))
 
 
-def _repeated(used: Sequence[Sequence[Trial]], values: Sequence[Sequence[Mapping[Measure, Measured]]]) -> Repeated:
-    if any(len(trials) > 1 for trials in used):
-        return Repeated.TRIALS
-    most = max((len(one.values) for visit in values for own in visit for one in own.values()), default=0)
-    return Repeated.STRIDES if most > 1 else Repeated.NOTHING
-
-
 def _of_visit(trials: Sequence[Mapping[Measure, Measured]], measure: Measure, repeated: Repeated) -> Measured | None:
     """Values of the trials of one visit, or of the repeats within its single trial."""
     own = [one[measure] for one in trials if measure in one and np.isfinite(one[measure].mean)]
@@ -463,7 +461,8 @@ def _followed(
 ) -> Followed:
     if measure.unit == "deg" and not measure.name.endswith("_range"):
         own = _one_turn(own, baseline)
-    own = _with_bands(own)
+    widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
+    own = [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
     errors = measurement_errors([one for one in own if one is not None], shares)
     why_not = _why_not(measure, errors, repeated)
     first = own[baseline]
@@ -488,12 +487,6 @@ def _why_not(measure: Measure, errors: MeasurementErrors, repeated: Repeated) ->
     return ""
 
 
-def _with_bands(own: Sequence[Measured | None]) -> list[Measured | None]:
-    """Visits without bands take the widest of the others."""
-    widest = max((one.band_sigma for one in own if one is not None and one.band_sigma > 0), default=0.0)
-    return [one if one is None or one.band_sigma > 0 else replace(one, band_sigma=widest) for one in own]
-
-
 def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | None]:
     """Values within half a turn of the baseline."""
     first = own[baseline]
@@ -504,13 +497,3 @@ def _one_turn(own: Sequence[Measured | None], baseline: int) -> list[Measured | 
         None if one is None else Measured(one.values - _TURN * np.round((one.values - middle) / _TURN), one.band_sigma)
         for one in own
     ]
-
-
-def _together(followed: Sequence[Followed]) -> tuple[Followed, ...]:
-    """The measures with changes that are adjusted for each other."""
-    places = [(m, v) for m, one in enumerate(followed) for v, c in enumerate(one.changes) if c is not None]
-    changes = [list(one.changes) for one in followed]
-    given = [change for one in followed for change in one.changes if change is not None]
-    for (m, v), change in zip(places, adjusted(given), strict=True):
-        changes[m][v] = change
-    return tuple(replace(one, changes=tuple(own)) for one, own in zip(followed, changes, strict=True))

@@ -41,7 +41,7 @@ LARGEST_SLIP: Final = 0.20  # [m] way of the heel in mid stance over ground; noi
 MID_STANCE: Final = np.array([0.2, 0.7])
 """Share of stance in which a heel stands, or moves with a treadmill's belt."""
 FEWEST: Final = 3
-"""Strides of both feet together from which on walking is told whatever else the recording shows."""
+"""Strides of both feet together from which on a motion is walking whatever else the recording shows."""
 MOST_OF_TIME: Final = 0.5
 """Share of the recording that fewer strides must take; those within other movements take less."""
 LEAST_SHARE: Final = 0.6  # of the strides found that are those of walking
@@ -50,7 +50,7 @@ UNSTEADY: Final = 0.15  # coefficient of variation of stride times
 
 @dataclass(frozen=True)
 class StrideShape:
-    """Shape of one stride, from which walking is told; NaN where unknown."""
+    """Shape of one stride, by which walking is recognised; NaN where unknown."""
 
     stance_share: float
     """Stance time divided by stride time."""

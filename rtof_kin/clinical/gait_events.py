@@ -189,7 +189,9 @@ def find_strides(side: str, events: GaitEvents) -> list[Stride]:
     others = [other.strikes for name, other in events.feet.items() if name != side]
     out = []
     for start, stop in zip(foot.strikes[:-1], foot.strikes[1:], strict=True):
-        offs, *strikes = (_between(t, start, stop) for t in (foot.offs, *others))
+        offs, *strikes = (
+            t[np.searchsorted(t, start, side="right") : np.searchsorted(t, stop)] for t in (foot.offs, *others)
+        )
         alternates = all(len(own) == 1 for own in strikes)
         seen = np.isfinite(foot.heel[signals.within(times, start, stop)]).all()
         if len(offs) == 1 and alternates and seen and stop - start <= LONGEST_STRIDE:
@@ -202,7 +204,7 @@ def _length(stride: Stride, heel: Array, events: GaitEvents) -> float:
     """Length of a stride, m: the way of the heel as if the path of the pelvis were straight.
 
     In a turn the outer foot goes further than the inner one, which is no asymmetry of the person. The pelvis
-    counts by the arc of its way instead of the chord, and the heel by its place beside the pelvis in the
+    counts by the arc of its way instead of the chord, and the heel by its position beside the pelvis in the
     frame of the heading at each strike. Without a turn this is the distance between the strikes.
     """
     own, at = stride.frames(events.times), [stride.start, stride.stop]
@@ -215,16 +217,8 @@ def _length(stride: Stride, heel: Array, events: GaitEvents) -> float:
     if not abs(half) <= STRAIGHTENED / 2 or not np.isfinite(hips).all():
         return float(np.linalg.norm(ends[1] - ends[0]))
     arc = (hips[1] - hips[0]) / np.sinc(half / np.pi)
-    before, after = (_turned(ends[k] - hips[k], angle) for k, angle in ((0, half), (1, -half)))
+    before, after = (
+        np.array([np.cos(angle) * p[0] - np.sin(angle) * p[1], np.sin(angle) * p[0] + np.cos(angle) * p[1]])
+        for p, angle in ((ends[0] - hips[0], half), (ends[1] - hips[1], -half))
+    )
     return float(np.linalg.norm(arc + after - before))
-
-
-def _turned(p: Array, angle: float) -> Array:
-    """A point (2,) turned counterclockwise by an angle, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * p[0] - s * p[1], s * p[0] + c * p[1]])
-
-
-def _between(times: Array, start: float, stop: float) -> Array:
-    """Those of increasing times that lie in an open interval."""
-    return times[np.searchsorted(times, start, side="right") : np.searchsorted(times, stop)]

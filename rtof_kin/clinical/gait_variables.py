@@ -109,7 +109,7 @@ def gait_cycles(motion: Motion | MotionSource, *, from_standing: bool = False) -
         from_standing: whether angles are relative to the person's quiet standing.
 
     Raises:
-        InvalidInputError: nobody stands still, but `from_standing` is set.
+        InvalidInputError: no quiet standing, but `from_standing` is set.
     """
     source = MotionSource.of(motion)
     angles, feet, paths = _angles(source, from_standing)

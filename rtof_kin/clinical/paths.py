@@ -28,7 +28,7 @@ class BodyPaths:
     heading: Array
     """(T,) rad, of the pelvis; NaN where its pose is unknown."""
     standing: Mask | None
-    """(T,) whether the person stands still (`standing_frames`); None if it was not asked for."""
+    """(T,) whether the person stands still (`standing_frames`); None without a request."""
     table: AngleTable
     """Joint of each term, see `AngleTable.segments`."""
     masks: ObservationMasks

@@ -346,10 +346,10 @@ def movement(visits: Sequence[Visit], by: Movement | None, kind: str) -> tuple[M
     """Return what is measured over, the kind of the repetitions, why, and trials left out -> why.
 
     Args:
-        by: what was asked for; None to choose. kind: of the repetitions; '' to choose.
+        by: None to choose. kind: of the repetitions; '' to choose.
 
     Raises:
-        InvalidInputError: a visit does not have what was asked for. UnknownNameError: no such kind.
+        InvalidInputError: a visit does not have what is requested. UnknownNameError: no such kind.
     """
     every = [one for visit in visits for one in visit.trials]
     walking = [[one for one in visit.trials if not _not_gait(one)] for visit in visits]

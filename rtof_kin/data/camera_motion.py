@@ -117,8 +117,15 @@ def still_camera_of(camera: Camera, times: Array, motion: CameraMotion) -> tuple
             f"camera motion: known from {span[0]:g} to {span[1]:g} s, keypoints are from {times[0]:g} to "
             f"{times[-1]:g} s; put it on their clock"
         )
-    still = motion.R_first_still
-    return np.asarray(still.T @ R), _still(camera, motion, still)
+    R_first_still = motion.R_first_still
+    R_still, uncertainty = camera.R_camera_world, camera.uncertainty
+    if motion.up_first is not None:  # the tilt is measured
+        R_still = so3.minimal_rotation(R_still[:, 2], R_first_still.T @ motion.up_first) @ R_still
+        if uncertainty is not None:
+            uncertainty = replace(uncertainty, tilt=min(uncertainty.tilt, _SIGMA_TILT))
+    still = replace(camera.undistorted(), R_camera_world=R_still, t_camera_world=-R_still @ camera.center_world)
+    still = replace(still, uncertainty=uncertainty, stabilised=True, heading_drift=motion.drift)
+    return np.asarray(R_first_still.T @ R), still
 
 
 def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) -> KeypointSequence:
@@ -148,22 +155,4 @@ def turned(keypoints: KeypointSequence, R_camera_seen: Array, camera: Camera) ->
         uv_px=np.where(near[..., None], uv, np.nan),
         confidence=np.where(near, keypoints.confidence, 0.0),
         turning=turning,
-    )
-
-
-def _still(camera: Camera, motion: CameraMotion, R_first_still: Array) -> Camera:
-    """Return the camera that stands still, with the measured tilt where there is one."""
-    R, uncertainty = camera.R_camera_world, camera.uncertainty
-    if motion.up_first is not None:
-        R = so3.minimal_rotation(R[:, 2], R_first_still.T @ motion.up_first) @ R
-        if uncertainty is not None:
-            uncertainty = replace(uncertainty, tilt=min(uncertainty.tilt, _SIGMA_TILT))
-    t = -R @ camera.center_world
-    return replace(
-        camera.undistorted(),
-        R_camera_world=R,
-        t_camera_world=t,
-        uncertainty=uncertainty,
-        stabilised=True,
-        heading_drift=motion.drift,
     )

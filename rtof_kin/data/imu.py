@@ -150,26 +150,20 @@ class ImuSequence:
         """
         if not parts:
             raise InvalidInputError("IMUs to join: there are none")
-        times = parts[0].times
+        times, R, f = parts[0].times, [part.R_inertial_sensor for part in parts], [part.f_sensor for part in parts]
         if any(not np.array_equal(part.times, times) for part in parts):
             step = min(float(np.median(np.diff(p.times))) for p in parts if len(p) > 1)
             first, last = min(p.times[0] for p in parts), max(p.times[-1] for p in parts)
             count = int(np.floor((last - first) / step + 1e-6)) + 1
             times = np.minimum(first + step * np.arange(count), last)
-            parts = [part._at(times, max_gap) for part in parts]
+            at: dict[str, Any] = {"at": times, "max_gap": max_gap}
+            R = [signals.interpolate_rotations(part.times, part.R_inertial_sensor, **at) for part in parts]
+            f = [signals.interpolate(part.times, part.f_sensor, **at) for part in parts]
         return cls(
             times=times,
-            R_inertial_sensor=np.concatenate([part.R_inertial_sensor for part in parts], axis=1),
-            f_sensor=np.concatenate([part.f_sensor for part in parts], axis=1),
+            R_inertial_sensor=np.concatenate(R, axis=1),
+            f_sensor=np.concatenate(f, axis=1),
             names=tuple(name for part in parts for name in part.names),
-        )
-
-    def _at(self, times: Array, max_gap: float) -> Self:
-        return replace(
-            self,
-            times=times,
-            R_inertial_sensor=signals.interpolate_rotations(self.times, self.R_inertial_sensor, times, max_gap),
-            f_sensor=signals.interpolate(self.times, self.f_sensor, times, max_gap),
         )
 
     def select(self, names: Sequence[str]) -> Self:

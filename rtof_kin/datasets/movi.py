@@ -27,47 +27,25 @@ from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.public_sets import Movement, PublicSet, Take, TakeInputs, Truth, hinge_table, kind_of, natural
 from rtof_kin.formats.sensors.imu_mat import matlab_variables
 
+_PAIRED: Final = ("ankle", "elbow", "hip", "hand", "knee", "shoulder", "wrist", "foot")
 CENTRES: Final = (
     "head",
     "mid_hip",
     "pelvis",
     "thorax",
-    "left_ankle",
-    "left_elbow",
-    "left_hip",
-    "left_hand",
-    "left_knee",
-    "left_shoulder",
-    "left_wrist",
-    "left_foot",
-    "right_ankle",
-    "right_elbow",
-    "right_hip",
-    "right_hand",
-    "right_knee",
-    "right_shoulder",
-    "right_wrist",
-    "right_foot",
+    *(f"{side}_{name}" for side in ("left", "right") for name in _PAIRED),
 )
 """Order of the virtual markers."""
 VIDEO_HZ, MARKERS_HZ = 30.0, 120.0
 SIZE_PX: Final = (800, 600)
+_ARMS: Final = "pointing hand_clapping crossarms cross_arms hand_waving checking_watch taking_photo throw"
 _KINDS: Final[dict[str, Movement]] = {
     "walking": "walk",
     "sitting_down": "sit-to-stand",
     "squatting": "squat",
     "crawling": "floor",
     "cross_legged_sitting": "floor",
-    "pointing": "arms",
-    "hand_clapping": "arms",
-    "crossarms": "arms",
-    "cross_arms": "arms",
-    "hand_waving": "arms",
-    "checking_watch": "arms",
-    "taking_photo": "arms",
-    "throw": "arms",
-    "scratching_head": "arms",
-    "phone_talking": "arms",
+    **dict.fromkeys((*_ARMS.split(), "scratching_head", "phone_talking"), "arms"),
 }
 _CAMERAS: Final = ("PG1", "PG2")
 _MARKERS: Final = re.compile(r"F_v3d_Subject_(\d+)\.mat", re.IGNORECASE)

@@ -27,24 +27,10 @@ _KINDS: Final[dict[str, Movement]] = {"walking": "walk", "squats": "squat", "sts
 _NO_MOVEMENT: Final = ("static", "extrinsics", "calib", "neutral")
 _VIDEOS: Final = (".avi", ".mp4", ".mov")
 _SYNCHRONISED: Final = "_syncdWithMocap"
+_OF_SIDES: Final = "hip_flexion hip_adduction hip_rotation knee_angle ankle_angle subtalar_angle elbow_flex pro_sup"
 _MEASURED: Final = (
-    "lumbar_extension",
-    "lumbar_bending",
-    "lumbar_rotation",
-    *(
-        f"{name}_{side}"
-        for side in "rl"
-        for name in (
-            "hip_flexion",
-            "hip_adduction",
-            "hip_rotation",
-            "knee_angle",
-            "ankle_angle",
-            "subtalar_angle",
-            "elbow_flex",
-            "pro_sup",
-        )
-    ),
+    *("lumbar_extension", "lumbar_bending", "lumbar_rotation"),
+    *(f"{name}_{side}" for side in "rl" for name in _OF_SIDES.split()),
 )
 
 

@@ -226,20 +226,10 @@ UPPER: Final = {
     "qsLLA": "left forearm",
 }
 """Sensors of A01 to A04 and of A05 to A13 -> segment."""
-ACTIVITIES: Final[dict[str, tuple[str, Movement]]] = {
-    "A01": ("walk forward", "walk"),
-    "A02": ("walk backward", "walk"),
-    "A03": ("walk along a line", "walk"),
-    "A04": ("sit to stand", "sit-to-stand"),
-    "A05": ("move a bottle, right arm", "arms"),
-    "A06": ("move a bottle, left arm", "arms"),
-    "A07": ("drink, right arm", "arms"),
-    "A08": ("drink, left arm", "arms"),
-    "A09": ("assemble a tower", "arms"),
-    "A10": ("throw and catch", "arms"),
-    "A11": ("reach up, right arm", "arms"),
-    "A12": ("reach up, left arm", "arms"),
-    "A13": ("tear paper and throw", "arms"),
+ACTIVITIES: Final[dict[str, Movement]] = {
+    **dict.fromkeys(("A01", "A02", "A03"), "walk"),  # forward, backward, along a line
+    "A04": "sit-to-stand",
+    **dict.fromkeys((f"A{k:02}" for k in range(5, 14)), "arms"),
 }
 _LEGS: Final = tuple(
     f"{name}_{side}" for side in "rl" for name in ("hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
@@ -275,7 +265,7 @@ class Vidimu(PublicSet):
                 found.setdefault(name[0], path.parent)
         for key, folder in sorted(found.items()):
             subject, activity, _ = key.split("_")
-            yield Take(key, subject, activity, ACTIVITIES[activity][1], folder, "camera")
+            yield Take(key, subject, activity, ACTIVITIES[activity], folder, "camera")
 
     def inputs(self, take: Take) -> TakeInputs:
         """See `PublicSet.inputs`."""

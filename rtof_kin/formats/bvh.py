@@ -52,11 +52,7 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
 
 
 def read_bvh_frames(path: str | Path, rate_hz: float | None = None) -> ArticulatedFrames:
-    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion.
-
-    Args:
-        path, rate_hz: see `read_bvh`.
-    """
+    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion."""
     path = Path(path)
     lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
     tokens = _Tokens(path, lines)
@@ -271,45 +267,40 @@ def _assemble(nodes: list[_Joint], values: Array, rate_hz: float, moving: list[b
 # --- writing -------------------------------------------------------------------------------------
 
 
-def write_bvh(path: str | Path, motion: ArticulatedMotion, *, order: str = "zxy", overwrite: bool = False) -> None:
+def write_bvh(
+    path: str | Path,
+    motion: ArticulatedMotion | Iterable[ArticulatedMotion],
+    frames: int | None = None,
+    *,
+    order: str = "zxy",
+    overwrite: bool = False,
+) -> None:
     """Write a motion that `read_bvh` reads back, in its own axes and length unit.
 
     Args:
+        motion: whole, or blocks of consecutive frames of one tree, at least one. frames: number of all in blocks.
         order: order of the rotation channels, the same for all joints, since some readers take the first joint's for
             all, and others always z x y.
-        overwrite: whether an existing file is replaced.
 
     Raises:
         InvalidInputError: no such order, a name with a line end or a brace, or a value that is not finite.
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
-    write_bvh_blocks(path, [motion], len(motion), order=order, overwrite=overwrite)
-
-
-def write_bvh_blocks(
-    path: str | Path, blocks: Iterable[ArticulatedMotion], frames: int, *, order: str = "zxy", overwrite: bool = False
-) -> None:
-    """Write a motion as `write_bvh` does, block by block.
-
-    Args:
-        blocks: of consecutive frames of one tree; at least one. order, overwrite: see `write_bvh`.
-
-    Raises:
-        As `write_bvh`.
-    """
+    blocks = [motion] if isinstance(motion, ArticulatedMotion) else motion
+    frames = len(motion) if isinstance(motion, ArticulatedMotion) else frames or 0
     if sorted(order) != ["x", "y", "z"]:
         raise InvalidInputError(f"order: {order!r}; give x, y and z in some order")
     last: Array | None = None
     with new_file(path, overwrite) as whole, whole.open("w", encoding="utf-8", newline="") as stream:
-        for motion in blocks:
-            raw = so3.matrix_to_euler(order, motion.R_parent_joint)
+        for block in blocks:
+            raw = so3.matrix_to_euler(order, block.R_parent_joint)
             if last is None:
-                stream.write("\n".join(_head(motion, order, frames)) + "\n")
+                stream.write("\n".join(_head(block, order, frames)) + "\n")
                 angles = so3.euler_continuous(raw)
             else:
                 angles = so3.euler_continuous(np.concatenate([last, raw]))[1:]
             last = angles[-1:]
-            rows = _values(motion, np.rad2deg(angles)).tolist()
+            rows = _values(block, np.rad2deg(angles)).tolist()
             stream.writelines(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
 
 

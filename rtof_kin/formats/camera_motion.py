@@ -75,9 +75,6 @@ def read_camera_motion(path: Path) -> CameraMotion:
 def write_camera_motion(path: Path, motion: CameraMotion, overwrite: bool = False) -> None:
     """Write a motion; `read_camera_motion` restores it exactly.
 
-    Args:
-        overwrite: whether to replace an existing file.
-
     Raises:
         OutputExistsError: the file exists and may not be replaced. RtofError: it cannot be written.
     """

@@ -136,9 +136,6 @@ def checked_distance(where: str, t: Array, metres_per_unit: float) -> Array:
 def write_camera_toml(path: str | Path, cameras: Mapping[str, Camera], overwrite: bool = False) -> None:
     """Write cameras, z up and in metres, which `read_camera_toml` reads back to rounding; Pose2Sim too.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """

@@ -151,9 +151,6 @@ def _curves(person: PersonTable, side: str) -> list[Array]:
 def write_gait_reference(path: str | Path, reference: GaitReference, overwrite: bool = False) -> None:
     """Write a reference, to a millionth of a degree.
 
-    Args:
-        overwrite: replace an existing file.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. WritingError: it cannot be written.
     """

@@ -96,9 +96,6 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
 def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, overwrite: bool = False) -> None:
     """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """

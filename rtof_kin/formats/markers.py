@@ -198,7 +198,6 @@ def write_trc(
 
     Args:
         up: as for `read_trc`; y for OpenSim. unit: of lengths in the file, m, cm or mm.
-        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
@@ -407,9 +406,6 @@ def write_c3d(
     path: str | Path, markers: MarkerSequence | MarkerBlocks, *, up: str = "z", overwrite: bool = False
 ) -> None:
     """Write points in mm, which `read_c3d` reads back to the format's 32 bits.
-
-    Args:
-        overwrite: whether an existing file is replaced.
 
     Raises:
         OutputExistsError: the file exists and `overwrite` is False.

@@ -58,7 +58,7 @@ from rtof_kin.core.files.hdf5 import read_arrays
 from rtof_kin.core.packages import optional
 from rtof_kin.core.signals import runs
 from rtof_kin.data.poses import Provenance
-from rtof_kin.formats.bvh import write_bvh_blocks
+from rtof_kin.formats.bvh import write_bvh
 from rtof_kin.formats.joint_trajectory import BASE_COLUMNS, BASE_TURN, write_joint_trajectory_csv, write_ros_trajectory
 from rtof_kin.formats.markers import write_c3d, write_trc
 from rtof_kin.formats.motion_views import (
@@ -66,8 +66,8 @@ from rtof_kin.formats.motion_views import (
     dofs_from_prior,
     even_times,
     from_prior,
-    joint_tree_blocks,
-    landmark_blocks,
+    joint_tree,
+    landmark_markers,
     landmarks_from_prior,
     pieces,
 )
@@ -121,9 +121,6 @@ def motion_columns(motion: Motion, masks: ObservationMasks | None = None) -> lis
 def write_motion_csv(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table; units are in brackets in the names of its columns, e.g. ``LeftLeg_y [rad]``.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
@@ -148,9 +145,6 @@ def _cells(values: NDArray[Any]) -> list[str]:
 def write_motion_parquet(path: str | Path, motion: Motion | MotionSource, *, overwrite: bool = False) -> None:
     """Write the table with units, clinical and OpenSim names in the metadata of its columns, and
     convention, skeleton and joint offsets in that of the table.
-
-    Args:
-        overwrite: whether an existing file is replaced.
 
     Raises:
         RtofError: pyarrow is not installed, or the file cannot be written.
@@ -321,7 +315,7 @@ def _osim(folder: Path, motion: MotionSource) -> Files:
 
 def _c3d(folder: Path, motion: MotionSource) -> Files:
     """Write times as frame numbers; `time_zero_s` is the remainder of the first one."""
-    markers = landmark_blocks(motion)
+    markers = landmark_markers(motion)
     start, rate = float(markers.times[0]), markers.rate_hz
     first = round(start * rate)
     if not 0 <= first <= _MOST_FRAMES_C3D - len(markers):
@@ -366,14 +360,14 @@ FORMATS: Final[dict[str, Format]] = {
     "sto": Format(f"values and speeds of {_COORDINATES}; rad, m, rad/s, m/s", _pieces(".sto", write_sto), even=True),
     "trc": Format(
         f"landmarks by name in {_GROUND}; m; even times",
-        _whole({"motion.trc": lambda path, m: write_trc(path, landmark_blocks(m), up="opensim")}),
+        _whole({"motion.trc": lambda path, m: write_trc(path, landmark_markers(m), up="opensim")}),
         even=True,
     ),
     "c3d": Format("landmarks by name, x forward, y left, z up; mm, 32 bits", _c3d, even=True),
     "bvh": Format(
         "joints by name; x left, y up, z forward, which is world x; cm; degrees, intrinsic in the order "
         "of CHANNELS, z x y; zero in the T-pose",
-        _pieces(".bvh", lambda path, m: write_bvh_blocks(path, joint_tree_blocks(m), len(m)), has_times=False),
+        _pieces(".bvh", lambda path, m: write_bvh(path, joint_tree(m), len(m)), has_times=False),
         even=True,
     ),
 }

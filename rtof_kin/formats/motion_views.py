@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +17,7 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.core.signals import runs
 from rtof_kin.formats.articulated import ArticulatedMotion
 from rtof_kin.formats.joint_trajectory import BASE_TURN
-from rtof_kin.formats.markers import MarkerBlocks, MarkerSequence
+from rtof_kin.formats.markers import MarkerBlocks
 from rtof_kin.formats.world_axes import METRES, world_of_file
 
 AnyMotion = Motion | MotionSource
@@ -105,78 +104,47 @@ def even_times(times: Array) -> Array:
     return np.asarray(even)
 
 
-def landmark_markers(motion: Motion) -> MarkerSequence:
+def landmark_markers(motion: AnyMotion) -> MarkerBlocks:
     """Return all landmarks of the skeleton, joints first, as markers; NaN where unobserved."""
-    p = landmark_points(motion, ObservationMasks.of(motion))
-    return MarkerSequence(motion.times, tuple(motion.skeleton.landmarks), p)
-
-
-def landmark_blocks(motion: MotionSource) -> MarkerBlocks:
-    """Return the markers of `landmark_markers` in blocks."""
+    source = MotionSource.of(motion)
 
     def blocks() -> Iterator[Array]:
-        for block, masks in motion.observed_blocks():
-            yield landmark_points(block, masks)
+        for block, masks in source.observed_blocks():
+            p = source.skeleton.landmark_positions(block.poses.p_world_joint, block.poses.R_world_bone)
+            yield np.where(observed_landmarks(masks)[..., None], p, np.nan)
 
-    return MarkerBlocks(motion.times, tuple(motion.skeleton.landmarks), blocks)
-
-
-def landmark_points(motion: Motion, masks: ObservationMasks) -> Array:
-    """Return positions (T, L, 3) of landmarks in world, m; NaN where unobserved."""
-    p = motion.skeleton.landmark_positions(motion.poses.p_world_joint, motion.poses.R_world_bone)
-    return np.where(observed_landmarks(masks)[..., None], p, np.nan)
+    return MarkerBlocks(source.times, tuple(source.skeleton.landmarks), blocks)
 
 
-def joint_tree_blocks(motion: MotionSource) -> Iterator[ArticulatedMotion]:
-    """Return `joint_tree` in blocks, with the rate of the whole.
+def joint_tree(motion: AnyMotion) -> Iterator[ArticulatedMotion]:
+    """Yield the skeleton as a tree of joints in blocks of frames, with end sites at the far ends of its leaves.
 
-    Args:
-        motion: see `joint_tree`.
-    """
-    check_known(motion)
-    rate_hz = _even_rate_hz(even_times(motion.times))
-    for block in motion.blocks():
-        yield replace(_tree(block.motion, "y", "cm"), rate_hz=rate_hz)
-
-
-def joint_tree(motion: Motion, *, up: str = "y", unit: str = "cm") -> ArticulatedMotion:
-    """Return the skeleton as a tree of joints, with end sites at the far ends of its leaves.
+    The y axis points up and lengths are in cm, as readers of BVH expect; a person who faces world x faces z.
 
     Args:
         motion: poses without unknown frames, at even times.
-        up: the axis that points up, see `world_axes.UP`; with y, a person who faces world x faces z.
-        unit: m, cm or mm.
 
     Raises:
-        InvalidInputError: a frame is unknown, times are uneven, or unknown axis or unit.
+        InvalidInputError: a frame is unknown, or times are uneven.
     """
-    if unit not in METRES:
-        raise InvalidInputError(f"unit: {unit!r}; give one of {', '.join(METRES)}")
     check_known(motion)
-    return replace(_tree(motion, up, unit), rate_hz=_even_rate_hz(even_times(motion.times)))
-
-
-def _even_rate_hz(times: Array) -> float:
-    return float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 60.0
-
-
-def _tree(motion: Motion, up: str, unit: str) -> ArticulatedMotion:
-    """`joint_tree` of known frames, with a rate that is not theirs."""
-    skeleton, R_world_file = motion.skeleton, world_of_file(up)
+    source, R_world_file = MotionSource.of(motion), world_of_file("y")
+    skeleton, times = source.skeleton, even_times(source.times)
     leaves = [j for j in range(len(skeleton.names)) if j not in skeleton.parents]
-    R_parent_joint = kinematics.local_rotations(skeleton.parents, motion.poses.R_world_bone)
 
     def in_file(vectors: Array) -> Array:
-        return np.asarray(vectors @ R_world_file / METRES[unit])
+        return np.asarray(vectors @ R_world_file / METRES["cm"])
 
-    return ArticulatedMotion(
-        names=skeleton.names,
-        parents=skeleton.parents,
-        offsets=in_file(skeleton.joint_offsets),
-        R_parent_joint=R_world_file.T @ R_parent_joint @ R_world_file,
-        p_root=in_file(motion.q[:, :3]),
-        rate_hz=60.0,
-        unit_m=METRES[unit],
-        end_parents=tuple(leaves),
-        end_offsets=in_file(np.array([skeleton.table.joints[j].end for j in leaves])),
-    )
+    for block in source.blocks():
+        R_parent_joint = kinematics.local_rotations(skeleton.parents, block.motion.poses.R_world_bone)
+        yield ArticulatedMotion(
+            names=skeleton.names,
+            parents=skeleton.parents,
+            offsets=in_file(skeleton.joint_offsets),
+            R_parent_joint=R_world_file.T @ R_parent_joint @ R_world_file,
+            p_root=in_file(block.motion.q[:, :3]),
+            rate_hz=float((len(times) - 1) / (times[-1] - times[0])) if len(times) > 1 else 60.0,
+            unit_m=METRES["cm"],
+            end_parents=tuple(leaves),
+            end_offsets=in_file(np.array([skeleton.table.joints[j].end for j in leaves])),
+        )

@@ -159,9 +159,6 @@ _CREDITS: Final = (
 def write_osim(path: str | Path, skeleton: SkeletonModel, *, overwrite: bool = False) -> None:
     """Write a skeleton as an OpenSim model.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
     """
@@ -341,9 +338,6 @@ def _value_blocks(motion: MotionSource) -> Iterator[tuple[Block, Array]]:
 def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
     """Write coordinates, angles in degrees, without those that were never observed.
 
-    Args:
-        overwrite: whether an existing file is replaced.
-
     Raises:
         InvalidInputError: a frame is unknown, or times are uneven.
         OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
@@ -360,9 +354,6 @@ def write_mot(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -
 def write_sto(path: str | Path, motion: AnyMotion, *, overwrite: bool = False) -> None:
     """Write states under their paths in the model: values, rad and m, and speeds, rad/s and m/s, by central
     differences (0 for a single frame).
-
-    Args:
-        overwrite: whether an existing file is replaced.
 
     Raises:
         As `write_mot`.

@@ -1,4 +1,4 @@
-"""Calibration of sensors by a pose (T, N, seated or measured) that is held for a second or more.
+"""Calibration of sensors by a pose (T, N, seated or measured) that is kept for a second or more.
 
 In the pose the orientation of every segment is known, so
 
@@ -194,14 +194,14 @@ def calibrate_by_pose(
         raise UnknownNameError("kind of headings", [headings], ["shared", "own"])
     if headings == "own" and facing is not None:
         raise CalibrationError("facing needs headings='shared'; give world_facing for headings='own'")
-    held = _hold(imus, joints, skeleton, still, levers)
+    samples = _hold(imus, joints, skeleton, still, levers)
     R_all, named = pose_rotations(pose, skeleton), isinstance(pose, str)
     faces = facing_of(R_all) if world_facing is None else world_facing
-    R_pose = turned_to(R_all, faces)[skeleton.index(*held.joints)]
+    R_pose = turned_to(R_all, faces)[skeleton.index(*samples.joints)]
     if facing is None:
-        found = _from_movement(imus, held, R_pose, skeleton, headings)
+        found = _from_movement(imus, samples, R_pose, skeleton, headings)
     else:
-        given = np.full(len(held.joints), faces - _forward(facing, held))
+        given = np.full(len(samples.joints), faces - _forward(facing, samples))
         found = Headings(given, np.zeros(len(given)), np.inf)
     angles = found.angles
     if headings == "shared" and world_facing is None and named:
@@ -209,26 +209,26 @@ def calibrate_by_pose(
         faces, angles, R_pose = faces - angles[0], 0 * angles, so3.about_axis("z", -angles[0]) @ R_pose
     pose_deg = _NAMED_POSE_DEG if named else _MEASURED_POSE_DEG
     return PoseCalibration(
-        calibration=held.aligned(angles, R_pose),
+        calibration=samples.aligned(angles, R_pose),
         pose=str(pose) if named else "measured",
-        still=held.still,
+        still=samples.still,
         facing=float(wrapped(faces)),
-        sensors=held.reports(np.degrees(found.sigmas), pose_deg),
+        sensors=samples.reports(np.degrees(found.sigmas), pose_deg),
         heading_margin=found.margin if facing is None else None,
     )
 
 
-def _forward(facing: float | tuple[str, str], held: _Held) -> float:
+def _forward(facing: float | tuple[str, str], samples: _PoseSamples) -> float:
     """Return the heading, rad, of the person in the sensors' shared reference."""
     if not isinstance(facing, tuple):
         if not np.isfinite(facing):
             raise InvalidInputError(f"facing: {facing} is no angle; give radians about z from the x axis")
         return float(facing)
     sensor, axis = facing
-    (s,) = indices_of("sensor of facing", [sensor], [stream.name for stream in held.streams])
+    (s,) = indices_of("sensor of facing", [sensor], [stream.name for stream in samples.streams])
     if axis not in _AXES:
         raise UnknownNameError("axis of facing", [axis], list(_AXES))
-    forward = held.R_inertial_sensor[s][:, "xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
+    forward = samples.R_inertial_sensor[s][:, "xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(20.0)):
         problem = "is within 20 degrees of vertical in the pose; name another axis"
         raise CalibrationError(f"the axis {axis} of {sensor} {problem}")
@@ -236,10 +236,10 @@ def _forward(facing: float | tuple[str, str], held: _Held) -> float:
 
 
 def _from_movement(
-    imus: ImuSequence | SensorLog, held: _Held, R_pose: Array, skeleton: SkeletonModel, headings: str
+    imus: ImuSequence | SensorLog, samples: _PoseSamples, R_pose: Array, skeleton: SkeletonModel, headings: str
 ) -> Headings:
-    bone_imus = calibrated(imus, held.aligned(np.zeros(len(held.joints)), R_pose))
-    first = max(bone_imus.times[0], min(held.still[0], bone_imus.times[-1] - _LONGEST))
+    bone_imus = calibrated(imus, samples.aligned(np.zeros(len(samples.joints)), R_pose))
+    first = max(bone_imus.times[0], min(samples.still[0], bone_imus.times[-1] - _LONGEST))
     near = (bone_imus.times >= first) & (bone_imus.times <= first + _LONGEST)
     start, stop = (int(i) for i in np.flatnonzero(near)[[0, -1]])
     motions = segment_motions(bone_imus[start : stop + 1])
@@ -279,7 +279,7 @@ def calibrated(imus: ImuSequence | SensorLog, calibration: ImuCalibration) -> Bo
 
 
 @dataclass(frozen=True)
-class _Held:
+class _PoseSamples:
     """S sensors on segments during a pose."""
 
     streams: tuple[SensorStream, ...]
@@ -312,7 +312,7 @@ def _hold(
     skeleton: SkeletonModel,
     still: tuple[float, float] | None,
     levers: Mapping[str, ArrayLike] | None,
-) -> _Held:
+) -> _PoseSamples:
     if not joints:
         raise CalibrationError("no sensor is mapped to a segment; give joints={sensor: segment, ...}")
     segments = tuple(joints.values())
@@ -328,21 +328,12 @@ def _hold(
         readonly(f"lever arm of {s}", given[s], (3,)) if s in given else usual_lever(joint, skeleton)
         for s, joint in joints.items()
     ]
-    return _Held(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
-
-
-def _streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
-    if isinstance(imus, SensorLog):
-        return imus.streams
-    return tuple(
-        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s, name in enumerate(imus.names)
-    )
+    return _PoseSamples(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
 
 
 def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:
-    streams = _streams_of(imus)
-    return tuple(streams[i] for i in indices_of("sensor", sensors, [stream.name for stream in streams]))
+    log = imus if isinstance(imus, SensorLog) else SensorLog.of_imus(imus, "imus")
+    return log.select(sensors).streams
 
 
 def _orientations(stream: SensorStream) -> Array:

@@ -60,18 +60,18 @@ class Contacts:
 
 
 @dataclass(frozen=True)
-class Footholds:
+class ContactPoints:
     """Positions at which joints stand, frame by frame."""
 
     joints: tuple[str, ...]  # C names
     p_world: Array  # (T, C, 3) m; NaN as a whole where a joint does not stand
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", checked_names("foothold joints", self.joints))
-        p = readonly("footholds p_world", self.p_world, ("T", len(self.joints), 3))
+        object.__setattr__(self, "joints", checked_names("contact point joints", self.joints))
+        p = readonly("contact points p_world", self.p_world, ("T", len(self.joints), 3))
         missing = np.isnan(p)
         if np.isinf(p).any() or (missing.any(axis=2) & ~missing.all(axis=2)).any():
-            raise InvalidInputError("footholds p_world: a place is finite, or NaN as a whole")
+            raise InvalidInputError("contact points p_world: a position is finite, or NaN as a whole")
         object.__setattr__(self, "p_world", p)
 
     def __len__(self) -> int:
@@ -115,7 +115,7 @@ def detect_contacts(
     return Contacts(feet, standing)
 
 
-def footholds(contacts: Contacts, p_world: Array, height: float) -> Footholds:
+def contact_points(contacts: Contacts, p_world: Array, height: float) -> ContactPoints:
     """Return the median horizontal position of each contact, at a height.
 
     Args:
@@ -126,7 +126,7 @@ def footholds(contacts: Contacts, p_world: Array, height: float) -> Footholds:
         for start, stop in signals.runs(own):
             places[start:stop, i, :2] = np.median(p_world[start:stop, i, :2], axis=0)
             places[start:stop, i, 2] = height
-    return Footholds(contacts.joints, places)
+    return ContactPoints(contacts.joints, places)
 
 
 def _source(foot: str, bone_imus: BoneImuSequence | None, skeleton: SkeletonModel) -> str | None:

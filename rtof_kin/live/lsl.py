@@ -9,13 +9,11 @@ from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, SourceError
@@ -33,6 +31,19 @@ _POLL_S: Final = 0.005
 _BUFFER_S: Final = 60
 _MOST_SAMPLES: Final = 4096
 """Samples of one call to LSL."""
+_OFFSET_JUMP_S: Final = 0.02
+"""[s] that measured offsets do not change by between two measurements, which agree to 1 ms."""
+_AHEAD_S: Final = 0.5
+"""[s] after now; no sample comes from there."""
+_BACK_S: Final = 1.0
+"""[s] before the newest sample; senders keep the order of their samples but for less."""
+_LATE_S: Final = 10.0
+"""[s] of age that a first sample may have."""
+_MOST_REPORTED: Final = 5
+_SILENT_S: Final = 0.6
+"""[s] without a sample after which a stream is reported."""
+_SILENT_PERIODS: Final = 4
+"""Sampling periods without a sample after which a slow stream is reported."""
 
 
 def load_pylsl() -> Any:
@@ -44,18 +55,205 @@ def load_pylsl() -> Any:
     return optional("pylsl", "live", "an LSL stream")
 
 
-class Inlet:
-    """An open connection to one stream of numbers."""
+# --- channels ------------------------------------------------------------------------------------
 
-    def __init__(self, info: Any):
-        """Connect.
+
+class Channels(Protocol):
+    """What the channels of a stream mean."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sensors, or points of a frame."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences about channels that are left out, and about what sensors lack."""
+
+    def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
+        """Return the samples of rows of channels, in the order of times.
 
         Args:
-            info: `pylsl.StreamInfo` of a resolver.
+            times: (T,) s. values: (T, C) of all channels.
 
         Raises:
-            SourceError: no connection, or a stream of text.
+            SourceError: another number of channels than labels.
         """
+
+
+class ImuChannels:
+    """Inertial sensors of one stream, each with an orientation, see `rtof_kin.formats.channels`.
+
+    Args:
+        stream: its name; of the sensor too, where labels name none.
+        labels, units, types: of each channel; units and types may be empty.
+        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+
+    Raises:
+        SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an
+            unknown unit; names stream, channel and remedy.
+        UnknownNameError: an unknown field or value of the declaration.
+    """
+
+    def __init__(
+        self,
+        stream: str,
+        labels: Sequence[str],
+        units: Sequence[str] = (),
+        types: Sequence[str] = (),
+        declared: Mapping[str, Any] | None = None,
+    ):
+        try:
+            channels = StreamChannels.of(stream, labels, units, types, declared)
+        except InvalidInputError as error:
+            raise SourceError(str(error)) from error
+        for sensor in channels.sensors:
+            if sensor.quaternions is None:
+                raise SourceError(
+                    f"stream {stream}: sensor {sensor.name} has no quaternion; send qw, qx, qy, qz of its "
+                    "orientation filter too"
+                )
+        self._stream, self._channels = stream, channels
+        self.names = tuple(sensor.name for sensor in channels.sensors)
+        none = np.full(3, -1)
+        self._acceleration = np.array([none if s.acceleration is None else s.acceleration for s in channels.sensors])
+        self._quaternions = np.array([s.quaternions for s in channels.sensors])
+        without = [s.name for s in channels.sensors if s.acceleration is None]
+        lacks = (f"stream {stream}: no acceleration of {', '.join(without)}",) if without else ()
+        self.notes = (*channels.notes, *lacks)
+
+    def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
+        """Return one sample of each sensor at each time; see `Channels`."""
+        stamps = np.asarray(times, dtype=float)
+        numbers = _checked_width(self._stream, values, len(stamps), self._channels.count)
+        declaration, S = self._channels.declaration, len(self.names)
+        R = declaration.rotations(numbers[:, self._quaternions].reshape(-1, 4))
+        a = np.where(self._acceleration < 0, np.nan, numbers[:, self._acceleration]).reshape(-1, 3)
+        f = declaration.specific_force(a, R)
+        return [ImuSample(self.names[i % S], float(stamps[i // S]), R[i], f[i]) for i in range(len(stamps) * S)]
+
+
+class FrameChannels:
+    """Detected points of one stream: ``<landmark>_x``, ``_y`` in px, ``_confidence``.
+
+    Args:
+        labels, units: of each channel; units may be empty.
+
+    Raises:
+        SourceError: no point, one without x or y, a channel twice, or coordinates that are not in px.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, stream: str, labels: Sequence[str], units: Sequence[str] = ()):
+        self._stream = stream
+        try:
+            self._channels = PointChannels.of(stream, labels, units)
+        except InvalidInputError as error:
+            raise SourceError(str(error)) from error
+        self.names = self._channels.names
+
+    def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
+        """Return the frames; see `Channels`."""
+        stamps = np.asarray(times, dtype=float)
+        uv, confidence = self._channels.points(_checked_width(self._stream, values, len(stamps), self._channels.count))
+        return [FrameSample(float(stamps[i]), uv[i], confidence[i]) for i in range(len(stamps))]
+
+
+def _checked_width(stream: str, values: ArrayLike, rows: int, count: int) -> Array:
+    """Return the numbers of some samples as an array (T, C); raise SourceError for another shape."""
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SourceError(f"stream {stream}: sends something else than {count} numbers ({error})") from error
+    if numbers.shape != (rows, count):
+        width = numbers.shape[-1] if numbers.ndim == 2 else numbers.size
+        raise SourceError(
+            f"stream {stream}: {width} numbers in a sample, and labels for {count}; label every channel once"
+        )
+    return numbers
+
+
+# --- clock ---------------------------------------------------------------------------------------
+
+
+class LslClock:
+    """Maps the stamps of one sender to the LSL clock of this machine."""
+
+    def __init__(self) -> None:
+        self._measured: float | None = None
+        self._shift_s = 0.0  # [s] that mends jumps of the stamps
+        self._newest: float | None = None
+        self._lead_s = -np.inf  # [s] of the newest sample against its arrival, at most so far
+        self._jumps = 0
+
+    @property
+    def offset_s(self) -> float:
+        """What is added to stamps now, s."""
+        return (self._measured or 0.0) + self._shift_s
+
+    def corrected_by(self, offset_s: float | None) -> str | None:
+        """Take a measured offset of the sender's clock, s, None where there is none yet; say where it jumped."""
+        if offset_s is None or offset_s == self._measured:
+            return None
+        before, self._measured = self._measured, offset_s
+        step = offset_s - (before or 0.0)
+        if self._shift_s and abs(step - self._shift_s) < _BACK_S:  # the stamps have shown it already
+            self._shift_s = 0.0
+        if before is None or abs(step) <= _OFFSET_JUMP_S:
+            return None
+        return self._reported(f"the sender's clock jumped by {-step:+.3f} s against this machine's")
+
+    def times(self, stamps: Array, now: float) -> tuple[Array, str | None]:
+        """Return times of samples on this machine's clock, and a sentence where the stamps jumped.
+
+        After a jump they go on from the arrivals, to within the jitter of the network.
+
+        Args:
+            stamps: (T,) s of the sender, in the order of arrival. now: s of this machine.
+        """
+        if not np.isfinite(stamps).any():
+            return stamps, None
+        times = stamps + self.offset_s
+        sentence = None
+        before = now - _LATE_S if self._newest is None else self._newest
+        front = np.fmax.accumulate(np.append(before, times))[:-1]
+        wrong = np.flatnonzero((times > now + _AHEAD_S) | (times < front - _BACK_S))
+        if len(wrong):
+            shift = now - times[np.isfinite(times)][-1]
+            if self._newest is None:
+                what = f"its stamps are {-shift:+.2f} s off the LSL clock"
+            else:
+                shift += max(self._lead_s, -_LATE_S)
+                what = f"its stamps jumped by {-shift:+.2f} s"
+            times[wrong[0] :] += shift
+            self._shift_s += shift
+            sentence = self._reported(f"{what}; they are shifted by the arrivals of its samples")
+        newest = float(np.nanmax(times))
+        self._lead_s = max(self._lead_s, newest - now)
+        self._newest = newest if self._newest is None else max(self._newest, newest)
+        return times, sentence
+
+    def _reported(self, sentence: str) -> str | None:
+        self._jumps += 1
+        if self._jumps > _MOST_REPORTED:
+            return None
+        return sentence + (" (further jumps are not reported)" if self._jumps == _MOST_REPORTED else "")
+
+
+# --- connection ----------------------------------------------------------------------------------
+
+
+class Inlet:
+    """An open connection to one stream of numbers.
+
+    Args:
+        info: `pylsl.StreamInfo` of a resolver.
+
+    Raises:
+        SourceError: no connection, or a stream of text.
+    """
+
+    def __init__(self, info: Any):
         self._pylsl = load_pylsl()
         stream = info.name()
         if info.channel_format() == self._pylsl.cf_string:
@@ -74,16 +272,26 @@ class Inlet:
         """Number of channels."""
 
     def texts(self, field: str) -> list[str]:
-        """Return a field of the channels in the metadata, such as their labels; it may lack some.
-
-        Args:
-            field: ``label``, ``unit`` or ``type``.
-        """
+        """Return a field (``label``, ``unit`` or ``type``) of the channels in the metadata; it may lack some."""
         node, found = self._info.desc().child("channels").child("channel"), []
         while not node.empty():
             found.append(node.child_value(field))
             node = node.next_sibling("channel")
         return found
+
+    def labels(self) -> list[str]:
+        """Return the labels of all channels.
+
+        Raises:
+            SourceError: some have none.
+        """
+        labels = self.texts("label")
+        if len(labels) != self.count or not all(labels):
+            raise SourceError(
+                f"stream {self._info.name()}: has {self.count} channels and labels of {sum(map(bool, labels))}; "
+                "label every channel in the metadata, <channels><channel><label>"
+            )
+        return labels
 
     def offset_s(self, wait_s: float = 0.0) -> float | None:
         """Return what is to be added to stamps for this machine's clock, s; None where not known yet.
@@ -127,13 +335,10 @@ class Inlet:
 
 
 def find_one(stream: str, timeout_s: float) -> tuple[Inlet, float | None]:
-    """Connect to the stream of a name, of which there must be one.
+    """Connect to the stream of a name, of which there must be one; measure the offset of the sender's clock, s.
 
     Args:
         timeout_s: s that it has to answer.
-
-    Returns:
-        The connection, and the first measured offset of the sender's clock, s.
 
     Raises:
         SourceError: no stream, or two, of the name; no connection; a stream of text.
@@ -163,14 +368,7 @@ def find_one(stream: str, timeout_s: float) -> tuple[Inlet, float | None]:
 
 
 def find_again(stream: str, stop: Callable[[], bool]) -> Inlet | None:
-    """Wait until a lost stream is there again, and connect.
-
-    Args:
-        stop: returns True to give up.
-
-    Returns:
-        The connection; None where it was given up.
-    """
+    """Wait until a lost stream is there again, and connect; None where `stop` returned True before."""
     resolver = load_pylsl().ContinuousResolver("name", stream, forget_after=_FORGET_S)
     while not stop():
         if wait_until(lambda: stop() or bool(resolver.results()), _CONNECT_S) and not stop():
@@ -182,7 +380,7 @@ def find_again(stream: str, stop: Callable[[], bool]) -> Inlet | None:
 
 
 def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
-    """Return whether a condition holds within a time; it is asked at least once. `timeout_s`: s."""
+    """Return whether a condition holds within a time, s; it is asked at least once."""
     deadline = time.monotonic() + timeout_s
     while not holds():
         if time.monotonic() > deadline:
@@ -191,292 +389,48 @@ def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
     return True
 
 
-@dataclass(frozen=True)
-class ImuChannels:
-    """Inertial sensors of one stream; each has an orientation."""
-
-    stream: str
-    """Name, for messages."""
-    channels: StreamChannels
-    _quaternions: NDArray[np.intp]
-    """(S, 4) columns."""
-    _acceleration: NDArray[np.intp]
-    """(S, 3) columns; -1 where a sensor has none."""
-
-    @classmethod
-    def of(
-        cls,
-        stream: str,
-        labels: Sequence[str],
-        units: Sequence[str] = (),
-        types: Sequence[str] = (),
-        declared: Mapping[str, Any] | None = None,
-    ) -> ImuChannels:
-        """Return what the channels of a stream hold, see `rtof_kin.formats.channels`.
-
-        Args:
-            stream: its name; of the sensor too, where labels name none.
-            labels, units, types: of each channel; units and types may be empty.
-            declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
-
-        Raises:
-            SourceError: no sensor, one without orientation, an incomplete quantity, a channel twice, an
-                unknown unit; names stream, channel and remedy.
-            UnknownNameError: an unknown field or value of the declaration.
-        """
-        try:
-            channels = StreamChannels.of(stream, labels, units, types, declared)
-        except InvalidInputError as error:
-            raise SourceError(str(error)) from error
-        for sensor in channels.sensors:
-            if sensor.quaternions is None:
-                raise SourceError(
-                    f"stream {stream}: sensor {sensor.name} has no quaternion; send qw, qx, qy, qz of its "
-                    "orientation filter too"
-                )
-        none = np.full(3, -1)
-        forces = [none if s.acceleration is None else s.acceleration for s in channels.sensors]
-        quaternions = [s.quaternions for s in channels.sensors if s.quaternions is not None]
-        return cls(stream, channels, np.array(quaternions), np.array(forces))
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the S sensors."""
-        return tuple(sensor.name for sensor in self.channels.sensors)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences about channels that are left out, and about what sensors lack."""
-        without = [s.name for s in self.channels.sensors if s.acceleration is None]
-        lacks = (f"stream {self.stream}: no acceleration of {', '.join(without)}",) if without else ()
-        return (*self.channels.notes, *lacks)
-
-    def samples(self, times: ArrayLike, values: ArrayLike) -> list[ImuSample]:
-        """Return one sample of each sensor at each time, in the order of times.
-
-        Args:
-            times: (T,) s. values: (T, C) of all channels.
-
-        Raises:
-            SourceError: another number of channels than labels.
-        """
-        stamps = np.asarray(times, dtype=float)
-        numbers = checked_width(self.stream, values, len(stamps), self.channels.count)
-        declaration, S = self.channels.declaration, len(self.sensors)
-        R = declaration.rotations(numbers[:, self._quaternions].reshape(-1, 4))
-        a = np.where(self._acceleration < 0, np.nan, numbers[:, self._acceleration]).reshape(-1, 3)
-        f = declaration.specific_force(a, R)
-        return [ImuSample(self.sensors[i % S], float(stamps[i // S]), R[i], f[i]) for i in range(len(stamps) * S)]
+# --- sources -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class FrameChannels:
-    """Detected points of one stream."""
-
-    stream: str
-    """Name, for messages."""
-    channels: PointChannels
-
-    @property
-    def landmarks(self) -> tuple[str, ...]:
-        """Names of the L points."""
-        return self.channels.names
-
-    @classmethod
-    def of(cls, stream: str, labels: Sequence[str], units: Sequence[str] = ()) -> FrameChannels:
-        """Return what the channels of a stream hold: ``<landmark>_x``, ``_y`` in px, ``_confidence``.
-
-        Args:
-            labels, units: of each channel; units may be empty.
-
-        Raises:
-            SourceError: no point, one without x or y, a channel twice, or coordinates that are not in px.
-        """
-        try:
-            return cls(stream, PointChannels.of(stream, labels, units))
-        except InvalidInputError as error:
-            raise SourceError(str(error)) from error
-
-    def samples(self, times: ArrayLike, values: ArrayLike) -> list[FrameSample]:
-        """Return the frames, in the order of times.
-
-        Args:
-            times: (T,) s. values: (T, C) of all channels.
-
-        Raises:
-            SourceError: another number of channels than labels.
-        """
-        stamps = np.asarray(times, dtype=float)
-        uv, confidence = self.channels.points(checked_width(self.stream, values, len(stamps), self.channels.count))
-        return [FrameSample(float(stamps[i]), uv[i], confidence[i]) for i in range(len(stamps))]
-
-
-def checked_width(stream: str, values: ArrayLike, rows: int, count: int) -> Array:
-    """Return the numbers of some samples as an array (T, C).
+class LslSource:
+    """One stream; `LslImuSource` and `LslFrameSource` know what its channels mean.
 
     Args:
-        values: (T, C).
-
-    Raises:
-        SourceError: the values have another shape.
+        timeout_s: s that it has to answer.
+        changed: what is said of a stream that came back with other names, by the new and the earlier ones.
     """
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise SourceError(f"stream {stream}: sends something else than {count} numbers ({error})") from error
-    if numbers.shape != (rows, count):
-        width = numbers.shape[-1] if numbers.ndim == 2 else numbers.size
-        raise SourceError(
-            f"stream {stream}: {width} numbers in a sample, and labels for {count}; label every channel once"
-        )
-    return numbers
 
+    clock = Clock.COMMON
+    """The LSL clock of this machine, common to all LSL streams."""
 
-_OFFSET_JUMP_S: Final = 0.02
-"""[s] that measured offsets do not change by between two measurements, which agree to 1 ms."""
-_AHEAD_S: Final = 0.5
-"""[s] after now; no sample comes from there."""
-_BACK_S: Final = 1.0
-"""[s] before the newest sample; senders keep the order of their samples but for less."""
-_LATE_S: Final = 10.0
-"""[s] of age that a first sample may have."""
-_MOST_REPORTED: Final = 5
-
-
-class LslClock:
-    """Maps the stamps of one sender to the LSL clock of this machine."""
-
-    def __init__(self) -> None:
-        self._measured: float | None = None
-        self._shift_s = 0.0  # [s] that mends jumps of the stamps
-        self._newest: float | None = None
-        self._lead_s = -np.inf  # [s] of the newest sample against its arrival, at most so far
-        self._jumps = 0
-
-    @property
-    def offset_s(self) -> float:
-        """What is added to stamps now, s."""
-        return (self._measured or 0.0) + self._shift_s
-
-    def corrected_by(self, offset_s: float | None) -> str | None:
-        """Take a measured offset of the sender's clock.
-
-        Args:
-            offset_s: s; None where there is none yet.
-
-        Returns:
-            A sentence where it jumped.
-        """
-        if offset_s is None or offset_s == self._measured:
-            return None
-        before, self._measured = self._measured, offset_s
-        step = offset_s - (before or 0.0)
-        if self._shift_s and abs(step - self._shift_s) < _BACK_S:  # the stamps have shown it already
-            self._shift_s = 0.0
-        if before is None or abs(step) <= _OFFSET_JUMP_S:
-            return None
-        return self._told(f"the sender's clock jumped by {-step:+.3f} s against this machine's")
-
-    def times(self, stamps: Array, now: float) -> tuple[Array, str | None]:
-        """Return times of samples on this machine's clock, and a sentence where the stamps jumped.
-
-        After a jump they go on from the arrivals, to within the jitter of the network.
-
-        Args:
-            stamps: (T,) s of the sender, in the order of arrival. now: s of this machine.
-        """
-        if not np.isfinite(stamps).any():
-            return stamps, None
-        times = stamps + self.offset_s
-        sentence = None
-        jump = self._jump(times, now)
-        if jump is not None:
-            shift = now + max(self._lead_s, -_LATE_S) - times[np.isfinite(times)][-1]
-            if self._newest is None:
-                shift = now - times[np.isfinite(times)][-1]
-                what = f"its stamps are {-shift:+.2f} s off the LSL clock"
-            else:
-                what = f"its stamps jumped by {-shift:+.2f} s"
-            times[jump:] += shift
-            self._shift_s += shift
-            sentence = self._told(f"{what}; they are shifted by the arrivals of its samples")
-        newest = float(np.nanmax(times))
-        self._lead_s = max(self._lead_s, newest - now)
-        self._newest = newest if self._newest is None else max(self._newest, newest)
-        return times, sentence
-
-    def _jump(self, times: Array, now: float) -> int | None:
-        """Return the first sample after a jump of the stamps; None without one."""
-        before = now - _LATE_S if self._newest is None else self._newest
-        newest = np.fmax.accumulate(np.append(before, times))[:-1]
-        wrong = np.flatnonzero((times > now + _AHEAD_S) | (times < newest - _BACK_S))
-        return int(wrong[0]) if len(wrong) else None
-
-    def _told(self, sentence: str) -> str | None:
-        self._jumps += 1
-        if self._jumps > _MOST_REPORTED:
-            return None
-        return sentence + (" (further jumps are not reported)" if self._jumps == _MOST_REPORTED else "")
-
-
-_SILENT_S: Final = 0.6
-"""[s] without a sample after which a stream is reported."""
-_SILENT_PERIODS: Final = 4
-"""Sampling periods without a sample after which a slow stream is reported."""
-
-
-class _LslSource(ABC):
-    """One stream; subclasses know what its channels mean."""
-
-    def __init__(self, stream: str, timeout_s: float):
-        self.stream = stream
-        self._timeout_s = timeout_s
+    def __init__(self, stream: str, timeout_s: float, read: Callable[[Inlet], Channels], changed: str):
+        self.stream, self.name = stream, f"lsl:{stream}"
+        self._timeout_s, self._read, self._changed = timeout_s, read, changed
         self._inlet: Inlet | None = None
+        self._channels: Channels | None = None
         self._clock = LslClock()
         self._notices: list[str] = []
-        self._finished = False
+        self.finished = False
+        """Whether it was closed; a stream that is lost may come back."""
         self._last_arrival = 0.0
         self._silent = False
         self._search: threading.Thread | None = None
         self._found: Inlet | None = None
 
-    @abstractmethod
-    def _understand(self, inlet: Inlet) -> tuple[str, ...]:
-        """Take the channels of the stream and return remarks; raises SourceError."""
-
-    @abstractmethod
-    def _samples(self, times: Array, values: Array) -> list[Sample]:
-        """Samples of rows of channels."""
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Names of the inertial sensors; none before `start`."""
+        return self._channels.names if isinstance(self._channels, ImuChannels) else ()
 
     @property
-    def name(self) -> str:
-        """``lsl:NAME``."""
-        return f"lsl:{self.stream}"
-
-    @property
-    def clock(self) -> Clock:
-        """The LSL clock of this machine, common to all LSL streams."""
-        return Clock.COMMON
+    def landmarks(self) -> tuple[str, ...]:
+        """Names of the points; none before `start`."""
+        return self._channels.names if isinstance(self._channels, FrameChannels) else ()
 
     @property
     def clock_offset_s(self) -> float:
         """What is added to the sender's stamps now, s; 0 before it was measured."""
         return self._clock.offset_s
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the inertial sensors; none before `start`."""
-        return ()
-
-    @property
-    def landmarks(self) -> tuple[str, ...]:
-        """Names of the points; none before `start`."""
-        return ()
-
-    @property
-    def finished(self) -> bool:
-        """Whether it was closed; a stream that is lost may come back."""
-        return self._finished
 
     def start(self) -> None:
         """Find the stream and connect, unless that is done; takes about a second.
@@ -487,7 +441,7 @@ class _LslSource(ABC):
         if self._inlet is not None:
             return
         inlet, offset = find_one(self.stream, self._timeout_s)
-        for remark in self._understand(inlet):
+        for remark in self._understood(inlet).notes:
             self._note(remark)
         if offset is None:
             self._note("the offset of its clock is not known yet; its stamps are taken as they are")
@@ -497,7 +451,7 @@ class _LslSource(ABC):
     def poll(self) -> list[Sample]:
         """Return what has arrived since the last call, without waiting."""
         inlet = self._inlet or self._found_again()
-        if inlet is None:
+        if inlet is None or self._channels is None:
             return []
         try:
             self._note(self._clock.corrected_by(inlet.offset_s()))
@@ -516,7 +470,31 @@ class _LslSource(ABC):
         known = np.isfinite(times)
         if not known.all():
             self._note(f"{int(np.sum(~known))} samples without a time are left out")
-        return self._samples(times[known], values[known])
+        return self._channels.samples(times[known], values[known])
+
+    def notices(self) -> list[str]:
+        """Return sentences since the last call about losses, returns and jumps of the clock."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def close(self) -> None:
+        """Stop; may be called twice."""
+        self.finished = True
+        if self._search is not None:
+            self._search.join()
+        for inlet in (self._inlet, self._found):
+            if inlet is not None:
+                inlet.close()
+        self._inlet = self._found = None
+
+    def _understood(self, inlet: Inlet) -> Channels:
+        """Take the channels of the stream; raise SourceError where they cannot be used or are others than before."""
+        channels = self._read(inlet)
+        if self._channels is not None and channels.names != self._channels.names:
+            now, before = (", ".join(each.names) for each in (channels, self._channels))
+            raise SourceError(f"stream {self.stream}: {self._changed.format(now=now, before=before)}; start anew")
+        self._channels = channels
+        return channels
 
     def _watch(self, inlet: Inlet, arrived: int) -> None:
         """Note that nothing arrives any more, and that it does again."""
@@ -533,7 +511,7 @@ class _LslSource(ABC):
             self._note(f"gives nothing since {silence:.1f} s; it goes on as soon as samples come")
 
     def _find_again(self) -> None:
-        self._found = find_again(self.stream, lambda: self._finished)
+        self._found = find_again(self.stream, lambda: self.finished)
 
     def _found_again(self) -> Inlet | None:
         """Return the new connection to a lost stream, once there is one that can be used."""
@@ -541,7 +519,7 @@ class _LslSource(ABC):
         if inlet is None:
             return None
         try:
-            self._understand(inlet)
+            self._understood(inlet)
         except SourceError as error:
             self._note(f"came back, but cannot be used: {error}")
             self.close()
@@ -553,88 +531,27 @@ class _LslSource(ABC):
         if sentence:
             self._notices.append(f"{self.name}: {sentence}")
 
-    def notices(self) -> list[str]:
-        """Return sentences since the last call about losses, returns and jumps of the clock."""
-        notices, self._notices = self._notices, []
-        return notices
 
-    def close(self) -> None:
-        """Stop; may be called twice."""
-        self._finished = True
-        if self._search is not None:
-            self._search.join()
-        for inlet in (self._inlet, self._found):
-            if inlet is not None:
-                inlet.close()
-        self._inlet = self._found = None
+class LslImuSource(LslSource):
+    """Inertial sensors of one LSL stream; its channels are labelled as in `rtof_kin.formats.channels`.
 
-
-class LslImuSource(_LslSource):
-    """Inertial sensors of one LSL stream; its channels are labelled as in `rtof_kin.formats.channels`."""
+    Args:
+        timeout_s: s that it has to answer.
+        declared: fields of `rtof_kin.data.imu_declaration.Declaration` that replace what it states.
+    """
 
     def __init__(self, stream: str, declared: Mapping[str, Any] | None = None, timeout_s: float = 5.0):
-        """Take the name of the stream.
+        def read(inlet: Inlet) -> Channels:
+            return ImuChannels(stream, inlet.labels(), inlet.texts("unit"), inlet.texts("type"), declared)
 
-        Args:
-            timeout_s: s that it has to answer.
-            declared: fields of `rtof_kin.data.imu_stream.Declaration` that replace what it states.
-        """
-        super().__init__(stream, timeout_s)
-        self._declared = declared
-        self._channels: ImuChannels | None = None
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the inertial sensors; none before `start`."""
-        return () if self._channels is None else self._channels.sensors
-
-    def _understand(self, inlet: Inlet) -> tuple[str, ...]:
-        labels = _labels(self.stream, inlet)
-        units, types = inlet.texts("unit"), inlet.texts("type")
-        channels = ImuChannels.of(self.stream, labels, units, types, self._declared)
-        if self._channels is not None and channels.sensors != self._channels.sensors:
-            raise SourceError(
-                f"stream {self.stream}: has the sensors {', '.join(channels.sensors)} and had "
-                f"{', '.join(self._channels.sensors)}; start anew"
-            )
-        self._channels = channels
-        return channels.notes
-
-    def _samples(self, times: Array, values: Array) -> list[Sample]:
-        return [] if self._channels is None else [*self._channels.samples(times, values)]
+        super().__init__(stream, timeout_s, read, "has the sensors {now} and had {before}")
 
 
-class LslFrameSource(_LslSource):
+class LslFrameSource(LslSource):
     """Points detected in a video: one LSL stream of channels ``<landmark>_x``, ``_y``, ``_confidence``."""
 
     def __init__(self, stream: str, timeout_s: float = 5.0):
-        """Take the name of the stream. `timeout_s`: s that it has to answer."""
-        super().__init__(stream, timeout_s)
-        self._channels: FrameChannels | None = None
+        def read(inlet: Inlet) -> Channels:
+            return FrameChannels(stream, inlet.labels(), inlet.texts("unit"))
 
-    @property
-    def landmarks(self) -> tuple[str, ...]:
-        """Names of the points; none before `start`."""
-        return () if self._channels is None else self._channels.landmarks
-
-    def _understand(self, inlet: Inlet) -> tuple[str, ...]:
-        channels = FrameChannels.of(self.stream, _labels(self.stream, inlet), inlet.texts("unit"))
-        if self._channels is not None and channels.landmarks != self._channels.landmarks:
-            raise SourceError(f"stream {self.stream}: has other points than before; start anew")
-        self._channels = channels
-        return ()
-
-    def _samples(self, times: Array, values: Array) -> list[Sample]:
-        return [] if self._channels is None else [*self._channels.samples(times, values)]
-
-
-def _labels(stream: str, inlet: Inlet) -> list[str]:
-    """Return the labels of all channels; raises SourceError where some have none."""
-    labels = inlet.texts("label")
-    if len(labels) != inlet.count or not all(labels):
-        named = sum(map(bool, labels))
-        raise SourceError(
-            f"stream {stream}: has {inlet.count} channels and labels of {named}; label every channel in the "
-            "metadata, <channels><channel><label>"
-        )
-    return labels
+        super().__init__(stream, timeout_s, read, "has other points than before")

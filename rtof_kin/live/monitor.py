@@ -152,7 +152,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class StreamCounts:
+class StreamSummary:
     """Samples of one stream in the whole session."""
 
     received: int
@@ -163,6 +163,10 @@ class StreamCounts:
     """More than 15 ms older than the newest one of any stream before."""
     repeated: int
     """That came while the stream was frozen."""
+    too_late: int = 0
+    """That came too late for the estimate."""
+    left_out: int = 0
+    """Not used for their numbers, because they repeated, or for their time."""
 
 
 class _Stream:
@@ -378,10 +382,10 @@ class Monitor:
             **figures,
         }
 
-    def counts(self) -> dict[str, StreamCounts]:
+    def counts(self) -> dict[str, StreamSummary]:
         """Return the samples of each stream so far."""
         return {
-            s.name: StreamCounts(s.received, round(s.lost_so_far), s.late, s.repeated) for s in self._streams.values()
+            s.name: StreamSummary(s.received, round(s.lost_so_far), s.late, s.repeated) for s in self._streams.values()
         }
 
     def _change(

@@ -30,8 +30,8 @@ class RenamedSensors:
     def __init__(self, source: Source, names: Mapping[str, str]):
         self._source, self._names = source, dict(names)
         self._known: dict[str, str] = {}
-        self.name = source.name
-        """Of the source."""
+        self.name, self.clock = source.name, source.clock
+        self.start, self.notices, self.close = source.start, source.notices, source.close
 
     @classmethod
     def of_file(cls, source: Source, path: str | Path, setup: Recording) -> Self:
@@ -61,11 +61,6 @@ class RenamedSensors:
         return cls(source, names)
 
     @property
-    def clock(self) -> Clock:
-        """Clock of the time stamps."""
-        return self._source.clock
-
-    @property
     def sensors(self) -> tuple[str, ...]:
         """Names of the sensors seen so far, as in the calibration."""
         return tuple(map(self._renamed, self._source.sensors))
@@ -80,28 +75,12 @@ class RenamedSensors:
         """Whether no further sample will come."""
         return self._source.finished
 
-    def start(self) -> None:
-        """Begin to collect.
-
-        Raises:
-            SourceError: as the source does.
-        """
-        self._source.start()
-
     def poll(self) -> list[Sample]:
         """Return what has arrived since the last call, renamed."""
         return [
             replace(sample, sensor=self._renamed(sample.sensor)) if isinstance(sample, ImuSample) else sample
             for sample in self._source.poll()
         ]
-
-    def notices(self) -> list[str]:
-        """Return what the source says, with its own names."""
-        return self._source.notices()
-
-    def close(self) -> None:
-        """Stop the source."""
-        self._source.close()
 
     def _renamed(self, sensor: str) -> str:
         if sensor not in self._known:

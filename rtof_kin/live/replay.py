@@ -56,11 +56,6 @@ class ReplayClock:
         self._lock = threading.Lock()
 
     @property
-    def speed(self) -> float:
-        """Times real time."""
-        return self._speed
-
-    @property
     def paced(self) -> bool:
         """Whether time passes by itself; else by polls."""
         return bool(np.isfinite(self._speed))
@@ -194,8 +189,12 @@ class RecordingReplay:
         names = [stream.name for stream in streams] + ([VIDEO] if keypoints is not None else [])
         if unknown := [who for who, _, _ in faults.dead if who not in names]:
             raise UnknownNameError("sensor of the faults", unknown, names)
-        self._name, self._clock, self._replay = name, clock, replay or ReplayClock()
+        self.name, self.clock, self._replay = name, clock, replay or ReplayClock()
         self._streams, self._frames = tuple(streams), keypoints
+        self.sensors = tuple(stream.name for stream in streams)
+        """Names of the sensors."""
+        self.landmarks: tuple[str, ...] = () if keypoints is None else keypoints.names
+        """Names of the points of a frame."""
         self._faults, self._notices = faults, list[str]()
         self._arrival, self._stream, self._row = self._arrivals(names)
         self._next = 0
@@ -319,26 +318,6 @@ class RecordingReplay:
         return stream.times, np.asarray(here)
 
     @property
-    def name(self) -> str:
-        """Name of the recording or of the file."""
-        return self._name
-
-    @property
-    def clock(self) -> Clock:
-        """Clock of the stamps."""
-        return self._clock
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors."""
-        return tuple(stream.name for stream in self._streams)
-
-    @property
-    def landmarks(self) -> tuple[str, ...]:
-        """Names of the points of a frame."""
-        return () if self._frames is None else self._frames.names
-
-    @property
     def finished(self) -> bool:
         """Whether every sample was polled."""
         return self._closed or self._next == len(self._arrival)
@@ -351,7 +330,7 @@ class RecordingReplay:
         """
         times = [self._times(s)[0] for s in range(len(self._streams) + (self._frames is not None))]
         self._closed = False
-        self._replay.cover(self._name, min(t[0] for t in times), max(t[-1] for t in times))
+        self._replay.cover(self.name, min(t[0] for t in times), max(t[-1] for t in times))
 
     def poll(self) -> list[Sample]:
         """Return the samples that arrived up to the shared clock's time."""
@@ -364,19 +343,16 @@ class RecordingReplay:
     def _sample(self, i: int) -> Sample:
         s, row = int(self._stream[i]), int(self._row[i])
         if s == len(self._streams):
-            return self._frame(row)
+            frames, faults = self._frames, self._faults
+            assert frames is not None
+            time = float(frames.times[row])
+            if faults.frozen is not None and faults.frozen[0] <= time < faults.frozen[1]:
+                row = max(int(np.searchsorted(frames.times, faults.frozen[0])) - 1, 0)
+            return FrameSample(time + faults.video_delay_s, frames.uv_px[row], frames.confidence[row])
         stream = self._streams[s]
         assert stream.R_inertial_sensor is not None
         f = np.full(3, np.nan) if stream.f_sensor is None else stream.f_sensor[row]
         return ImuSample(stream.name, float(stream.times[row]), stream.R_inertial_sensor[row], f)
-
-    def _frame(self, row: int) -> FrameSample:
-        frames, faults = self._frames, self._faults
-        assert frames is not None
-        time = float(frames.times[row])
-        if faults.frozen is not None and faults.frozen[0] <= time < faults.frozen[1]:
-            row = max(int(np.searchsorted(frames.times, faults.frozen[0])) - 1, 0)
-        return FrameSample(time + faults.video_delay_s, frames.uv_px[row], frames.confidence[row])
 
     def notices(self) -> list[str]:
         """Return remarks on the file, once."""

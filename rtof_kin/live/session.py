@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from rtof_kin.core.checks import checked_names
 from rtof_kin.core.errors import RtofError
 from rtof_kin.live.clock_map import VIDEO, Arrived, SessionClock, stream_of, with_time
 from rtof_kin.live.feed import Feed, SinkGroup
-from rtof_kin.live.monitor import Monitor, State
+from rtof_kin.live.monitor import Monitor, State, StreamSummary
 from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
 from rtof_kin.live.stream_checks import (
@@ -30,22 +30,6 @@ from rtof_kin.live.stream_checks import (
     unknown_sensors,
 )
 from rtof_kin.recording.recording import Recording
-
-
-@dataclass(frozen=True)
-class StreamSummary:
-    """Samples of one stream in the whole session."""
-
-    received: int
-    """With a usable time."""
-    lost: int
-    """That did not come, by the stream's own rate."""
-    late: int
-    """That came after newer ones of other streams."""
-    too_late: int
-    """That came too late for the estimate."""
-    left_out: int
-    """Not used for their numbers, because they repeated, or for their time."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +144,8 @@ class LiveSession:
         known = setup.calibration.sensors if setup.calibration is not None else ()
         self.monitor = Monitor(known, patience_s=patience_s)
         """State of all streams."""
+        self.status = self.monitor.status
+        """See `Monitor.status`."""
         self._patience, self._video_delay = patience_s, video_delay_s
         self._first = FirstSeconds()
         self._checker = ThreadPoolExecutor(1, "checks") if in_background else None
@@ -410,10 +396,6 @@ class LiveSession:
         """What was told so far, with the time; at most 1000."""
         return tuple(self._sentences)
 
-    def status(self) -> dict[str, Any]:
-        """Return the state of all streams and the figures of the estimate; see `Monitor.status`."""
-        return self.monitor.status()
-
     def finish(self, arrival: float) -> SessionSummary:
         """Stop everything, make the recording and return what happened; may be called twice.
 
@@ -449,13 +431,7 @@ class LiveSession:
 
     def _summed(self, seconds: float, folder: Path | None) -> SessionSummary:
         streams = {
-            name: StreamSummary(
-                count.received,
-                count.lost,
-                count.late,
-                self._estimator.dropped.get(name, 0),
-                self._left_out.get(name, 0),
-            )
+            name: replace(count, too_late=self._estimator.dropped.get(name, 0), left_out=self._left_out.get(name, 0))
             for name, count in self.monitor.counts().items()
         }
         p50, p99 = (1000 * self._times.percentile(percent) for percent in (50, 99))

@@ -246,27 +246,15 @@ class VideoSource:
         self._source, self._detector, self._camera_px, self._layout = source, detector, camera_px, layout
         self.live = is_webcam(source)
         """Whether it is a webcam."""
-        self._replay, self._clock, self._now = replay or ReplayClock(), clock, now
+        self.name = f"camera {source}" if self.live else Path(str(source)).name
+        """Name of the file, or number of the webcam."""
+        self.sensors: tuple[str, ...] = ()
+        self._replay, self.clock, self._now = replay or ReplayClock(), clock, now
         self._run: Examination | None = None
         self._closed = False
         self._tell_dropped, self._tell_late = _FIRST_TOLD, _SLOW
 
     # --- what it says of itself --------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """Name of the file, or number of the webcam."""
-        return f"camera {self._source}" if self.live else Path(str(self._source)).name
-
-    @property
-    def clock(self) -> Clock:
-        """Clock of the time stamps."""
-        return self._clock
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """None."""
-        return ()
 
     @property
     def landmarks(self) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ Each WebSocket message is one JSON text, told apart by its keys:
 
 ============ ========================================================================================
 ``skeleton`` first, once: `JointStates.description`, and ``floor_m``, height of the floor or null
-``header``   an estimate, see `joint_state`
+``header``   an estimate, see `JointStates`
 ``status``   states of the streams, see `Monitor.status`
 ``message``  a sentence
 ============ ========================================================================================
@@ -54,7 +54,24 @@ _DIGITS: Final = 5
 
 
 class JointStates:
-    """Messages of successive estimates of one skeleton."""
+    """Messages of successive estimates of one skeleton, in the shape of ROS messages, for JSON.
+
+    A message is a ``sensor_msgs/JointState`` with more keys, so that a reader of joint states needs no other:
+
+    ========== ==========================================================================================
+    header     time of the pose on the clock of the sensors, and the frame, ``world``
+    name       revolutes of the URDF
+    position   their angles, rad, each on the turn nearest to the middle of its limits
+    velocity   rad/s, from the message before; empty for the first one and after an interruption
+    effort     empty
+    root       ``geometry_msgs/TransformStamped`` of the root link in world; its transform is null if unknown
+    joints     ``position`` in world, m (null if missing), ``valid`` and ``provenance``, of each joint
+    lag_s      age of the pose when it was estimated
+    frame_s    time that the estimate took
+    ========== ==========================================================================================
+
+    As ROS asks, `position` is empty where the configuration is unknown.
+    """
 
     def __init__(self, skeleton: SkeletonModel):
         self._skeleton = skeleton
@@ -88,7 +105,7 @@ class JointStates:
         }
 
     def message(self, estimate: OnlineEstimate) -> Data:
-        """Return the message of an estimate, see the module.
+        """Return the message of an estimate.
 
         Raises:
             UnknownNameError, InvalidInputError: its joints are not those of the skeleton.

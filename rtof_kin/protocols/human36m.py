@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from rtof_kin.body.metrics import evaluate, motionless
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.checks import indices_of
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.errors import FileFormatError, InvalidInputError, UnknownNameError
@@ -18,17 +17,9 @@ from rtof_kin.core.jobs import JobResult, Outcome
 from rtof_kin.core.resources import lifter_path
 from rtof_kin.datasets.human36m import RATE_HZ, SUBJECTS_TEST, SUBJECTS_TRAIN, Human36M
 from rtof_kin.protocols import published
-from rtof_kin.protocols.measures import (
-    CameraProtocol,
-    Job,
-    curves,
-    figures,
-    plain_settings,
-    reconstructions,
-    save_motion,
-)
-from rtof_kin.protocols.tables import STILL, Table, document_of, pooled, rows_of
-from rtof_kin.reporting.document import Cell, Document
+from rtof_kin.protocols.measures import CameraProtocol, Job, curves, reconstructions, save_motion
+from rtof_kin.protocols.tables import STILL, Table, pooled, rows_of
+from rtof_kin.reporting.document import Cell
 
 CAMERAS = (0, 1, 2, 3)
 _VISION: Final = ("lift", "rto")
@@ -37,6 +28,10 @@ _VISION: Final = ("lift", "rto")
 @dataclass(frozen=True)
 class Human36MProtocol(CameraProtocol):
     """Settings of the measurements."""
+
+    title = "Human3.6M"
+    rate_hz = RATE_HZ
+    skeleton = "human36m"
 
     root: Path
     """Folder of the archives."""
@@ -69,10 +64,6 @@ class Human36MProtocol(CameraProtocol):
         except FileFormatError as error:
             problem = "no such file; train a lifter of 17 joints with: rtof-kin train --human36m DIR"
             raise FileFormatError(self.lifter, problem) from error
-
-    def settings(self) -> dict[str, Any]:
-        """Return everything that the results depend on, as plain values."""
-        return {"dataset": str(self.root.resolve())} | plain_settings(self, "root", "save")
 
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key.
@@ -117,13 +108,9 @@ class Human36MProtocol(CameraProtocol):
         notes = [recording.notes] if recording.notes else []
         return JobResult(facts | {"failed_checks": [], "notes": notes}, curves(recording, results, "RKnee"))
 
-    def document(self, outcome: Outcome) -> Document:
-        """Return the tables, with figures of two actions."""
-        headline = f"Human3.6M: {len(outcome.done)} recordings measured"
-        headline += f", {len(outcome.failed)} FAILED." if outcome.failed else "."
-        facts = {"settings": self.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
-        drawn = figures(outcome, SkeletonModel.human36m().table, RATE_HZ)
-        return document_of("Human3.6M", headline, all_tables(self, outcome), facts, drawn)
+    def tables(self, outcome: Outcome) -> list[Table]:
+        """See `CameraProtocol.tables`."""
+        return all_tables(self, outcome)
 
 
 @lru_cache(maxsize=1)

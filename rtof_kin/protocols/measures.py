@@ -7,22 +7,24 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
 import rtof_kin
 from rtof_kin.body.motion_file import write_motion
+from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.body.skeleton_table import SkeletonTable
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.choices import CAMERA_MODES
 from rtof_kin.core.jobs import JobResult, Outcome, Progress, open_runs, run_jobs
 from rtof_kin.core.resources import lifter_path
+from rtof_kin.protocols.tables import NAME, Table, rows_of
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.reporting.document import Figure
+from rtof_kin.reporting.document import Document, Figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Plot
@@ -35,12 +37,17 @@ _SNAPSHOTS: Final = 5
 class CameraProtocol(ABC):
     """Settings of a protocol whose jobs are takes seen by a camera: dataclasses with ``modes`` and ``save``."""
 
+    title: ClassVar[str]
+    rate_hz: ClassVar[float]
+    skeleton: ClassVar[str]
+    """Name of its table."""
+    root: Path
     modes: tuple[str, ...]
     save: Path | None
 
     @abstractmethod
-    def settings(self) -> dict[str, Any]:
-        """Return everything that the results depend on, as plain values."""
+    def tables(self, outcome: Outcome) -> list[Table]:
+        """Return all tables of which something was measured."""
 
     @abstractmethod
     def jobs(self) -> dict[str, Job]:
@@ -49,6 +56,25 @@ class CameraProtocol(ABC):
     @abstractmethod
     def measure(self, job: Job) -> JobResult:
         """Run one job."""
+
+    def settings(self) -> dict[str, Any]:
+        """Return everything that the results depend on, as plain values."""
+        return {"dataset": str(self.root.resolve())} | plain_settings(self, "root", "save")
+
+    def document(self, outcome: Outcome) -> Document:
+        """Return the tables, with figures of two takes."""
+        measured = sum(facts["camera"] is not None for facts in outcome.done.values())
+        failed = f", {len(outcome.failed)} FAILED" if outcome.failed else ""
+        tables = self.tables(outcome)
+        facts = {"settings": self.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
+        return Document(
+            NAME,
+            self.title,
+            f"{self.title}: {measured} recordings measured{failed}.",
+            printed=tables,
+            figures=figures(outcome, SkeletonModel.named(self.skeleton).table, self.rate_hz),
+            facts=facts | {"tables": {table.name: table.as_dict() for table in tables}},
+        )
 
     def run(
         self, folder: Path, *, overwrite: bool = False, workers: int | None = None, progress: Progress | None = None

@@ -13,7 +13,7 @@ from rtof_kin.core.files.folder import check_new_file
 from rtof_kin.core.files.text import write_text
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.reporting import document
-from rtof_kin.reporting.document import Cell, Document, Figure
+from rtof_kin.reporting.document import Cell, Document
 
 NAME: Final = "tables"
 """Of the document: its files are ``tables.json`` and ``tables.md``."""
@@ -22,6 +22,9 @@ NAME: Final = "tables"
 STILL, LOW_PASSED = "no motion", "truth low-passed at 6 Hz"
 """Names of the rows that calibrate errors of acceleration and jerk."""
 CALIBRATION: Final = frozenset((STILL, LOW_PASSED))
+
+
+_LONG: Final = 30
 
 
 class Table(document.Table):
@@ -39,7 +42,9 @@ class Table(document.Table):
         rows: Sequence[Sequence[Cell]],
         notes: Sequence[str] = (),
     ) -> None:
-        super().__init__(tuple(columns), tuple(rows), title, tuple(notes), tuple(digits), kind="errors")
+        short = all(len(cell) < _LONG for row in rows for cell in row if isinstance(cell, str))
+        kind = "errors" if short else ""  # words of short cells stay in one line
+        super().__init__(tuple(columns), tuple(rows), title, tuple(notes), tuple(digits), kind)
         object.__setattr__(self, "name", name)
 
     def text(self, missing: str = "-") -> list[list[Any]]:
@@ -50,14 +55,6 @@ class Table(document.Table):
         """Return plain values for JSON; figures unrounded."""
         rows = [[None if isinstance(c, float) and not np.isfinite(c) else c for c in row] for row in self.rows]
         return {"title": self.title, "columns": self.columns, "rows": rows, "notes": self.notes}
-
-
-def document_of(
-    title: str, headline: str, tables: Sequence[Table], facts: Mapping[str, Any], figures: Sequence[Figure] = ()
-) -> Document:
-    """Return the document of a protocol: its tables are printed, and in the JSON."""
-    facts = dict(facts) | {"tables": {table.name: table.as_dict() for table in tables}}
-    return Document(NAME, title, headline, printed=tables, figures=figures, facts=facts)
 
 
 def write_results(found: Document, folder: Path, json_file: Path | None = None, overwrite: bool = False) -> list[Path]:

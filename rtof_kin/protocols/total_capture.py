@@ -38,20 +38,12 @@ from rtof_kin.datasets.total_capture import (
 )
 from rtof_kin.datasets.total_capture_files import read_detections
 from rtof_kin.protocols import published
-from rtof_kin.protocols.measures import (
-    CameraProtocol,
-    Job,
-    curves,
-    figures,
-    plain_settings,
-    reconstructions,
-    save_motion,
-)
-from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, document_of, pooled, rows_of
+from rtof_kin.protocols.measures import CameraProtocol, Job, curves, reconstructions, save_motion
+from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled, rows_of
 from rtof_kin.reconstruction.result import Reconstruction
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.tables import RECOGNISE
-from rtof_kin.reporting.document import Cell, Document
+from rtof_kin.reporting.document import Cell
 from rtof_kin.simulation.simulate import LIMB_SENSORS
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.settings import CartesianSettings
@@ -81,6 +73,10 @@ _KNEE: Final = "RightLeg"
 @dataclass(frozen=True)
 class TotalCaptureProtocol(CameraProtocol):
     """Settings of the measurements."""
+
+    title = "Total Capture"
+    rate_hz = 60.0
+    skeleton = "total_capture"
 
     root: Path
     """Folder of the dataset."""
@@ -146,10 +142,6 @@ class TotalCaptureProtocol(CameraProtocol):
             if self.keypoints is None:
                 raise InvalidInputError("layout is that of a detector's points; name their folder as keypoints")
 
-    def settings(self) -> dict[str, Any]:
-        """Return everything that the results depend on, as plain values."""
-        return {"dataset": str(self.root.resolve())} | plain_settings(self, "root", "save")
-
     def jobs(self) -> dict[str, Job]:
         """Return all jobs by key, take by take."""
         return {
@@ -168,14 +160,9 @@ class TotalCaptureProtocol(CameraProtocol):
         take = _take(self.root, job.subject, job.take)
         return _reference(take) if job.camera is None else _seen_by(self, take, job, job.camera)
 
-    def document(self, outcome: Outcome) -> Document:
-        """Return the tables, with figures of two takes."""
-        measured = sum(facts["camera"] is not None for facts in outcome.done.values())
-        headline = f"Total Capture, {self.space} space: {measured} recordings measured"
-        headline += f", {len(outcome.failed)} FAILED." if outcome.failed else "."
-        facts = {"settings": self.settings(), "rows": list(rows_of(outcome)), "failed": outcome.failed}
-        drawn = figures(outcome, SkeletonModel.default().table, 60.0)
-        return document_of("Total Capture", headline, all_tables(self, outcome), facts, drawn)
+    def tables(self, outcome: Outcome) -> list[Table]:
+        """See `CameraProtocol.tables`."""
+        return all_tables(self, outcome)
 
     def pairs(self) -> list[tuple[str, str]]:
         """Return subject and name of every take."""

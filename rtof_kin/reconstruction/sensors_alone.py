@@ -1,7 +1,7 @@
 """Mode ``imu``: a motion from inertial sensors alone, by the same energy and solver as the other modes.
 
 Calibrated sensors -> poses frame by frame (`inertial.initial_poses`) -> foot contacts -> root path
-(`inertial.root_path`) -> footholds -> `FragmentSolver` without keypoints. Heading and position are those of
+(`inertial.root_path`) -> contact_points -> `FragmentSolver` without keypoints. Heading and position are those of
 the calibration and the first frame; both drift.
 """
 
@@ -26,8 +26,8 @@ from rtof_kin.inertial.root_path import (
     ContactSettings,
     RootPath,
     RootPathSettings,
+    contact_points,
     detect_contacts,
-    footholds,
     root_path,
 )
 from rtof_kin.recording.recording import Recording
@@ -100,8 +100,8 @@ def reconstruct_from_sensors(
     path = root_path(start, bone_imus, contacts, skeleton, ankle_height, settings.path)
     start = _on_path(start, path, contacts, skeleton)
     ankles = start.p_world_joint[:, skeleton.index(*contacts.joints)]
-    stand = footholds(contacts, ankles, ankle_height)
-    solver = replace(solver, floor_height=None)  # the footholds contain it
+    stand = contact_points(contacts, ankles, ankle_height)
+    solver = replace(solver, floor_height=None)  # the contact points contain it
     solution = FragmentSolver(skeleton, frames, solver, (*bone_imus.joints, *sensor_joints)).solve(
         start, None, bone_imus, progress, stand
     )

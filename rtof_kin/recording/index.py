@@ -6,10 +6,11 @@ The format is described in docs/recording.md.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
+from datetime import date
 from functools import cache
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -22,9 +23,59 @@ from rtof_kin.core.files.text import load_toml
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.recording.cameras import filmed_stream
 from rtof_kin.recording.sensor_files import imu_stream
-from rtof_kin.recording.session import Session
 from rtof_kin.recording.streams import Source, Stream, Streams, data_path, naming, needed
-from rtof_kin.recording.tables import BodyTable, PostureTable, RecordingTable, TruthTable
+from rtof_kin.recording.tables import BodyTable, RecordingTable, TruthTable
+
+
+@dataclass(frozen=True)
+class Session:
+    """Labels of one session; '' where unknown."""
+
+    subject: str = ""
+    """Name or code of the person recorded."""
+    operator: str = ""
+    """Person who made the recording."""
+    date: str = ""
+    """Day of the recording, as 2026-01-31."""
+    place: str = ""
+    """Place of the recording."""
+    protocol: str = ""
+    """Task of the subject."""
+
+    def __post_init__(self) -> None:
+        if not self.date:
+            return
+        try:
+            date.fromisoformat(self.date)
+        except ValueError as error:
+            raise InvalidInputError(
+                f"session date: {self.date!r} is not a day; write year, month and day, as 2026-01-31"
+            ) from error
+
+    @classmethod
+    def of(cls, labels: Mapping[str, Any]) -> Self:
+        """Make the labels from plain data.
+
+        Args:
+            labels: text by field; missing fields are unknown.
+
+        Raises:
+            InvalidInputError: a label is not text, or the date not a day.
+        """
+        known = {field.name: labels.get(field.name, "") for field in fields(cls)}
+        for name, text in known.items():
+            if not isinstance(text, str):
+                raise InvalidInputError(f"session {name}: {str(text)[:40]!r} is not text")
+        return cls(**known)
+
+    def plain(self) -> dict[str, str]:
+        """Return the known labels by field."""
+        return {name: text for name, text in asdict(self).items() if text}
+
+    def updated(self, other: Session) -> Session:
+        """Return these labels, replaced by those of another session where it has them."""
+        return Session.of(self.plain() | other.plain())
+
 
 INDEX: Final = "recording.toml"
 UNFINISHED: Final = PurePath("live", "setup")
@@ -101,7 +152,9 @@ def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], S
         sensors, calibration = imu_stream(index.imus, body, source)
         imus = None if sensors is None else source.checked(sensors)
     if index.posture is not None:
-        posture = _read_posture(index.posture, body.names)
+        _check_joints(index.posture, "quat_wxyz", body.names)
+        quats = index.posture.quat_wxyz
+        posture = NeutralPosture(tuple(quats), np.array([*quats.values()]).reshape(-1, 4))
     if index.truth is not None:
         truth = source.checked(_truth_stream(index.truth, body, source))
     try:
@@ -141,13 +194,6 @@ def body_of(
     elif not np.array_equal(joint_offsets, skeleton.joint_offsets):
         skeleton = known_body(skeleton_table, np.asarray(joint_offsets, dtype=float).tobytes())
     return skeleton.with_mass(mass_kg, sex)
-
-
-def _read_posture(table: PostureTable, joints: tuple[str, ...]) -> NeutralPosture:
-    """Return the quaternions of ``[posture.quat_wxyz]`` by joint."""
-    _check_joints(table, "quat_wxyz", joints)
-    quats = table.quat_wxyz
-    return NeutralPosture(tuple(quats), np.array([*quats.values()]).reshape(-1, 4))
 
 
 def _check_joints(table: InputTable, field: str, joints: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""`Recording`: one take of one person, seen by cameras, by IMUs or by both, and its folder.
+"""`Recording`: one take of one person, seen by cameras, by IMUs or by both; `RecordingReader`: spans of its folder.
 
 The folder's format, ``recording.toml`` and the arrays that it names, is described in docs/recording.md.
 """
@@ -9,9 +9,11 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -22,7 +24,7 @@ from rtof_kin.body.pose_prior import NeutralPosture, PosePrior
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import readonly
-from rtof_kin.core.errors import CalibrationError, InvalidInputError, UnknownNameError
+from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError, UnknownNameError
 from rtof_kin.core.files.arrays import write_npz
 from rtof_kin.core.files.folder import new_folder
 from rtof_kin.data.imu import BoneImuSequence, ImuCalibration, ImuSequence
@@ -31,10 +33,19 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.formats.camera_motion import VIDEO_CONSTANTS
 from rtof_kin.formats.imu_calibration_toml import calibration_table
 from rtof_kin.recording.cameras import camera_and_keypoints, keypoint_file, keypoint_file_arrays
-from rtof_kin.recording.index import INDEX, SCHEMA_VERSION, SKELETONS, TRUTH, body_of, index_of, read_index, shipped
+from rtof_kin.recording.index import (
+    INDEX,
+    SCHEMA_VERSION,
+    SKELETONS,
+    TRUTH,
+    Session,
+    body_of,
+    index_of,
+    read_index,
+    shipped,
+)
 from rtof_kin.recording.sensor_files import IMUS, imu_arrays
-from rtof_kin.recording.session import Session
-from rtof_kin.recording.streams import ALL, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
+from rtof_kin.recording.streams import ALL, OnDisk, Part, RecordingSource, Source, Stream, Streams, naming, rows_between
 from rtof_kin.vision.layouts import is_detector_point
 
 _TRUTH: Final = "truth.npz"
@@ -344,3 +355,78 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
                 continue
             digests[name].update(array.tobytes())
     return [f"{kind} {name} {digest.hexdigest()}" for name, digest in sorted(digests.items())]
+
+
+class RecordingReader(RecordingSource):
+    """A recording's folder of which spans of time are read when they are asked for.
+
+    It is checked as a whole when it is opened, by blocks, and kept in temporary files.
+    """
+
+    def __init__(self, first: Recording, streams: Streams, closing: ExitStack):
+        """Take a recording with everything but its samples, these, and what closes the files; see `open`."""
+        self._first, self._streams, self._closing = first, streams, closing
+        self.name = first.name
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """Open a recording's folder; to be closed after use.
+
+        Args:
+            folder: that has a file ``recording.toml``.
+
+        Raises:
+            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
+        """
+        try:
+            return cls._opened(Path(folder))
+        except RtofError:
+            Recording.load(folder)  # its error counts samples from the start of the whole
+            raise
+
+    @classmethod
+    def _opened(cls, folder: Path) -> Self:
+        index = index_of(folder)
+        with ExitStack() as closing, naming(index.path):
+            fields, streams = read_index(index, OnDisk(closing))
+            parts = streams.parts(lambda stream: stream.part(slice(0, 1)))
+            recording = Recording(**fields, **parts, is_part=True)
+            streams.check_clocks()
+            return cls(recording, streams, closing.pop_all())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files and remove the temporary ones."""
+        self._closing.close()
+
+    @property
+    def streams(self) -> Streams:
+        """All that changes over time."""
+        return self._streams
+
+    def between(self, start_s: float, stop_s: float) -> Recording:
+        """Return what was recorded in a closed interval, as `Recording.between` of the whole does.
+
+        Args:
+            start_s, stop_s: first and last instant, s.
+
+        Raises:
+            InvalidInputError: neither a camera nor a sensor has a sample in it.
+            FileFormatError: the files have changed or cannot be read any more.
+        """
+        return self._first.cut(self._streams, start_s, stop_s)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that is computed from, as `Recording.digest` of the whole does."""
+        return recording_digest(self._first.index(), self._streams)
+
+    def whole(self) -> Recording:
+        """Return all of it, as `Recording.load` does."""
+        return replace(self.between(-np.inf, np.inf), is_part=False)

@@ -434,7 +434,7 @@ def _degrees(radians: float) -> float | None:
 # --- figures -------------------------------------------------------------------------------------
 
 MOST_DRAWN: Final = 10_000
-"""Largest number of samples of a curve; a picture has fewer columns of pixels."""
+"""Largest number of samples of a curve; an image has fewer columns of pixels."""
 SHOWN: Final = (
     "pelvis_tilt",
     "pelvis_list",

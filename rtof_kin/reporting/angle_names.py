@@ -34,7 +34,7 @@ MAIN: Final = frozenset(
         "elbow flexion",
     }
 )
-"""Angles that a narrow screen shows without being asked, without their side."""
+"""Angles that a narrow screen shows at first, without their side."""
 SECOND_SHOULDER: Final = "shoulder_xzy_"
 """Begins the names of the shoulder angles in the sequence for hanging arms, after their side."""
 

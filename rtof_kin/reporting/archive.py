@@ -26,9 +26,8 @@ from rtof_kin.core.files.manifest import file_digest
 from rtof_kin.core.files.text import load_json
 from rtof_kin.core.resources import LIFTERS, model_path
 from rtof_kin.formats.measurements_file import measurements_path
-from rtof_kin.recording.index import INDEX
+from rtof_kin.recording.index import INDEX, Session
 from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.session import Session
 
 SUMS: Final = "SHA256SUMS"
 LEFT_OUT: Final = "[left out]"

@@ -113,7 +113,7 @@ def document(
     """Return a comparison as a document.
 
     Args:
-        why: of the choice of the axis; '' if it was asked for. mapped: its SPM.
+        why: of the choice of the axis; '' if it was given. mapped: its SPM.
         all_printed: whether the terminal shows all angles.
     """
     headline, *others = _opening(found, why)
@@ -210,7 +210,7 @@ def _opening(found: Comparison, why: str) -> list[str]:
     """Return the first lines: identity, what against what, the axis, and the changes.
 
     Args:
-        why: of the choice of the axis; '' if it was asked for.
+        why: of the choice of the axis; '' if it was given.
     """
     lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
     if _same_values(found) and not lines:

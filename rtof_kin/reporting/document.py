@@ -51,7 +51,7 @@ _NUMBER: Final = re.compile(r"[-+<>= (]*[\d.]|$")
 
 
 class Badge(str):
-    """A text with a grade, told apart by colour, sign and word."""
+    """A text with a grade, shown by colour, sign and word."""
 
     grade: str
     """'pass', 'warn', 'fail', 'not-checked', ..., as in the style sheet."""

@@ -152,11 +152,11 @@ def find_people(folder: str | Path, from_standing: bool = False) -> FoundPeople:
     recordings: dict[str, list[str]] = {}
     left_out: dict[str, str] = {}
     skeletons = []
-    for place in _places(folder):
-        name = place.relative_to(folder).as_posix() if place != folder else folder.resolve().name
+    for path in _folders(folder):
+        name = path.relative_to(folder).as_posix() if path != folder else folder.resolve().name
         try:
-            person = _person(place, name)
-            cycles, skeleton = read_cycles(place, from_standing)
+            person = _person(path, name)
+            cycles, skeleton = read_cycles(path, from_standing)
         except RtofError as error:
             left_out[name] = str(error)
             continue
@@ -174,25 +174,25 @@ def find_people(folder: str | Path, from_standing: bool = False) -> FoundPeople:
     return FoundPeople(people, recordings, left_out, tuple(dict.fromkeys(skeletons)))
 
 
-def _places(folder: Path) -> Iterator[Path]:
+def _folders(folder: Path) -> Iterator[Path]:
     """Folders with a motion, and those with an analysis alone; hidden ones are not searched."""
-    for place, inner, files in os.walk(folder):
+    for path, inner, files in os.walk(folder):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
-        if file_in(Path(place)) or (_ANALYSED in files and not file_in(Path(place).parent)):
-            yield Path(place)
+        if file_in(Path(path)) or (_ANALYSED in files and not file_in(Path(path).parent)):
+            yield Path(path)
 
 
-def _person(place: Path, name: str) -> str:
+def _person(path: Path, name: str) -> str:
     """Code of the person of a motion.
 
     Raises:
         InvalidInputError: there is no motion, or its audit failed.
     """
-    if file_in(place) is None:
+    if file_in(path) is None:
         raise InvalidInputError("an analysis without its motion.h5; name the output of reconstruct or run")
-    if not (path := place / SUMMARY).is_file():
+    if not (path / SUMMARY).is_file():
         return name
-    summary = read_summary(path)
+    summary = read_summary(path / SUMMARY)
     if summary.results:
         verdict = headline(summary.results)
         if verdict.grade is Grade.FAIL:
@@ -366,7 +366,7 @@ def _about_bands(found: ScoredGait) -> list[str]:
 
 
 def _profile_table(found: ScoredGait, bars: bool) -> Table:
-    """Scores of both sides with their bands, and bars if asked for, and the median of the reference's people."""
+    """Scores of both sides with their bands, with bars, and the median of the reference's people."""
     scores = table(found).records()
     largest = max((row["value_deg"] for row in scores if row["value_deg"] is not None), default=1.0)
     rows = []
@@ -489,9 +489,9 @@ def _draw_profile(ax: Any, found: ScoredGait) -> None:
         ends = np.degrees([[bar.value - bar.low, bar.half_width] for bar in bars]).T
         ax.bar(x, values, _WIDTH, color=SIDE_COLORS[side], alpha=0.8, label=side)
         ax.errorbar(x, values, yerr=ends, fmt="none", ecolor="0.2", elinewidth=1, capsize=2)
-        for place, value in zip(x, values, strict=True):
+        for column, value in zip(x, values, strict=True):
             if np.isnan(value):
-                ax.text(place, 0, "not observed", rotation=90, fontsize=7, color="0.4", ha="center")
+                ax.text(column, 0, "not observed", rotation=90, fontsize=7, color="0.4", ha="center")
     overall = np.degrees([scores.overall.value, scores.overall.value - scores.overall.low])
     at = len(labels) + 1
     ax.bar(at, overall[0], _WIDTH, color="0.4", label="both")
@@ -500,9 +500,9 @@ def _draw_profile(ax: Any, found: ScoredGait) -> None:
     if found.people is not None:
         sizes = np.degrees(np.concatenate([found.people[0], found.people[1][..., None]], axis=2))
         low, middle, high = np.quantile(sizes.reshape(-1, sizes.shape[-1]), [0, 0.5, 1], axis=0)
-        places = np.arange(len(middle))
-        ax.bar(places, high - low, 0.9, low, color="0.5", alpha=0.25, lw=0, label="reference's people, range")
-        ax.hlines(middle, places - 0.45, places + 0.45, color="0.2", lw=1, ls=":", label="and median")
+        columns = np.arange(len(middle))
+        ax.bar(columns, high - low, 0.9, low, color="0.5", alpha=0.25, lw=0, label="reference's people, range")
+        ax.hlines(middle, columns - 0.45, columns + 0.45, color="0.2", lw=1, ls=":", label="and median")
     ax.set_xticks(range(at + 1), [*labels, "GPS", "GPS\noverall"], fontsize=8)
     ax.set_ylabel("score [deg]", fontsize=8)
     ax.set_ylim(bottom=0)

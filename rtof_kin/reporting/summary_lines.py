@@ -1,4 +1,4 @@
-"""Summary of a report in a few lines: who, what, how good are angles and place, what to be careful about, findings.
+"""Summary of a report in a few lines: who, what, how good are angles and position, what to be careful about, findings.
 
 The lines are plain sentences for a reader who has twenty seconds. They name what was observed and how well,
 and interpret nothing.
@@ -33,7 +33,7 @@ from rtof_kin.clinical.travel import DRIFT
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.poses import Provenance
-from rtof_kin.recording.session import Session
+from rtof_kin.recording.index import Session
 from rtof_kin.reporting.angle_names import SECOND_SHOULDER, label, plain_words
 from rtof_kin.reporting.audit_results import Grade, Headline
 from rtof_kin.reporting.clinical_findings import NO_BANDS, SECOND_PELVIS, WIDEST
@@ -191,9 +191,10 @@ def summary_lines(
     analysis: MotionAnalysis, summary: Summary, overall: Headline, session: Session
 ) -> tuple[SummaryLine, ...]:
     """Return the lines of a report's summary; one on the position in the room where its audit has one."""
+    seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
     return (
         SummaryLine("Who", _who(analysis, summary, session), None),
-        SummaryLine("What", _what(analysis, summary), None),
+        SummaryLine("What", f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}.", None),
         SummaryLine("How good", _how_good(analysis, summary), overall.grade),
         *(
             [SummaryLine("Position in the room", _room_words(overall, analysis.table), overall.room)]
@@ -230,11 +231,6 @@ def _who(analysis: MotionAnalysis, summary: Summary, session: Session) -> str:
     who = ", ".join([session.subject or "Subject not named", *known])
     model = f" (the model is {analysis.paths.skeleton.height:.2f} m tall)" if "height" in missing else ""
     return f"{who}. Not given: {_listed(missing)}{model}." if missing else f"{who}."
-
-
-def _what(analysis: MotionAnalysis, summary: Summary) -> str:
-    seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
-    return f"{_movement(analysis)}. {seconds:.1f} s, from {_sources(analysis, summary)}."
 
 
 def _movement(analysis: MotionAnalysis) -> str:
@@ -325,14 +321,10 @@ def _how_good(analysis: MotionAnalysis, summary: Summary) -> str:
         return f"The accuracy of the angles is not known: {NO_BANDS}. {seen}{reference}"
     best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
     median = float(np.median(list(widths.values())))
-    ends = [f"± {widths[name]:.0f}° ({_joint(name)})" for name in (best, worst)]
+    joints = (re.sub("_[a-z]*flexion$", "", name).replace("_", " ") for name in (best, worst))
+    ends = [f"± {widths[name]:.0f}° ({joint})" for name, joint in zip((best, worst), joints, strict=True)]
     expected = f"Flexion angles are expected to be within ± {median:.0f}° (median 95 % band)"
     return f"{expected}, from {ends[0]} to {ends[1]}. {seen}{reference}"
-
-
-def _joint(angle: str) -> str:
-    """Joint of a flexion angle in words."""
-    return re.sub("_[a-z]*flexion$", "", angle).replace("_", " ")
 
 
 def _careful(analysis: MotionAnalysis, overall: Headline) -> SummaryLine:

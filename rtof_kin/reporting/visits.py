@@ -49,7 +49,7 @@ _SHIFT: Final = 0.012  # of the axis of a figure, between the sides
 
 
 def follow(
-    folder: str | Path,
+    folder: str | Path | Sequence[str | Path],
     *,
     baseline: str = "",
     by: Movement | None = None,
@@ -60,7 +60,8 @@ def follow(
     """Compare the visits of one person, which have a folder each.
 
     Args:
-        folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more.
+        folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more. Or the
+            folders of the visits.
         baseline: visit that the others are compared with; default: the first.
         by, kind, measures: see `follow_up`.
         progress: called with the number of trials read, and of all.
@@ -104,7 +105,14 @@ def document(found: FollowUp, notes: Sequence[str] = (), all_printed: bool = Fal
         printed=_printed(found, all_printed),
         sections=[
             Section("changes", f"Changes from {found.visits[found.baseline].name}", [_NOTE, *_changes(found)]),
-            Section("figures", "Over the visits", [_shown(*one, k) for k, one in enumerate(figures.items())]),
+            Section(
+                "figures",
+                "Over the visits",
+                [
+                    Section("", title[:1].upper() + title[1:], [figure], folded=k >= _OPEN)
+                    for k, (title, figure) in enumerate(figures.items())
+                ],
+            ),
             Section(
                 "errors",
                 "Standard errors of measurement, and minimal detectable changes",
@@ -518,10 +526,6 @@ def _figures(found: FollowUp) -> dict[str, Figure]:
             own = groups[kind]
             out[title] = Figure(f"figures/{kind}", alt, lambda own=own, title=title: trajectories(found, own, title))  # type: ignore[misc]
     return out
-
-
-def _shown(title: str, figure: Figure, place: int) -> Section:
-    return Section("", title[:1].upper() + title[1:], [figure], folded=place >= _OPEN)
 
 
 def trajectories(found: FollowUp, measures: Sequence[Followed], title: str) -> Plot:

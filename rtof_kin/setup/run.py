@@ -26,8 +26,7 @@ from rtof_kin.reconstruction.parts import reconstruct_in_parts
 from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.reader import RecordingReader
-from rtof_kin.recording.recording import Recording
+from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.reporting.analysis import AnalysisSettings, write_analysis
 from rtof_kin.reporting.export import MARKER, export
 from rtof_kin.reporting.page import PAGE, report
@@ -176,7 +175,7 @@ def run(
     task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
     del recording  # a long one is read in parts
     solved = partial(reconstruct_folder, own, task=task, settings=settings, progress=progress)
-    step(MOTION, lambda *made: solved(*made), own, str(task), str(settings))
+    step(MOTION, solved, own, str(task), str(settings))
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),

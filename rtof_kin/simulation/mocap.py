@@ -235,7 +235,11 @@ def read_mocap(
 
     begins = motion(0)
     family = recognise_family(path, begins)
-    rate = _whole(begins.rate_hz) if rate_hz is None else rate_hz
+    rate, whole = begins.rate_hz, float(round(begins.rate_hz))
+    if rate_hz is not None:
+        rate = rate_hz
+    elif abs(rate - whole) < 2e-4 * rate:  # of a rounded frame time: 0.0083333 s is 120 Hz
+        rate = whole
     unit_m = recognise_unit(path, begins, family) if unit_m is None else unit_m
     skipped = lead_in(begins, family)
     if skipped == len(begins) - 1 < frames.length - 1:  # at rest for a whole block
@@ -273,11 +277,6 @@ def find_asf(path_amc: str | Path) -> Path:
         if candidate.is_file():
             return candidate
     raise FileFormatError(path_amc, "no .asf skeleton beside it; name one with asf=...")
-
-
-def _whole(rate_hz: float) -> float:
-    """Round a rate that was derived from a rounded frame time (0.0083333 s is 120 Hz)."""
-    return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 2e-4 * rate_hz else rate_hz
 
 
 # --- the corpus: a folder of such files with index.csv -------------------------------------------

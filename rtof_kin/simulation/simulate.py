@@ -166,7 +166,9 @@ def simulate(
         raise InvalidInputError(f"simulation: {len(clip_poses)} poses are too few for a lag of {lag:g} s")
     imus, calibration = None, None
     if settings.sensors:
-        imu_times = _imu_times(clip_poses.times, start, settings.imu_rate_hz)
+        first, last = clip_poses.times[0] + start, clip_poses.times[-1]
+        count = int(np.floor((last - clip_poses.times[0] - start) * settings.imu_rate_hz + 1e-6)) + 1
+        imu_times = np.minimum(first + np.arange(count) / settings.imu_rate_hz, last)
         imus, calibration = simulate_imus(imu, clip_poses, skeleton, settings.sensors, imu_times, settings.imu)
     cameras = [camera] if isinstance(camera, Camera) else camera
     filmed = (_simulate_keypoints(deepcopy(video), clip_poses, skeleton, one, settings, lag, cut) for one in cameras)
@@ -291,13 +293,6 @@ def _check(poses: PoseSequence, skeleton: SkeletonModel) -> None:
         )
 
 
-def _imu_times(pose_times: Array, start: float, rate_hz: float) -> Array:
-    """Return even times from `start` s after the first pose to at most the last one."""
-    count = int(np.floor((pose_times[-1] - pose_times[0] - start) * rate_hz + 1e-6)) + 1
-    times = pose_times[0] + start + np.arange(count) / rate_hz
-    return np.asarray(np.minimum(times, pose_times[-1]))
-
-
 # --- keypoints -----------------------------------------------------------------------------------
 
 
@@ -313,7 +308,10 @@ def _simulate_keypoints(
     """Return what a detector finds in the frames from number `cut` on, which show what was `lag` s earlier."""
     noise, times = settings.keypoints, poses.times[cut:]
     if isinstance(noise, DetectorErrors):
-        found = simulate_detections(rng, _shown(poses, times - lag), skeleton, camera, noise)
+        at = np.maximum(times - lag, poses.times[0])  # up to rounding within the motion
+        R = signals.interpolate_rotations(poses.times, poses.R_world_bone, at)
+        shown = PoseSequence(at, CubicSpline(poses.times, poses.p_world_joint)(at), R, poses.names)
+        found = simulate_detections(rng, shown, skeleton, camera, noise)
         keypoints = keypoints_from_detections(found, times, camera).keypoints
         return keypoints.select(settings.landmarks) if settings.landmarks else keypoints
     names, known = settings.landmarks or skeleton.names, list(skeleton.landmarks)
@@ -329,13 +327,6 @@ def _simulate_keypoints(
     seen = ~noises.unseen(rng, times, _inside(camera, uv), noise) & np.isfinite(uv).all(axis=-1)
     uv, confidence = np.where(seen[..., None], uv + errors, np.nan), np.where(seen, confidence, 0.0)
     return KeypointSequence(camera, times, uv, confidence, names)
-
-
-def _shown(poses: PoseSequence, times: Array) -> PoseSequence:
-    """Return the poses at other times, up to rounding within those of the motion."""
-    times = np.maximum(times, poses.times[0])
-    R = signals.interpolate_rotations(poses.times, poses.R_world_bone, times)
-    return PoseSequence(times, CubicSpline(poses.times, poses.p_world_joint)(times), R, poses.names)
 
 
 def _inside(camera: Camera, uv_px: Array) -> Mask:

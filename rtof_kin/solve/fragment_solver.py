@@ -20,7 +20,7 @@ from rtof_kin.data.confidence import Confidence, joined
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_path import Footholds
+from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.cartesian.problem import TERMS as CARTESIAN_TERMS
 from rtof_kin.solve.cartesian.solver import CartesianSolver
 from rtof_kin.solve.initial_guess import InitialGuess, initial_guess
@@ -101,7 +101,7 @@ class FragmentSolver:
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None = None,
         progress: Progress | None = None,
-        footholds: Footholds | None = None,
+        contact_points: ContactPoints | None = None,
         confidence: bool = False,
         views: Sequence[KeypointSequence] = (),
         observed: Mapping[str, PointData] | None = None,
@@ -114,7 +114,7 @@ class FragmentSolver:
                 only, in joint space.
             bone_imus: any subset of the sensors, at any times; several sequences where sensors have their own times.
                 None for vision only.
-            footholds: of standing feet, one row per frame; in joint space.
+            contact_points: of standing feet, one row per frame; in joint space.
             confidence: whether to compute covariances of the poses, in joint space.
             views: keypoints of further cameras at the frames' times, in joint space.
             observed: observations of the solver's `terms` by name, one per frame.
@@ -124,9 +124,9 @@ class FragmentSolver:
                 is behind the camera. UnknownNameError: joints or sensors of another skeleton.
             SolverError: there is nothing to solve with, or the space cannot use it.
         """
-        guess, bone_imus = self._guess(start, keypoints, bone_imus, footholds, views)
+        guess, bone_imus = self._guess(start, keypoints, bone_imus, contact_points, views)
         run = self._solver.run(
-            guess, keypoints, bone_imus, footholds, progress, confidence=confidence, views=views, observed=observed
+            guess, keypoints, bone_imus, contact_points, progress, confidence=confidence, views=views, observed=observed
         )
         blocks = list(run)
         whole = replace(
@@ -164,14 +164,14 @@ class FragmentSolver:
         start: PoseSequence | InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | Sequence[BoneImuSequence] | None,
-        footholds: Footholds | None,
+        contact_points: ContactPoints | None,
         views: Sequence[KeypointSequence] = (),
     ) -> tuple[InitialGuess, BoneImuSequence | None]:
         """The initial guess, made where only poses are given, and the sensors as one sequence."""
         poses = start.poses if isinstance(start, InitialGuess) else start
         if bone_imus is not None and not isinstance(bone_imus, BoneImuSequence):
             bone_imus = BoneImuSequence.joined(bone_imus, poses.times)
-        self._check(poses, keypoints, bone_imus, footholds)
+        self._check(poses, keypoints, bone_imus, contact_points)
         self._check_views(poses, keypoints, views)
         if isinstance(start, InitialGuess):
             return start, bone_imus
@@ -195,15 +195,15 @@ class FragmentSolver:
         start: PoseSequence,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
-        footholds: Footholds | None,
+        contact_points: ContactPoints | None,
     ) -> None:
         self.skeleton.check_joints(start.names, "start")
         if keypoints is None and bone_imus is None:
             raise SolverError("neither keypoints nor bone_imus: give at least one of the two")
         if keypoints is not None and not np.array_equal(start.times, keypoints.times):
             raise InvalidInputError("start and keypoints: must have the same times, one sample per frame")
-        if footholds is not None and len(footholds) != len(start):
-            raise InvalidInputError(f"footholds: {len(footholds)} frames, but start has {len(start)}")
+        if contact_points is not None and len(contact_points) != len(start):
+            raise InvalidInputError(f"contact points: {len(contact_points)} frames, but start has {len(start)}")
         finite = np.isfinite(start.p_world_joint).all(axis=(1, 2))
         if self.space == "joint":
             finite &= np.isfinite(start.R_world_bone).all(axis=(1, 2, 3))

@@ -87,7 +87,7 @@ class JointSpaceSettings:
     floor_cutoff: float = 0.1
     """[m] Scale of the Cauchy loss of an ankle's height."""
     sigma_contact: float = 0.02
-    """[m] of a foot's joint about its foothold, where footholds are given."""
+    """[m] of a foot's joint about its contact point, where contact points are given."""
     hinges: bool = True
     """Whether knees and elbows turn about one axis only."""
     limits: bool = True

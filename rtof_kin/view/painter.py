@@ -16,7 +16,7 @@ import numpy as np
 from rtof_kin.body.skeleton import Motion
 from rtof_kin.clinical.angle_table import SIDES, angle_table
 from rtof_kin.clinical.angles import clinical_angles
-from rtof_kin.core.array_types import Array
+from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.data.imu_stream import StreamFault
 from rtof_kin.data.poses import Provenance
@@ -91,8 +91,9 @@ def angle_labels(motion: Motion, chosen: Sequence[str] | None = None) -> AngleLa
         UnknownNameError: there is no such angle.
     """
     angles = clinical_angles(motion)
-    known = dict(zip(angles.names, np.isfinite(angles.trusted_values).any(axis=0).tolist(), strict=True))
-    names = tuple(name for name in USUAL if known.get(name)) if chosen is None else tuple(dict.fromkeys(chosen))
+    known: Mask = np.asarray(np.isfinite(angles.trusted_values).any(axis=0))
+    usual = [name for name in USUAL if name in angles.names and known[angles.names.index(name)]]
+    names = tuple(usual if chosen is None else dict.fromkeys(chosen))
     angles = angles.select(names)
     child = {row.name: joint.child for joint in angle_table(motion.skeleton.table).joints for row in joint.angles}
     half = np.full(angles.values.shape, np.nan) if angles.sigma is None else BAND_95 * angles.sigma

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from rtof_kin.recording.index import Session
 from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.session import Session
 
 
 def test_an_archive_verifies_and_holds_no_video_name_or_path(cli: Any, short: Path, tmp_path: Path) -> None:

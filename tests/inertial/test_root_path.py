@@ -13,13 +13,13 @@ from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.root_path import (
+    ContactPoints,
     Contacts,
     ContactSettings,
-    Footholds,
     RootPath,
     RootPathSettings,
+    contact_points,
     detect_contacts,
-    footholds,
     root_path,
 )
 
@@ -181,9 +181,9 @@ def test_feet_without_sensors_are_left_out_or_found_from_poses() -> None:
     assert detect_contacts(poses, right, BODY).joints == ("RightFoot",)
 
 
-def test_footholds_are_at_the_ankle() -> None:
+def test_contact_points_are_at_the_ankle() -> None:
     feet = WALK.poses.p_world_joint[:, BODY.index("LeftFoot", "RightFoot")]
-    places = footholds(Contacts(("LeftFoot", "RightFoot"), STANDS), feet, 0.08).p_world
+    places = contact_points(Contacts(("LeftFoot", "RightFoot"), STANDS), feet, 0.08).p_world
     np.testing.assert_allclose(places[STANDS], feet[STANDS], atol=1e-6)
     assert np.isnan(places[~STANDS]).all()
 
@@ -194,8 +194,8 @@ def test_footholds_are_at_the_ankle() -> None:
         (lambda: ContactSettings(window=0.0), "window"),
         (lambda: Contacts(("LeftFoot",), np.zeros((5, 2))), r"expected shape \(T, 1\)"),
         (lambda: Contacts(("LeftFoot", "LeftFoot"), np.zeros((5, 2))), "LeftFoot"),
-        (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), np.inf)), "finite, or NaN as a whole"),
-        (lambda: Footholds(("LeftFoot",), np.full((5, 1, 3), [0, 0, np.nan])), "NaN as a whole"),
+        (lambda: ContactPoints(("LeftFoot",), np.full((5, 1, 3), np.inf)), "finite, or NaN as a whole"),
+        (lambda: ContactPoints(("LeftFoot",), np.full((5, 1, 3), [0, 0, np.nan])), "NaN as a whole"),
     ],
 )
 def test_invalid_values_are_refused(make: object, message: str) -> None:

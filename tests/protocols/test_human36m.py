@@ -19,7 +19,7 @@ from rtof_kin.body.skeleton import Motion
 from rtof_kin.core.errors import FileFormatError, RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.core.resources import model_path
-from rtof_kin.protocols import human36m, published, run
+from rtof_kin.protocols import measures, published, run
 from rtof_kin.protocols.human36m import Human36MProtocol, all_tables
 from rtof_kin.protocols.tables import STILL, Table
 
@@ -182,7 +182,7 @@ def test_bad_input_writes_nothing(
 def test_input_that_fails_in_every_measurement_is_a_problem(
     root: Path, lifter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(human36m, "figures", lambda *about: [])
+    monkeypatch.setattr(measures, "figures", lambda *about: [])
     made = untrained_lifter(rate_hz=50.0)
     save_checkpoint(tmp_path / "21.pt", made.network, made.description)
     usual = {"modes": ("lift",), "workers": 1}

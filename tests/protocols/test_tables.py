@@ -16,8 +16,9 @@ from rtof_kin.core.errors import RtofError
 from rtof_kin.core.jobs import Outcome
 from rtof_kin.protocols import published
 from rtof_kin.protocols.measures import error_curves
-from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, document_of, pooled, write_results
+from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table, pooled, write_results
 from rtof_kin.protocols.total_capture import TotalCaptureProtocol, all_tables
+from rtof_kin.reporting.document import Document
 
 FRAMES = {
     "walking2": (3189, 3575, 3239, 3376, 3738),
@@ -127,7 +128,8 @@ def test_markdown_has_every_cell_rounded_in_its_column() -> None:
 
 def test_json_has_the_figures_unrounded_and_null_where_there_is_none(tmp_path: Path) -> None:
     asked = tmp_path / "deep" / "all.json"
-    found = document_of("A study", "Of one table.", [PLAIN], {"settings": {"seed": 3}})
+    facts = {"settings": {"seed": 3}, "tables": {"plain": PLAIN.as_dict()}}
+    found = Document("tables", "A study", "Of one table.", printed=[PLAIN], facts=facts)
     paths = write_results(found, tmp_path / "out", asked)
     assert paths == [tmp_path / "out" / "tables.md", tmp_path / "out" / "tables.json", asked]
     content = read_json(asked)

@@ -7,13 +7,14 @@ import pickle
 import textwrap
 import zipfile
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import planted
 import pytest
+from same_records import assert_same
 
 from rtof_kin.body.pose_prior import NeutralPosture
 from rtof_kin.body.skeleton import SkeletonModel
@@ -30,10 +31,8 @@ from rtof_kin.core.files.manifest import MANIFEST
 from rtof_kin.core.resources import model_path
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.index import INDEX
-from rtof_kin.recording.reader import RecordingReader
-from rtof_kin.recording.recording import Recording
-from rtof_kin.recording.session import Session
+from rtof_kin.recording.index import INDEX, Session
+from rtof_kin.recording.recording import Recording, RecordingReader
 from rtof_kin.recording.streams import BLOCK
 
 SKELETON = SkeletonModel.default()
@@ -129,21 +128,6 @@ def full_recording() -> Recording:
         acknowledgement="Thanks\nto all.",
         notes="α = 3",
     )
-
-
-def assert_same(a: object, b: object, where: str = "recording") -> None:
-    """Equal to the last bit, field by field."""
-    assert type(a) is type(b), where
-    if hasattr(a, "__dataclass_fields__"):
-        for field in fields(a):  # type: ignore[arg-type]
-            assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
-    elif isinstance(a, tuple):
-        for i, (one, other) in enumerate(zip(a, b, strict=True)):  # type: ignore[arg-type, call-overload]
-            assert_same(one, other, f"{where}[{i}]")
-    elif isinstance(a, np.ndarray):
-        np.testing.assert_array_equal(a, b, err_msg=where, strict=True)  # type: ignore[arg-type]
-    else:
-        assert a == b, where
 
 
 # --- round trips ---------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.core.choices import Compile
 from rtof_kin.core.errors import SolverError
-from rtof_kin.inertial.root_path import FEET, Footholds
+from rtof_kin.inertial.root_path import FEET, ContactPoints
 from rtof_kin.solve.fragment_solver import FragmentSolver
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InitialGuess, initial_guess
 from rtof_kin.solve.joint_space.fixed_lag import MEMORY, FixedLagSmoother, MarginalPrior, WindowEnergy, marginalised
@@ -39,7 +39,7 @@ def scene() -> tuple[InitialGuess, Any, Any]:
 
 def observations(settings: JointSpaceSettings = EXACTLY) -> Observations:
     guess, seen, imus = scene()
-    nowhere = Footholds(FEET, np.full((T, len(FEET), 3), np.nan))
+    nowhere = ContactPoints(FEET, np.full((T, len(FEET), 3), np.nan))
     return Observations(BODY, T, settings, guess, seen, imus, nowhere)
 
 

@@ -16,7 +16,7 @@ from rtof_kin.core import signals
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence, detector_point
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_path import FEET, Footholds
+from rtof_kin.inertial.root_path import FEET, ContactPoints
 from rtof_kin.solve.fragment_solver import FragmentSolution, FragmentSolver
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import estimated_places
@@ -210,10 +210,10 @@ def test_places_without_a_sensor_have_no_effect(sensors: tuple[str, ...]) -> Non
 
 
 def test_contacts_of_one_foot_share_the_energy_of_both() -> None:
-    def stands(*feet: str) -> Footholds:
-        return Footholds(feet, POSES.p_world_joint[:, BODY.index(*feet)])
+    def stands(*feet: str) -> ContactPoints:
+        return ContactPoints(feet, POSES.p_world_joint[:, BODY.index(*feet)])
 
-    one, both = (with_places((), footholds=stands(*feet)) for feet in (("RightFoot",), FEET))
+    one, both = (with_places((), contact_points=stands(*feet)) for feet in (("RightFoot",), FEET))
     assert one.problem.energy is both.problem.energy
     stood = [BODY.names[j] == "RightFoot" for j in one.problem.energy["floor"].contacts]
     assert (one.rows["w_contact"] > 0).all(axis=0).tolist() == stood

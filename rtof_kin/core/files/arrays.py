@@ -266,9 +266,6 @@ def _as_floats(path: Path, name: str, saved: NDArray[Any]) -> Array:
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]], overwrite: bool = False) -> None:
     """Write arrays to a compressed .npz file.
 
-    Args:
-        overwrite: replace an existing file.
-
     Raises:
         OutputExistsError: it exists. WritingError: it cannot be written.
     """

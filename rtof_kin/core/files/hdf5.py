@@ -30,11 +30,7 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
-
-    Args:
-        values: of any shape.
-    """
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits."""
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 
@@ -105,7 +101,6 @@ class Hdf5Writer:
 
         Args:
             about: name of an array, or its end -> attributes, e.g. unit, frame and shape.
-            overwrite: replace an existing file.
         """
         self._path, self._about, self._overwrite = path, about, overwrite
         self._open = ExitStack()

@@ -8,11 +8,10 @@ until late in this order is not proven to be needed: other sets of the same size
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -219,31 +218,14 @@ def identity_of(
     """
     _check_removable(recording)
     part = liveliest_part(recording, longest)
-    whole = hashlib.sha256()
-    _digest(recording, whole.update)
     return {
         "command": "study",
         "version": rtof_kin.__version__,
-        "recording": whole.hexdigest(),
+        "recording": recording.digest(),
         "lifter": getattr(lifter, "sha256", None),
         "settings": repr(settings),
         "part_s": [part.start, part.stop],
     }
-
-
-def _digest(value: object, update: Callable[[bytes], None]) -> None:
-    """Pass the contents of data on, for a checksum."""
-    if isinstance(value, np.ndarray):
-        update(f"{value.dtype}{value.shape}".encode())
-        update(np.ascontiguousarray(value).tobytes())
-    elif is_dataclass(value):
-        for field in fields(value):
-            _digest(getattr(value, field.name), update)
-    elif isinstance(value, Mapping | tuple | list):
-        for item in value.items() if isinstance(value, Mapping) else value:
-            _digest(item, update)
-    else:
-        update(f"{value!r}\n".encode())
 
 
 def _check_removable(recording: Recording) -> None:

@@ -20,7 +20,7 @@ from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_path import Footholds
+from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.cartesian.banded import BandedProblem
 from rtof_kin.solve.cartesian.problem import TERMS, fragment_problem
 from rtof_kin.solve.initial_guess import InertialGuidedIK, InertialGuidedIKSettings, InitialGuess
@@ -68,15 +68,15 @@ class CartesianSolver:
         guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
-        footholds: Footholds | None,
+        contact_points: ContactPoints | None,
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,  # noqa: ARG002 - this space has no covariances
         views: Sequence[KeypointSequence] = (),  # noqa: ARG002 - `FragmentSolver` has refused them
         observed: Mapping[str, PointData] | None = None,
     ) -> Iterator[Block]:
         """Yield blocks of N/2 frames; the arguments are those of `FragmentSolver.solve`."""
-        if keypoints is None or footholds is not None:
-            raise SolverError("space 'cartesian' needs keypoints and has no footholds; use 'joint'")
+        if keypoints is None or contact_points is not None:
+            raise SolverError("space 'cartesian' needs keypoints and has no contact points; use 'joint'")
         if not set(keypoints.names) & set(self.skeleton.names):
             raise SolverError("keypoints: none of the landmarks is a joint of the skeleton")
         start = guess.poses

@@ -13,7 +13,7 @@ from rtof_kin.core.array_types import Array, Index, Mask
 from rtof_kin.data.camera import Camera
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.inertial.root_path import Footholds
+from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import estimated_places
 from rtof_kin.solve.joint_space.energy import FrameEnergy
@@ -49,8 +49,8 @@ class Observations:
     """Observations of T frames, and the energy of fragments built for them.
 
     Attributes:
-        times: (T,) s. guess: initial guess. seen: measured points of each camera. bone_imus, footholds, observed: as
-            given. active: segments whose sensor has data.
+        times: (T,) s. guess: initial guess. seen: measured points of each camera.
+        bone_imus, contact_points, observed: as given. active: segments whose sensor has data.
         names: L landmarks, or the detector's own points, those of further cameras behind those of the first.
         points: their places.
         sensors: S segments with a place for a sensor. sensed: their `sensor_data`. attached: segments of landmarks,
@@ -69,7 +69,7 @@ class Observations:
         guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
-        footholds: Footholds | None = None,
+        contact_points: ContactPoints | None = None,
         places: Collection[str] = (),
         views: Sequence[KeypointSequence] = (),
         terms: tuple[Term, ...] = (),
@@ -78,12 +78,12 @@ class Observations:
         """Collect the observations.
 
         Args:
-            guess: initial guess (T). bone_imus: at any times. footholds: of standing feet (T).
+            guess: initial guess (T). bone_imus: at any times. contact_points: of standing feet (T).
             places: further segments with a place for a sensor; recordings with any of them share the compiled code.
             views: keypoints of further cameras, at the times of the guess. observed: their observations (T) by name.
         """
         self.skeleton, self.frames, self.settings, self.guess = skeleton, frames, settings, guess
-        self.bone_imus, self.footholds, self.observed = bone_imus, footholds, observed or {}
+        self.bone_imus, self.contact_points, self.observed = bone_imus, contact_points, observed or {}
         start = guess.poses
         self.times, self.rate_hz = start.times, start.rate_hz
         self.seen = [measurements(k, skeleton) for k in (keypoints, *views) if k is not None]
@@ -103,7 +103,7 @@ class Observations:
         self.start = self._initial_states()
         check_observed(terms, self.observed)
         further = [part.stop - part.start for _, part in self._cameras[1:]]
-        built_in = built_in_terms(skeleton, self.space, settings, self.points, further, self.sensors, footholds)
+        built_in = built_in_terms(skeleton, self.space, settings, self.points, further, self.sensors, contact_points)
         sensors = tuple(map(skeleton.names.index, self.sensors))
         self.terms = (*built_in, *terms, Acceleration(sensors, settings.robust_acceleration))
         self.problem = self.energy(frames)

@@ -18,7 +18,7 @@ from rtof_kin.core.numerics.levenberg_marquardt import LevenbergMarquardt, Solve
 from rtof_kin.data.imu import BoneImuSequence
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.inertial.root_path import Footholds
+from rtof_kin.inertial.root_path import ContactPoints
 from rtof_kin.solve.initial_guess import InitialGuess
 from rtof_kin.solve.joint_space.annealing import Annealing
 from rtof_kin.solve.joint_space.covariance import (
@@ -62,7 +62,7 @@ class JointSpaceSolver:
         guess: InitialGuess,
         keypoints: KeypointSequence | None,
         bone_imus: BoneImuSequence | None,
-        footholds: Footholds | None,
+        contact_points: ContactPoints | None,
         progress: Callable[[int, int], None] | None,
         confidence: bool = False,
         views: Sequence[KeypointSequence] = (),
@@ -80,7 +80,7 @@ class JointSpaceSolver:
             guess,
             keypoints,
             bone_imus,
-            footholds,
+            contact_points,
             self.places,
             views,
             self.terms,

@@ -20,7 +20,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core import signals
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.imu import BoneImuSequence
-from rtof_kin.inertial.root_path import FEET, Footholds, detect_contacts
+from rtof_kin.inertial.root_path import FEET, ContactPoints, detect_contacts
 from rtof_kin.solve import terms as residuals
 from rtof_kin.solve.joint_space.energy import Frame, camera_names
 from rtof_kin.solve.joint_space.state import StateSpace
@@ -50,7 +50,7 @@ def built_in_terms(
     points: ImagePoints,
     further: Sequence[int],
     sensors: Sequence[str],
-    footholds: Footholds | None,
+    contact_points: ContactPoints | None,
 ) -> tuple[Term, ...]:
     """Return the built-in terms of an energy without those that couple frames.
 
@@ -59,7 +59,7 @@ def built_in_terms(
         sensors: segments with a place for one.
     """
     index = skeleton.names.index
-    given = () if footholds is None else footholds.joints
+    given = () if contact_points is None else contact_points.joints
     standing = tuple(index(name) for name in skeleton.names if given and (name in given or name in FEET))
     return (
         Visual(points.on, tuple(further)),
@@ -298,10 +298,10 @@ class Floor(Term):
         """Return the weights of ankles that stand in the smoothed initial guess, and the contact points."""
         s, start, out = data.settings, data.guess.poses, {}
         out["w_floor"] = np.zeros((len(start), len(self.feet)))
-        if data.footholds is not None:
+        if data.contact_points is not None:
             p = np.full((len(start), len(self.contacts), 3), np.nan)
-            at = data.skeleton.index(*data.footholds.joints)
-            p[:, [self.contacts.index(joint) for joint in at]] = data.footholds.p_world
+            at = data.skeleton.index(*data.contact_points.joints)
+            p[:, [self.contacts.index(joint) for joint in at]] = data.contact_points.p_world
             out |= {"p_contact": np.nan_to_num(p), "w_contact": np.isfinite(p[..., 0]) / s.sigma_contact**2}
         if s.floor_height is not None:
             smooth = start.with_poses(slice(None), *data.space.poses(data.start))
