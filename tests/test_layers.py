@@ -28,7 +28,7 @@ FOLDERS = {
     "reconstruction": "recording to motion",
     "clinical": "angles, gait, repetitions, torques",
     "reporting": "figures, report, audit, export",
-    "setup": "raw files to a recording, and to a report",
+    "setup": "raw files to a recording, and on to a report",
     "plan": "expected errors of a recording before it is made",
     "live": "sources, online estimator, monitoring, outputs",
     "view": "3D scene in the browser, skeleton on the video",
