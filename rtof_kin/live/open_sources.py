@@ -97,8 +97,7 @@ OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
 """Words of outputs, for messages."""
 _LSL, _WS = "lsl", "ws"
 _OUTLET: Final = "rtof_kin"
-_PORT: Final = 8765
-"""Of the WebSocket, unless another is given."""
+_PORT: Final = 8765  # Of the WebSocket, unless another is given
 _SKELETON: Final = "total_capture"
 
 
