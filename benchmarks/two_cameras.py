@@ -2,7 +2,7 @@
 
 ``python -m benchmarks two_cameras --corpus DIR``. Of the second camera, heading, position and clock are
 unknown, its tilt is 3 to 5 degrees off, and the focal lengths of both are 5 to 10 % off; the first camera's
-orientation, which is that of the world, is known. `rtof_kin.setup.second_camera` finds the rest from the
+orientation, which is that of the world, is known. `rtof_kin.calibration.second_camera` finds the rest from the
 person. *Calibrated* cameras are as a calibration gives them, with the errors of real ones.
 """
 
@@ -21,6 +21,7 @@ from numpy.random import Generator
 
 from benchmarks import scoring
 from benchmarks.harness import bootstrap, middle, test_clips, write_results
+from rtof_kin.calibration.second_camera import SecondCamera
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array
 from rtof_kin.data.camera import Camera
@@ -28,7 +29,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.protocols.tables import Table
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.second_camera import SecondCamera, find_second_camera
+from rtof_kin.setup.join import find_second_camera
 from rtof_kin.simulation.mocap import MocapClip
 from rtof_kin.simulation.simulate import SimulationSettings, simulate, standard_cameras
 

@@ -3,7 +3,7 @@
 ``python -m benchmarks two_real_cameras --data DIR``. The reference is the triangulation of the points
 that were detected, from all four cameras. Every camera is the first one once; the second is the next of the
 four with a direction of view 50 to 130 degrees away, as it is calibrated, or found from the person with its
-heading, position and clock unknown (`rtof_kin.setup.second_camera`).
+heading, position and clock unknown (`rtof_kin.calibration.second_camera`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.protocols.tables import Table
 from rtof_kin.reconstruction.pipeline import reconstruct
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.second_camera import find_second_camera
+from rtof_kin.setup.join import find_second_camera
 from rtof_kin.vision.image_points import image_points
 
 HERE = Path(__file__).parent

@@ -62,12 +62,14 @@ def compare(
     page with the curves, a table and JSON.
 
     One folder has a folder for each visit, with the outputs of reconstruct of its trials: repeated recordings of the
-    same movement. Printed are the measures that improved, got worse or changed since the first visit, with standard
-    errors of measurement and the smallest change that could be shown; OUT gets a page with trajectories, figures, a
-    table and JSON. follow.toml in the folder may name visits, baseline, measures and which direction is better.
+    same movement; three MOTIONS and more are such folders, or one motion each. Printed are the measures that improved,
+    got worse or changed since the first visit, with standard errors of measurement and the smallest change that could
+    be shown; OUT gets a page with trajectories, figures, a table and JSON. follow.toml in the folder may name visits,
+    baseline, measures and which direction is better.
 
     Args:
-        motions: two motions, the first one's clock is used; or the folder of the visits; or with --sides one motion
+        motions: two motions, the first one's clock is used; or the folder of the visits, or those of three visits and
+            more; or with --sides one motion
         by: the same instants, phases of the gait cycle, phases of repetitions, or ranges of motion alone; default:
             chosen from the data, and said
         repetitions: what is repeated
@@ -84,11 +86,11 @@ def compare(
     from rtof_kin.reporting.document import show, write
     from rtof_kin.reporting.visits import follow
 
-    if len(motions) > 2 or (sides and len(motions) > 1):
-        raise InvalidInputError("compare: give two motions, one with --sides, or the folder of the visits")
+    if sides and len(motions) > 1:
+        raise InvalidInputError("compare: --sides compares those of one motion")
     if shift is not None and align:
         raise InvalidInputError("--shift, --align: give one of them")
-    visits = len(motions) == 1 and not sides
+    visits = len(motions) != 2 and not sides
     if visits and by == "time":
         raise InvalidInputError("compare: visits have no common instants; leave out --by time")
     if output is not None:
@@ -96,7 +98,7 @@ def compare(
     if visits:
         with job_progress("reading") as update:
             document = follow(
-                motions[0],
+                motions[0] if len(motions) == 1 else motions,
                 baseline=baseline,
                 by=None if by == "time" else by,
                 kind=repetitions or "",

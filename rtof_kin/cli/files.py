@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.box import SIMPLE
-from rich.table import Column, Table
-from rich.text import Text
 
 from rtof_kin.cli.options import Overwrite, command, written
 from rtof_kin.cli.terminal import out, print_files
@@ -123,48 +120,30 @@ def _fix(found: Any, corrected: Any, target: Path) -> None:
 
 
 def _print(found: Any, every: bool) -> None:
+    from rtof_kin.reporting.document import Badge, Table, show_table
+
     out.print(f"\n{found.path}: {found.title}", style="bold", soft_wrap=True)
-    contents = Table(Column(overflow="fold"), Column(overflow="fold"), show_header=False)
-    for name, value in found.contents:
-        contents.add_row(name, value)
-    out.print(contents)
-    for note in found.notes:
-        out.print(f"note: {note}", soft_wrap=True)
+    show_table(Table(("content", ""), found.contents, notes=[f"note: {note}" for note in found.notes]), out)
     shown = list(found.checks) if every else _worst(found.checks)
     if shown:
-        out.print(_checks_table(shown, found.checks), crop=False)
-    for check in shown:
-        if check.failed:
-            text = f"{check.subject}: {check.name}. {check.advice}"
-            out.print(text, soft_wrap=True)
+        rows = [
+            (Badge(one.verdict.value, "fail" if one.failed else ""), one.name, _figure(one, shown, found.checks))
+            for one in shown
+        ]
+        advice = [f"{one.subject}: {one.name}. {one.advice}" for one in shown if one.failed]
+        show_table(Table(("verdict", "check", "figure"), rows, notes=advice), out)
     likely = {tuple(check.likely.items()) for check in found.failed if check.likely}
     if likely:
         pairs = sorted({f"{name}={value}" for one in likely for name, value in one})
-        options = " ".join(map(shlex.quote, pairs))
-        out.print(f"likely: --declare {options}", style="bold", soft_wrap=True)
+        out.print(f"likely: --declare {' '.join(map(shlex.quote, pairs))}", style="bold", soft_wrap=True)
 
 
 def _worst(checks: Any) -> list[Any]:
     """Of checks of the same name, the one that failed most or comes nearest to it."""
     worst: dict[str, Any] = {}
-    for check in checks:
-        if check.name not in worst or _nearness(check) > _nearness(worst[check.name]):
-            worst[check.name] = check
-    return list(worst.values())
-
-
-def _nearness(check: Any) -> float:
-    return -1.0 if math.isnan(check.value) else float(check.value / check.limit)
-
-
-def _checks_table(shown: list[Any], checks: Any) -> Table:
-    """A row for each check shown; its texts are wrapped where there is little room, and never cut."""
-    names = (Column(name, overflow="fold") for name in ("check", "figure"))
-    table = Table(Column("verdict", no_wrap=True), *names, box=SIMPLE)
-    for check in shown:
-        verdict = Text(check.verdict.value, style="bold red" if check.failed else "")
-        table.add_row(verdict, check.name, _figure(check, shown, checks))
-    return table
+    for check in sorted(checks, key=lambda one: -1.0 if math.isnan(one.value) else one.value / one.limit, reverse=True):
+        worst.setdefault(check.name, check)
+    return [worst[name] for name in dict.fromkeys(check.name for check in checks)]
 
 
 def _figure(check: Any, shown: list[Any], checks: Any) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -38,6 +39,7 @@ from rtof_kin.cli.terminal import (
 from rtof_kin.core.environment import limit_threads
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.core.files.folder import check_new_file, check_replaceable
+from rtof_kin.reconstruction.prepare import Progress
 from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.reporting.analysis import AnalysisSettings
 from rtof_kin.setup.init import Detect, Findings, SetupSettings, make_recording
@@ -108,20 +110,40 @@ def run(
         return
     if not files or output is None:
         raise InvalidInputError("run: give the FILEs of a take and a folder to write, -o OUT; or --demo")
-    detect = detection(setup.model_dir, fetch_models)
+    if only == "files" or seconds is not None:
+        raise InvalidInputError("run: --only files and --seconds are for --demo")
     began = time.monotonic()
-    how: Any = {"detect": detect, "overwrite": overwrite, "kept": _kept}
     if only:
+        setup = replace(setup, lifter=task.lifter())
         with progress() as update, warnings_in_summary(_OF_KEYPOINTS):
-            name = output.resolve().name
-            found = make_recording(files, output, setup, name=name, made_with=task.model, progress=update, **how)
+            found = make_recording(
+                files,
+                output,
+                setup,
+                name=output.resolve().name,
+                detect=_detection(setup.model_dir, fetch_models, update),
+                made_with=task.model,
+                overwrite=overwrite,
+                kept=_kept,
+                progress=update,
+            )
         _print_findings(found)
         out.print(f"wrote {output}: correct recording.toml where it says so, then", soft_wrap=True)
         out.print(f"  rtof-kin reconstruct {output} -o OUT", soft_wrap=True)
         return
     with progress() as update, warnings_in_summary(), warnings_in_summary(_OF_KEYPOINTS):
         done = run_steps(
-            files, output, setup, settings, task=task, second=second, analysis=analysis, progress=update, **how
+            files,
+            output,
+            setup,
+            settings,
+            task=task,
+            second=second,
+            analysis=analysis,
+            detect=_detection(setup.model_dir, fetch_models, update),
+            overwrite=overwrite,
+            kept=_kept,
+            progress=update,
         )
     _print_run(done, time.monotonic() - began)
 
@@ -188,7 +210,7 @@ def _print_run(done: Run, seconds: float) -> None:
     line("next", f"rtof-kin view {done.folder} (in 3D){film}")
 
 
-def detector_of(model_dir: Path | None, fetch: str | None) -> PersonDetector:
+def detector_of(model_dir: Path | None, fetch: str | None, update: Progress | None = None) -> PersonDetector:
     """Return the detector that the options ask for; downloads models where they say so.
 
     Raises:
@@ -202,8 +224,8 @@ def detector_of(model_dir: Path | None, fetch: str | None) -> PersonDetector:
     if fetch is not None:
         wanted = model_set(fetch)
         out.print(f"{wanted.title}. Licence: {wanted.licence}", soft_wrap=True)
-        with progress() as update:
-            model_dir = fetch_models(wanted, update)
+        with progress() if update is None else nullcontext(update) as shown:
+            model_dir = fetch_models(wanted, shown)
         for file in wanted.files:
             out.print(f"{model_dir / file.name}: SHA-256 {file.checksum}, as published", soft_wrap=True)
     detector = choose_detector(model_dir)
@@ -211,15 +233,13 @@ def detector_of(model_dir: Path | None, fetch: str | None) -> PersonDetector:
     return detector
 
 
-def detection(model_dir: Path | None, fetch: str | None) -> Detect:
+def _detection(model_dir: Path | None, fetch: str | None, update: Progress) -> Detect:
     """Return what detects the people in a video by the detector that the options ask for."""
 
     def detect(video: Path) -> Detections:
         from rtof_kin.vision.video import detect_video
 
-        detector = detector_of(model_dir, fetch)
-        with progress() as update:
-            return detect_video(video, detector, progress=update)
+        return detect_video(video, detector_of(model_dir, fetch, update), progress=update)
 
     return detect
 

@@ -21,7 +21,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.array_types import Array, Mask
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import InvalidInputError
-from rtof_kin.core.signals import runs
+from rtof_kin.core.signals import runs, vertex
 from rtof_kin.data.imu import GRAVITY_WORLD, STANDARD_GRAVITY
 from rtof_kin.data.imu_stream import SensorStream
 
@@ -89,7 +89,8 @@ def delay(stream: SensorStream) -> float:
     best = int(np.argmax(correlation))
     if correlation[best] < 0.5:
         return float("nan")
-    return float(lags[best]) + _vertex(correlation[max(best - 1, 0) : best + 2])
+    three = correlation[max(best - 1, 0) : best + 2]
+    return float(lags[best]) + (vertex(*three) if len(three) == 3 else 0.0)
 
 
 def gyroscope(stream: SensorStream, shift: float | None = None) -> Check:
@@ -225,13 +226,6 @@ def likely_rate(stream: SensorStream) -> float | None:
 def _fluctuation(values: Array) -> Array:
     """Return values less their mean, 0 where unknown."""
     return np.nan_to_num(values - np.nanmean(values)) if np.isfinite(values).any() else 0 * values
-
-
-def _vertex(three: Array) -> float:
-    """Return the vertex of a parabola through three values, from the middle one, in steps."""
-    if len(three) < 3 or not (curvature := three[0] - 2 * three[1] + three[2]) < 0:
-        return 0.0
-    return float((three[0] - three[2]) / (2 * curvature))
 
 
 def at_rest(stream: SensorStream) -> Mask:

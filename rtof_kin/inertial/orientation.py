@@ -260,10 +260,8 @@ def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
     best = {held: int(np.argmax(values)) for held, values in score.items()}
     held = max(best, key=lambda name: float(score[name][best[name]]))
     i, values = best[held], score[held]
-    fine = 0.0
-    if 0 < i < len(values) - 1:
-        left, middle, right = values[i - 1 : i + 2]
-        fine = float(0.5 * (left - right) / min(left - 2 * middle + right, -1e-12))
+    three = values[max(i - 1, 0) : i + 2]
+    fine = np.clip(signals.vertex(*three), -1, 1) if len(three) == 3 else 0.0
     top = float(values[i])
     doubt = ""
     if top < _CLEAR:
@@ -271,7 +269,7 @@ def match_to_image(stream: SensorStream, image: CameraMotion) -> GyroscopeMatch:
             "the turning of the camera in the image and that of the gyroscope agree badly (correlation "
             f"{top:.2f}); is it the file of this video?"
         )
-    offset = start_a - start_b + (lags[i] + np.clip(fine, -1, 1)) / _RATE
+    offset = start_a - start_b + (lags[i] + fine) / _RATE
     return GyroscopeMatch(held, float(offset), top, doubt)
 
 

@@ -240,8 +240,14 @@ def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:
     uneven = f"Steps of about {1000 * period:.3g} ms are uneven; are these times of arrival, not of sampling?"
     longest = f"the longest gap is {steps[gap]:.3g} s, from {stream.times[gap]:.3f} s"
     rate_hz = float(np.sum(periods) / np.sum(steps))  # the median of rounded stamps would be biased
+    rate = Check.unknown(names[0], stream.name, "%", f"none is declared; it is {rate_hz:.4g} Hz")
+    if declared.rate_hz is not None:
+        off_rate = 100 * abs(rate_hz / declared.rate_hz - 1)
+        advice = f"By the time stamps it is {rate_hz:.4g} Hz, {declared.rate_hz:.4g} Hz is declared"
+        likely = {"rate_hz": round(rate_hz, 2)} if off_rate > _RATE else {}
+        rate = Check(names[0], stream.name, off_rate, _RATE, "%", advice, likely)
     return [
-        _rate(names[0], stream, rate_hz, declared.rate_hz),
+        rate,
         Check(names[1], stream.name, float(np.percentile(off, 95)), _JITTER, "%", uneven),
         Check(
             names[2],
@@ -252,15 +258,6 @@ def _clock(stream: SensorStream, declared: Declaration) -> list[Check]:
             f"{lost:.0f} of {expected:.0f} are not there; {longest}",
         ),
     ]
-
-
-def _rate(name: str, stream: SensorStream, rate_hz: float, declared_hz: float | None) -> Check:
-    if declared_hz is None:
-        return Check.unknown(name, stream.name, "%", f"none is declared; it is {rate_hz:.4g} Hz")
-    off = 100 * abs(rate_hz / declared_hz - 1)
-    advice = f"By the time stamps it is {rate_hz:.4g} Hz, {declared_hz:.4g} Hz is declared"
-    likely = {"rate_hz": round(rate_hz, 2)} if off > _RATE else {}
-    return Check(name, stream.name, off, _RATE, "%", advice, likely)
 
 
 def _period(steps: Array) -> float:

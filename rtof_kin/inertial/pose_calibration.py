@@ -331,18 +331,9 @@ def _hold(
     return _PoseSamples(streams, segments, still, np.array(R), np.array(spreads), np.array(places))
 
 
-def _streams_of(imus: ImuSequence | SensorLog) -> tuple[SensorStream, ...]:
-    if isinstance(imus, SensorLog):
-        return imus.streams
-    return tuple(
-        SensorStream(name, imus.times, imus.f_sensor[:, s], imus.R_inertial_sensor[:, s])
-        for s, name in enumerate(imus.names)
-    )
-
-
 def _selected(imus: ImuSequence | SensorLog, sensors: Sequence[str]) -> tuple[SensorStream, ...]:
-    streams = _streams_of(imus)
-    return tuple(streams[i] for i in indices_of("sensor", sensors, [stream.name for stream in streams]))
+    log = imus if isinstance(imus, SensorLog) else SensorLog.of_imus(imus, "imus")
+    return log.select(sensors).streams
 
 
 def _orientations(stream: SensorStream) -> Array:

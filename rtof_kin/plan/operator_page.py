@@ -260,7 +260,7 @@ def operator_page(
         styles=("instructions.css",),
         title=title,
         doubts=doubts,
-        drawing=f"data:image/svg+xml;base64,{drawing}",
+        images={"setup": f"data:image/svg+xml;base64,{drawing}"},
         steps=steps,
         person=person,
         never=_NEVER,

@@ -24,6 +24,9 @@ STILL, LOW_PASSED = "no motion", "truth low-passed at 6 Hz"
 CALIBRATION: Final = frozenset((STILL, LOW_PASSED))
 
 
+_LONG: Final = 30
+
+
 class Table(document.Table):
     """A table of results; a missing figure is '-'."""
 
@@ -39,7 +42,9 @@ class Table(document.Table):
         rows: Sequence[Sequence[Cell]],
         notes: Sequence[str] = (),
     ) -> None:
-        super().__init__(tuple(columns), tuple(rows), title, tuple(notes), tuple(digits), kind="errors")
+        short = all(len(cell) < _LONG for row in rows for cell in row if isinstance(cell, str))
+        kind = "errors" if short else ""  # words of short cells stay in one line
+        super().__init__(tuple(columns), tuple(rows), title, tuple(notes), tuple(digits), kind)
         object.__setattr__(self, "name", name)
 
     def text(self, missing: str = "-") -> list[list[Any]]:

@@ -24,7 +24,6 @@ from rtof_kin.calibration.estimate import calibrate as estimate_calibration
 from rtof_kin.calibration.excerpt import Slice
 from rtof_kin.calibration.priors import CalibrationPriors
 from rtof_kin.calibration.result import SIGMA_DETECTOR, Quantity, SelfCalibration, Verdict
-from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import Check
 from rtof_kin.core.errors import CalibrationError, RtofError
 from rtof_kin.data.camera import Camera
@@ -99,7 +98,12 @@ def calibrated(jobs: Sequence[Job], priors: CalibrationPriors | None, known: Sel
     solver = settings.fragment
     if not isinstance(solver, JointSpaceSettings):  # calibration is always solved in joint space
         solver = JointSpaceSettings(floor_height=recording.floor_height)
-    slices = [_slice(job, solver, known) for job in own]
+    slices = list[Slice]()
+    for job in own:
+        prepared = job.prepare("sf2", calibration=known)
+        assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
+        used = replace(prepared, settings=job.settings.with_fragment(solver))
+        slices.append(Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus))
     progress = partial(own[0].progress, "calibrate")
     found = estimate_calibration(
         slices, priors, solver, settings.frames, progress, without_slipped="motion" in settings.guards
@@ -115,13 +119,6 @@ def _prior_body(job: Job, known: SelfCalibration | None) -> Job:
         recording = replace(recording, joint_offsets=offsets, height=None, bone_lengths=None)
     recording = recording if known is None else known.apply(recording)
     return replace(job, recording=recording, skeleton=None).with_solver(known)
-
-
-def _slice(job: Job, solver: JointSpaceSettings, known: SelfCalibration | None) -> Slice:
-    prepared = job.prepare("sf2", calibration=known)
-    assert prepared.bone_imus is not None  # without IMUs, mode sf2 has raised
-    used = replace(prepared, settings=job.settings.with_fragment(solver))
-    return Slice(replace(prepared.recording, keypoints=prepared.keypoints), used.guess, prepared.bone_imus)
 
 
 _HEIGHT_SHARE = 0.1
@@ -232,12 +229,12 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
     tall[enough] = np.log(np.nanmax(v[enough], axis=1) - np.nanmin(v[enough], axis=1) + 1.0)
     starts = np.arange(times[0], times[-1] - _MOST_SECONDS + _STEP, _STEP)
     parts = [slice(*np.searchsorted(times, [t, t + _MOST_SECONDS])) for t in starts]
-    return keypoints[max(parts, key=lambda part: _spread(tall[part]))]
 
+    def spread(part: slice) -> float:
+        known = tall[part][np.isfinite(tall[part])]
+        return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
 
-def _spread(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.subtract(*np.percentile(known, [90, 10]))) if len(known) else -1.0
+    return keypoints[max(parts, key=spread)]
 
 
 NAME: Final = "motion that the sensors do not explain, relative to what they explain"
@@ -315,12 +312,6 @@ class ClockOffset:
         return replace(poses, p_world_joint=p + (poses.p_world_joint - p)[:, :1], R_world_bone=R)
 
 
-def _noted(recording: Recording) -> tuple[str, ...]:
-    """Return the notes of a recording by which its sensors may be of another day, or their clock off."""
-    lines, about = recording.notes.splitlines(), (DAYS_APART, CLOCK_DOUBT)
-    return tuple(line[line.index(note) :] for note in about for line in lines if note in line)
-
-
 @dataclass(frozen=True)
 class Knowledge:
     """What is known of a recording before it is solved, and whether it is calibrated; as for `reconstruct`."""
@@ -351,7 +342,8 @@ def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     rates = [found.drift] if found.drift else []
     sigmas = [found.sigma, *(found.sigma_drift for _ in rates)]
     delay = _delay([found.offset, *rates], sigmas, found.doubt)
-    noted = _noted(jobs[0].recording)
+    lines = jobs[0].recording.notes.splitlines()  # of another day, or of a clock in doubt
+    noted = tuple(line[line.index(note) :] for note in (DAYS_APART, CLOCK_DOUBT) for line in lines if note in line)
     if check.failed:
         return ClockOffset(checks=(check,), warnings=noted)
     if not found.doubt and not rates and found.sigma > _UNSHARP:

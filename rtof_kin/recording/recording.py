@@ -1,4 +1,4 @@
-"""`Recording`: one take of one person, seen by cameras, by IMUs or by both, and its folder.
+"""`Recording`: one take of one person, seen by cameras, by IMUs or by both; `RecordingReader`: spans of its folder.
 
 The folder's format, ``recording.toml`` and the arrays that it names, is described in docs/recording.md.
 """
@@ -358,7 +358,7 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
 
 
 class RecordingReader(RecordingSource):
-    """A recording's folder of which spans of time are read when they are asked for.
+    """A recording's folder of which spans of time are read when needed.
 
     It is checked as a whole when it is opened, by blocks, and kept in temporary files.
     """

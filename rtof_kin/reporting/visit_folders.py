@@ -138,17 +138,22 @@ def read_plan(folder: str | Path) -> Plan:
     return plan
 
 
-def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVisits:
-    """Read all visits of a folder, and analyse their motions.
+def read_visits(folder: str | Path | Sequence[str | Path], progress: Progress | None = None) -> FoundVisits:
+    """Read all visits, and analyse their motions.
 
     Args:
+        folder: that has a folder for each visit, or the folders of the visits.
         progress: called with the number of trials done, and of all.
 
     Raises:
         FileFormatError: fewer than two visits, one without a motion, or a damaged file.
     """
-    folder = Path(folder)
-    plan, found = read_plan(folder), _motions(folder)
+    if isinstance(folder, str | Path):
+        folder = Path(folder)
+        plan, folders = read_plan(folder), _folders(folder)
+    else:
+        plan, folders, folder = Plan(), {Path(one).resolve().name: Path(one) for one in folder}, Path()
+    found = {name: motions for name, visit in folders.items() if (motions := _motions(visit))}
     wanted = tuple(plan.names or found)
     if missing := [name for name in wanted if name not in found]:
         raise FileFormatError(
@@ -164,7 +169,7 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
     for name in wanted:
         trials = []
         for path in found[name]:
-            trials.append(_trial(path, folder / name))
+            trials.append(_trial(path, folders[name]))
             done += 1
             if progress is not None:
                 progress(done, total)
@@ -176,17 +181,17 @@ def read_visits(folder: str | Path, progress: Progress | None = None) -> FoundVi
     return FoundVisits(tuple(visits), _baseline(visits, plan, folder), plan, tuple(notes))
 
 
-def _motions(folder: Path) -> dict[str, list[Path]]:
-    """Folder of each visit -> its motions."""
+def _motions(visit: Path) -> list[Path]:
+    return sorted(path for name in (MOTION, EARLIER) for path in visit.rglob(name))
+
+
+def _folders(folder: Path) -> dict[str, Path]:
+    """Name of each visit -> its folder."""
     if not folder.is_dir():
         raise FileFormatError(folder, "there is no such folder")
     if file_in(folder):
         raise FileFormatError(folder, "is one motion; give the folder that has a folder for each visit")
-    out = {}
-    for visit in sorted(path for path in folder.iterdir() if path.is_dir() and path.name[0] != "."):
-        if motions := sorted(path for name in (MOTION, EARLIER) for path in visit.rglob(name)):
-            out[visit.name] = motions
-    return out
+    return {path.name: path for path in sorted(folder.iterdir()) if path.is_dir() and path.name[0] != "."}
 
 
 def _trial(path: Path, visit: Path) -> Trial:

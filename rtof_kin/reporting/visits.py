@@ -49,7 +49,7 @@ _SHIFT: Final = 0.012  # of the axis of a figure, between the sides
 
 
 def follow(
-    folder: str | Path,
+    folder: str | Path | Sequence[str | Path],
     *,
     baseline: str = "",
     by: Movement | None = None,
@@ -60,7 +60,8 @@ def follow(
     """Compare the visits of one person, which have a folder each.
 
     Args:
-        folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more.
+        folder: see `rtof_kin.reporting.visit_folders`; ``follow.toml`` in it may declare the same and more. Or the
+            folders of the visits.
         baseline: visit that the others are compared with; default: the first.
         by, kind, measures: see `follow_up`.
         progress: called with the number of trials read, and of all.

@@ -31,8 +31,15 @@ from rtof_kin.recording.index import INDEX, SCHEMA_VERSION
 from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import IMUS, write_imus
 from rtof_kin.setup.camera import MOTION, SetupCamera, assumed_camera, calibrated_camera, filming_camera, seen_camera
-from rtof_kin.setup.frames_picture import PICTURE, write_frames_picture
-from rtof_kin.setup.people import People, choose_person, number_people, read_people, write_people
+from rtof_kin.setup.people import (
+    PICTURE,
+    People,
+    choose_person,
+    number_people,
+    read_people,
+    write_frames_picture,
+    write_people,
+)
 from rtof_kin.setup.recording_text import Field, Origin, Tables, recording_text, summaries
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections

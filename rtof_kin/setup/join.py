@@ -8,12 +8,16 @@ from typing import Final
 import numpy as np
 
 from rtof_kin.calibration.clocks import find_video_offset
+from rtof_kin.calibration.second_camera import SecondCamera, estimate_second_camera
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.reconstruction.lift import LifterLike, lift
+from rtof_kin.reconstruction.pipeline import reconstruct
+from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.setup.second_camera import find_second_camera
+from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 ABOUT: Final = "second camera"
 """What sentences on it begin with."""
@@ -68,6 +72,43 @@ def join_recordings(
     notes = [f"doubtful: {ABOUT}: {doubt}"] if doubt else []
     notes += [first.notes] if first.notes else []
     return Joined(replace(joined, notes="\n".join([*notes, f"found: {found}"])), found, doubt)
+
+
+def find_second_camera(
+    recording: Recording,
+    second: KeypointSequence,
+    lifter: LifterLike | None = None,
+    *,
+    around: float | None = None,
+    sigma_focal: tuple[float, float] | None = None,
+) -> SecondCamera:
+    """Estimate a second camera, which stands anywhere, from the person who moves before both.
+
+    Args:
+        recording: of the first camera, whose pose is the world's, with sensors or without; its skeleton,
+            from the height, gives the scale.
+        second, around, sigma_focal: as for `rtof_kin.calibration.second_camera.estimate_second_camera`.
+        lifter: default: the shipped one.
+
+    Raises:
+        CalibrationError, InvalidInputError: as there. Errors of the reconstruction.
+    """
+    sensed, skeleton = recording.imus is not None and recording.calibration is not None, recording.skeleton
+    settings = ReconstructionSettings(confidence=False)
+    alone = reconstruct(recording, mode="rtof" if sensed else "rto", lifter=lifter, settings=settings)
+    assert alone.keypoints is not None
+    second, _ = reject_keypoint_outliers(second)
+    lifted = lift(second, skeleton, lifter).poses
+    return estimate_second_camera(
+        alone.keypoints,
+        alone.motion.poses,
+        second,
+        lifted,
+        skeleton,
+        sensed=sensed,
+        around=around,
+        sigma_focal=sigma_focal,
+    )
 
 
 def _is_calibrated(camera: Camera) -> bool:

@@ -175,7 +175,7 @@ def run(
     task, notes = replace(task, mode=task.mode or recording.usual_mode), recording.notes
     del recording  # a long one is read in parts
     solved = partial(reconstruct_folder, own, task=task, settings=settings, progress=progress)
-    step(MOTION, lambda *made: solved(*made), own, str(task), str(settings))
+    step(MOTION, solved, own, str(task), str(settings))
     step(
         ANGLES,
         lambda *made: write_analysis(folder / MOTION, made[0], analysis, task.figures, *made[1:]),

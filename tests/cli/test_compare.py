@@ -147,6 +147,13 @@ def test_the_change_is_printed_and_written(cli: Any, visits: Path, tmp_path: Pat
     assert len(outcomes) == 5
 
 
+def test_folders_of_three_visits_are_compared_as_one_that_has_them(cli: Any, tmp_path: Path) -> None:
+    visit_folders(tmp_path, {"2026-01-10": 1.0, "2026-02-14": 1.4, "2026-03-14": 1.2})
+    done = cli("compare", *sorted(tmp_path.iterdir()), "--measures", "gait_speed")
+    assert done.code == 0, done.err
+    assert done.out.startswith("3 visits with their trials: ")
+
+
 def test_another_baseline_turns_the_change(cli: Any, visits: Path) -> None:
     done = cli("compare", visits, "--measures", "gait_speed", "--baseline", "2026-02-14")
     assert done.code == 0, done.err

@@ -159,6 +159,14 @@ def test_files_of_the_user_in_a_folder_are_named_and_kept(
     assert tree(tmp_path) == before
 
 
+def test_folder_of_an_earlier_version_of_this_kind_is_replaced(tmp_path: Path) -> None:
+    with new_folder(tmp_path / "out", "motion.npz") as folder:
+        (folder / "motion.npz").touch()
+    with new_folder(tmp_path / "out", "motion.h5", overwrite=True) as folder:
+        (folder / "motion.h5").touch()
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"motion.h5", MANIFEST}
+
+
 def test_folder_of_another_kind_is_not_replaced(tmp_path: Path) -> None:
     check_replaceable(str(tmp_path / "out"), MARKER)
     write(tmp_path / "out", "old")

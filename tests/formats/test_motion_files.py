@@ -348,3 +348,10 @@ def test_existing_table_is_not_overwritten(write: object, motion: Motion, tmp_pa
     with pytest.raises(OutputExistsError, match=r"motion\.table"):
         write(path, motion)
     write(path, motion[:2], overwrite=True)
+
+
+def test_npz_has_the_arrays_of_the_result_and_is_read_as_a_motion(motion: Motion, folder: Path) -> None:
+    with np.load(folder / "motion.npz") as arrays:
+        assert arrays["names"].tolist() == list(motion.skeleton.names)
+        assert_near(arrays["q"], motion.q)
+    assert_near(Motion.load(folder / "motion.npz").poses.p_world_joint, motion.poses.p_world_joint)

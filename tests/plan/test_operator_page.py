@@ -125,6 +125,7 @@ def test_the_page_needs_no_network() -> None:
     assert "https:" not in rest
     assert "url(" not in rest
     assert "default-src 'none'" in rest
+    assert "img-src data:" in rest
     assert "<script" not in rest
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.image import imread
 from setup_support import LAYOUT, pair, people_in, walker, write_keypoints
 
-from rtof_kin.setup.frames_picture import write_frames_picture
+from rtof_kin.setup.people import write_frames_picture
 
 FIRST, SECOND = np.array([0xE6, 0x9F, 0x00]) / 255, np.array([0x00, 0x72, 0xB2]) / 255
 

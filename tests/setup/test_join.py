@@ -11,6 +11,7 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.calibration.second_camera import SecondCamera
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.camera import Camera, CameraUncertainty
@@ -19,7 +20,6 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.recording.recording import Recording
 from rtof_kin.setup import join
 from rtof_kin.setup.join import join_recordings
-from rtof_kin.setup.second_camera import SecondCamera
 
 BODY = SkeletonModel.default()
 TRUTH = planted.moving(BODY, 240, radians=0.5)

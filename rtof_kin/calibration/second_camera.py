@@ -24,11 +24,7 @@ from rtof_kin.core.errors import CalibrationError
 from rtof_kin.data.camera import Camera, CameraUncertainty
 from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
-from rtof_kin.reconstruction.lift import LifterLike, lift
-from rtof_kin.reconstruction.pipeline import reconstruct
-from rtof_kin.reconstruction.settings import ReconstructionSettings
 from rtof_kin.recording.recording import Recording
-from rtof_kin.vision.outlier_rejection import reject_keypoint_outliers
 
 TURN, MOVE, FOCAL, DELAY, SIZE = slice(0, 3), slice(3, 6), slice(6, 8), 8, 9
 """Unknowns of all frames: the second camera's rotation vector in world, rad, and movement, m; logarithms of
@@ -267,22 +263,24 @@ class SecondCamera:
         return replace(recording, keypoints=first, views=(*recording.views, self.view))
 
 
-def find_second_camera(
-    recording: Recording,
+def estimate_second_camera(
+    first: KeypointSequence,
+    poses: PoseSequence,
     second: KeypointSequence,
-    lifter: LifterLike | None = None,
+    lifted: PoseSequence,
+    skeleton: SkeletonModel,
     *,
+    sensed: bool = False,
     around: float | None = None,
     sigma_focal: tuple[float, float] | None = None,
 ) -> SecondCamera:
     """Estimate a second camera, which stands anywhere, from the moving person.
 
     Args:
-        recording: of the first camera, whose pose is the world's, with sensors or without; its skeleton,
-            from the height, gives the scale.
-        second: what the second camera sees; its orientation is known up to the heading, within some
-            degrees (`Camera.uncertainty`, or 3), and its position is not used.
-        lifter: default: the shipped one.
+        first: keypoints of the first camera, whose pose is the world's. poses: solved of them, with sensors or without.
+        second: what the second camera sees, without outliers; its orientation is known up to the heading, within some
+            degrees (`Camera.uncertainty`, or 3), and its position is not used. lifted: of it, in a world of its own.
+        skeleton: gives the scale. sensed: whether the poses are those of sensors too.
         around: [s] offset of the clocks that is known within a second; None searches everywhere.
         sigma_focal: relative standard deviation of each focal length as given, 0 where it is calibrated; by
             default as the cameras state (`Camera.uncertainty`), and 10 % where they state nothing.
@@ -291,22 +289,15 @@ def find_second_camera(
         CalibrationError: the two have too little in common.
         InvalidInputError: a video is too short, or the clocks have too little in common.
     """
-    sensed = recording.imus is not None and recording.calibration is not None
-    settings = ReconstructionSettings(confidence=False)
-    alone = reconstruct(recording, mode="rtof" if sensed else "rto", lifter=lifter, settings=settings)
-    first, poses, skeleton = alone.keypoints, alone.motion.poses, recording.skeleton
-    assert first is not None
-    second, _ = reject_keypoint_outliers(second)
-    own = lift(second, skeleton, lifter).poses
-    clock = find_video_offset(poses, own, around)
+    clock = find_video_offset(poses, lifted, around)
     view = second.on_clock(second.times + clock.offset)
-    camera, own = _placed(second.camera, poses, replace(own, times=view.times))
+    camera, lifted = _placed(second.camera, poses, replace(lifted, times=view.times))
     view, frames = replace(view, camera=camera), _frames(first, view.resample(first.times))
     usual = (CameraUncertainty(_USUAL_FOCAL, tilt) for tilt in (0.0, _USUAL_TILT))
     stated = [own.uncertainty or other for own, other in zip((first.camera, camera), usual, strict=True)]
     found = adjust(
         (first.camera, camera),
-        _images(first, view, frames, skeleton, (poses, own)),
+        _images(first, view, frames, skeleton, (poses, lifted)),
         poses.p_world_joint[frames][:, skeleton.index(*JOINTS)],
         BundleSettings(
             sigma_focal=sigma_focal or (stated[0].focal, stated[1].focal),

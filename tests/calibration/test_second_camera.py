@@ -12,13 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core import rotations as so3
-from rtof_kin.core.errors import CalibrationError
-from rtof_kin.data.camera import Camera, CameraUncertainty
-from rtof_kin.data.keypoints import KeypointSequence
-from rtof_kin.recording.recording import Recording
-from rtof_kin.setup import second_camera
-from rtof_kin.setup.second_camera import (
+from rtof_kin.calibration import second_camera
+from rtof_kin.calibration.second_camera import (
     DELAY,
     FOCAL,
     MOVE,
@@ -29,8 +24,14 @@ from rtof_kin.setup.second_camera import (
     Images,
     SecondCamera,
     adjust,
-    find_second_camera,
 )
+from rtof_kin.core import rotations as so3
+from rtof_kin.core.errors import CalibrationError
+from rtof_kin.data.camera import Camera, CameraUncertainty
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.recording.recording import Recording
+from rtof_kin.setup import join
+from rtof_kin.setup.join import find_second_camera
 
 BODY = SkeletonModel.default()
 TRUTH = planted.moving(BODY, 240, radians=0.5)
@@ -55,7 +56,7 @@ def _alone(monkeypatch: pytest.MonkeyPatch) -> None:
         motion = SimpleNamespace(poses=replace(TRUTH.poses, p_world_joint=p))
         return SimpleNamespace(keypoints=given.keypoints, motion=motion)
 
-    monkeypatch.setattr(second_camera, "reconstruct", reconstruct)
+    monkeypatch.setattr(join, "reconstruct", reconstruct)
 
 
 def second() -> KeypointSequence:
