@@ -115,9 +115,6 @@ def file_in(folder: Path) -> Path | None:
 def motion_folder(path: str | Path) -> Path:
     """Return the folder of the motion's file.
 
-    Args:
-        path: as for `motion_path`.
-
     Raises:
         FileFormatError: there is no such folder or file, or no motion in it.
     """
@@ -140,9 +137,6 @@ class MotionReader(MotionSource):
 
     def __init__(self, path: str | Path):
         """Read the header and the times.
-
-        Args:
-            path: see `motion_path`.
 
         Raises:
             FileFormatError: missing, damaged, of a newer schema, or not a motion.

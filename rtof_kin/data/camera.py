@@ -64,7 +64,7 @@ class Camera:
     """Standard deviation, rad/s, of a steady drift of the heading where a gyroscope measured the turning;
     `reconstruct` estimates the drift where there are sensors."""
     accuracy: CameraUncertainty | None = None
-    """Measured standard deviations of a calibrated camera; None where nobody stated them."""
+    """Measured standard deviations of a calibrated camera; None where they are not stated."""
 
     def __post_init__(self) -> None:
         if self.distortion is None:  # callers may say None

@@ -76,11 +76,7 @@ def read_asf_amc(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 12
 
 
 def read_amc_frames(path_asf: str | Path, path_amc: str | Path, rate_hz: float = 120.0) -> ArticulatedFrames:
-    """Read Acclaim files as `read_asf_amc` does; of long ones some frames at a time become a motion.
-
-    Args:
-        path_asf, path_amc, rate_hz: see `read_asf_amc`.
-    """
+    """Read Acclaim files as `read_asf_amc` does; of long ones some frames at a time become a motion."""
     path_asf, path_amc = Path(path_asf), Path(path_amc)
     skeleton = _read_skeleton(path_asf)
     bones = [skeleton.root, *_depth_first(skeleton)]

@@ -52,11 +52,7 @@ def read_bvh(path: str | Path, rate_hz: float | None = None) -> ArticulatedMotio
 
 
 def read_bvh_frames(path: str | Path, rate_hz: float | None = None) -> ArticulatedFrames:
-    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion.
-
-    Args:
-        path, rate_hz: see `read_bvh`.
-    """
+    """Read a BVH file as `read_bvh` does; of a long one some frames at a time become a motion."""
     path = Path(path)
     lines = read_text(path, "a BVH file, which begins with HIERARCHY").splitlines()
     tokens = _Tokens(path, lines)

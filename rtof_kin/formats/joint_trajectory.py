@@ -51,11 +51,8 @@ def joint_velocities(skeleton: SkeletonModel, q: Array, times: Array) -> Array:
 
 
 def write_joint_trajectory_csv(path: str | Path, motion: Motion | MotionSource) -> None:
-    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's
-    orientation and of each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table.
-
-    Args:
-        path: the table; an existing file is replaced.
+    """Write named columns: time, base pose, an angle per revolute, and ``NAME_valid`` of the base's orientation and of
+    each revolute, 0 where unobserved. Units are in ``<name>.json`` beside the table. Existing files are replaced.
     """
     path, source = Path(path), MotionSource.of(motion)
     skeleton = source.skeleton
@@ -162,11 +159,7 @@ def _base_points(motion: MotionSource, zero: float) -> Iterator[dict[str, Any]]:
 
 
 def ros_time(seconds: float) -> dict[str, int]:
-    """Return a builtin_interfaces/Time or Duration.
-
-    Args:
-        seconds: s.
-    """
+    """Return a builtin_interfaces/Time or Duration of seconds."""
     nanoseconds = round(float(seconds) * 1e9)
     return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 

@@ -45,11 +45,7 @@ class Job:
         settings: ReconstructionSettings | None,
         progress: Progress | None,
     ) -> Job:
-        """Return the job for arguments of `reconstruct`; None stands for their defaults.
-
-        Args:
-            recording, skeleton, lifter, settings, progress: as for `reconstruct`.
-        """
+        """Return the job for arguments of `reconstruct`; None stands for their defaults."""
         prior = getattr(lifter, "prior", None)
         if prior is not None:
             recording = replace(recording, model_prior=prior)
@@ -65,11 +61,7 @@ class Job:
     def prepare(
         self, mode: Mode, rejected: tuple[StreamFault, ...] = (), calibration: SelfCalibration | None = None
     ) -> Prepared:
-        """Prepare the recording.
-
-        Args:
-            mode, rejected, calibration: as for `reconstruction.prepare.prepare`.
-        """
+        """Prepare the recording."""
         return prepare(
             self.recording,
             self.subject,
@@ -131,11 +123,7 @@ class Job:
         rejected: tuple[StreamFault, ...] = (),
         calibration: SelfCalibration | None = None,
     ) -> tuple[Prepared, PoseSequence]:
-        """Prepare and solve another version of the recording, without covariances.
-
-        Args:
-            mode, rejected, calibration: as for `prepare`.
-        """
+        """Prepare and solve another version of the recording, without covariances."""
         own = replace(self, recording=recording)
         prepared = own.prepare(mode, rejected, calibration)
         return prepared, own.solve(prepared, confidence=False).poses

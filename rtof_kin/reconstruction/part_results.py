@@ -156,11 +156,7 @@ class Seam:
         """Root [m] and its variance [m^2] in the first frame of the next part, by this one."""
 
     def continued(self, part: Reconstruction, kept: slice, first: int) -> Reconstruction:
-        """Return the kept frames of the next part, continued.
-
-        Args:
-            kept, first: as for `cut`.
-        """
+        """Return the kept frames of the next part, continued."""
         if part.root_sigma is not None:
             part = self._on_path(part, part.root_sigma, kept)
         out = cut(part, kept, first)

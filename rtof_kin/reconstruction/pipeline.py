@@ -273,9 +273,6 @@ def calibrate_camera(
 ) -> CameraEstimate:
     """Find an uncalibrated camera by the image alone; see `rtof_kin.reconstruction.self_calibration`.
 
-    Args:
-        lifter, progress: as for `reconstruct`.
-
     Raises:
         ViewError: the person is behind the camera. Errors of the stages.
     """

@@ -358,7 +358,7 @@ def _of_stream(kind: str, stream: Stream[Any] | None, arrays: Callable[[Any], Ma
 
 
 class RecordingReader(RecordingSource):
-    """A recording's folder of which spans of time are read when they are asked for.
+    """A recording's folder of which spans of time are read when needed.
 
     It is checked as a whole when it is opened, by blocks, and kept in temporary files.
     """

@@ -240,7 +240,7 @@ class Source:
 
 
 class OnDisk(Source):
-    """Reads files once, block by block, into temporary files of which rows are read when they are asked for."""
+    """Reads files once, block by block, into temporary files of which rows are read when needed."""
 
     def __init__(self, closing: ExitStack):
         """Take what closes the files."""

@@ -135,11 +135,7 @@ class ReconstructionStatistics:
     """
 
     def __init__(self, first: Reconstruction) -> None:
-        """Begin with the first part, or the whole.
-
-        Args:
-            first: of `reconstruct`.
-        """
+        """Begin with the first part, or the whole."""
         self.first, self.frames = sample(first), 0
         self.root_sigma = float("nan")
         self.fragments: list[FragmentReport] = []

@@ -3,7 +3,7 @@
 A point stands at its place in the body, which differs from person to person and moves with the pose and the view. Its
 error in the image has a part that is constant over the recording and a coloured one, both correlated over the points;
 the coloured part grows where the body hides the point. Limbs jump, left and right are exchanged, the person is lost,
-the whole picture is late by some frames, and the camera stands a little differently from what its calibration says.
+all detections are late by some frames, and the camera stands a little differently from what its calibration says.
 """
 
 from __future__ import annotations

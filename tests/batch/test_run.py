@@ -333,15 +333,6 @@ def test_a_driver_on_a_full_disk_stops_with_one_error_and_goes_on_later(root: Pa
     assert calls(log)["b0 reconstruct"] == 1
 
 
-def test_an_unreadable_recording_is_an_error_in_the_table(root: Path, out: Path, log: Path) -> None:
-    (root / "s1/a/recording.toml").write_bytes(b"\xff\xfe garbage")
-    (root / "s1/b/keypoints.npz").symlink_to(root / "s1/b/keypoints.npz")
-    rows = {row.recording: row for row in run(batch_of(root, out))}
-    assert "UTF-8" in rows["s1/a"].error
-    assert rows["s2/c"].verdict == "fail"
-    assert set(rows) == set(table(out)) == set(VERDICTS)
-
-
 def test_two_drivers_do_not_share_a_folder(root: Path, out: Path, log: Path) -> None:
     with claim(out, root, Shard(), False):
         with pytest.raises(OutputExistsError, match=rf"process {os.getpid()} on .*, since .* is at work on it"):

@@ -274,12 +274,3 @@ def test_bones_contradicting_the_height_cause_a_warning() -> None:
     told, made = recorded_in().skeleton.height, 0.8 * recorded_in().skeleton.height
     assert f"height is {told:.2f} m" in said[1]
     assert f"make {made:.2f} m" in said[1]
-
-
-def test_a_video_that_hardly_overlaps_the_sensors_is_refused() -> None:
-    seen = recorded_in().video
-    seen = replace(seen, times=seen.times + seen.times[-1] - 0.1)
-    late = replace(recorded_in(), keypoints=seen, truth=None)
-    poses = replace(moving().poses, times=late.video.times)
-    with pytest.raises(CalibrationError, match="too little to look for a delay"):
-        cs.calibrated(late, poses, cs.only("delay"), cs.SETTINGS, frames=24)

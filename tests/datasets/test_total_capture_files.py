@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from detector_support import flat, points_px, walking, watching
 
-from rtof_kin.core.errors import FileFormatError
-from rtof_kin.datasets.total_capture_files import KINDS, find_files
+from rtof_kin.body.skeleton import SkeletonModel
+from rtof_kin.core.errors import FileFormatError, UnknownNameError
+from rtof_kin.data.camera import Camera
+from rtof_kin.data.keypoints import KeypointSequence
+from rtof_kin.datasets.total_capture_files import KINDS, find_files, read_detections
 
 POSITIONS = "gt_skel_gbl_pos.txt"
 
@@ -112,3 +119,198 @@ def test_equal_files_are_allowed_and_different_ones_refused(tmp_path: Path) -> N
     two.unlink()
     with pytest.raises(FileFormatError, match="cannot be compared"):
         index.one(("S5", "acting3"), "positions")
+
+
+NAMES = SkeletonModel.default().names
+T = 7
+
+
+def values(landmarks: int = len(NAMES), seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """uv_px (T, L, 2) and confidence (T, L)."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0, 1000, (T, landmarks, 2)), rng.uniform(0.1, 1, (T, landmarks))
+
+
+def write(path: Path, **changed: Any) -> Path:
+    """An .npz of 21 joints, its arrays changed; those that are None are left out."""
+    uv, confidence = values()
+    arrays = {"uv_px": uv, "confidence": confidence} | changed
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as stream:  # as savez would add to a name in capitals
+        np.savez(stream, **{name: a for name, a in arrays.items() if a is not None})
+    return path
+
+
+@pytest.fixture
+def read(tmp_path: Path, camera: Camera) -> Any:
+    """What is found of S5 acting3 camera 1, or of another take."""
+
+    def of(*about: Any, **options: Any) -> KeypointSequence:
+        return read_detections(tmp_path, *(about or ("S5", "acting3", 1)), camera, **options)
+
+    return of
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "TC_S5_acting3_cam1.npz",
+        "S5_acting3_cam1.npz",
+        "a/b/tc_s5_Acting3_CAM1.npz",
+        "S5/acting3/cam1.npz",
+        "deep/s5/ACTING3/Cam1.NPZ",
+        "S5/acting3/TC_S5_acting3_cam1.npz",
+    ],
+)
+def test_every_name_is_found_at_any_depth_in_any_case(name: str, tmp_path: Path, read: Any) -> None:
+    write(tmp_path / name)
+    for other in (
+        "S5_acting3_cam11.npz",
+        "S5_acting3_cam2.npz",
+        "S4_acting3_cam1.npz",
+        "S5/acting1/cam1.npz",
+        "XS5_acting3_cam1.npz",
+        "S5_acting3_cam1.npz.txt",
+        "S5/acting3/._cam1.npz",
+        "__MACOSX/S5/acting3/cam1.npz",
+    ):
+        write(tmp_path / other, uv_px=values(seed=1)[0])
+    found = read()
+    np.testing.assert_array_equal(found.uv_px, values()[0])
+    np.testing.assert_array_equal(found.confidence, values()[1])
+
+
+def test_times_are_those_of_the_video_or_of_the_file(tmp_path: Path, camera: Camera, read: Any) -> None:
+    path = write(tmp_path / "S5_acting3_cam1.npz")
+    found = read()
+    np.testing.assert_allclose(found.times, np.arange(T) / 60)
+    np.testing.assert_allclose(read(rate_hz=50.0).times, np.arange(T) / 50)
+    assert found.camera is camera
+    assert found.names == NAMES
+    times = np.arange(T) / 30 + 0.5
+    write(path, times=times)
+    np.testing.assert_array_equal(read().times, times)
+
+
+def test_a_csv_has_the_columns_of_a_recording(tmp_path: Path, read: Any) -> None:
+    text = "Nose_u_px,Nose_v_px,Hips_u_px,Hips_v_px,Hips_confidence\n10,20,30,40,0.5\n11,21,,,\n"
+    (tmp_path / "TC_S5_acting3_cam1.csv").write_text(text)
+    found = read()
+    assert found.names == ("Nose", "Hips")
+    np.testing.assert_array_equal(found.uv_px[0], [[10, 20], [30, 40]])
+    np.testing.assert_array_equal(found.confidence, [[1, 0.5], [1, 0]])
+    np.testing.assert_allclose(found.times, [0, 1 / 60])
+    timed = "".join(f"{c},{row}\n" for c, row in zip(("time", 2.0, 2.5), text.split(), strict=True))
+    (tmp_path / "TC_S5_acting3_cam1.csv").write_text(timed)
+    np.testing.assert_array_equal(read().times, [2.0, 2.5])
+
+
+def test_landmarks_are_named_by_a_file_or_by_the_skeleton(tmp_path: Path, read: Any) -> None:
+    skeleton = SkeletonModel.named("human36m")
+    uv, confidence = values(17)
+    write(tmp_path / "S9_walking1_cam1.npz", uv_px=uv, confidence=confidence)
+    assert read("S9", "walking1", 1, skeleton=skeleton).names == skeleton.names
+    uv, confidence = values(3)
+    write(tmp_path / "all" / "S5_acting3_cam1.npz", uv_px=uv, confidence=confidence)
+    (tmp_path / "landmarks.txt").write_text("Nose\nLeftHand\r\nRightFoot\n")
+    found = read()
+    assert found.names == ("Nose", "LeftHand", "RightFoot")
+    np.testing.assert_array_equal(found.uv_px, uv)
+
+
+def test_unseen_points_have_no_value_or_no_confidence(tmp_path: Path, read: Any) -> None:
+    uv, confidence = values()
+    uv[2, 3, 0] = np.nan
+    confidence[4, 5] = 0.0
+    path = write(tmp_path / "S5_acting3_cam1.npz", uv_px=uv, confidence=confidence)
+    unseen = {(2, 3), (4, 5)}
+    assert set(map(tuple, np.argwhere(~read().seen).tolist())) == unseen
+    write(path, uv_px=uv, confidence=None)
+    found = read()
+    assert set(map(tuple, np.argwhere(~found.seen).tolist())) == {(2, 3)}
+    assert set(np.unique(found.confidence)) == {0.0, 1.0}
+
+
+def test_missing_and_contradicting_files_are_refused(tmp_path: Path, camera: Camera, read: Any) -> None:
+    one = write(tmp_path / "S5_acting3_cam2.npz")
+    with pytest.raises(FileFormatError, match=r"S5 acting3 camera 1: .*TC_S5_acting3_cam1\.npz"):
+        read()
+    with pytest.raises(FileFormatError, match="no detections of S. "):
+        read("S.", "acting3", 2)
+    with pytest.raises(FileFormatError, match="gone: there is no such folder"):
+        read_detections(tmp_path / "gone", "S5", "acting3", 1, camera)
+    two = tmp_path / "backup" / "TC_S5_acting3_cam2.npz"
+    two.parent.mkdir()
+    two.write_bytes(one.read_bytes())
+    np.testing.assert_array_equal(read("S5", "acting3", 2).uv_px, values()[0])
+    write(two, uv_px=values(seed=1)[0])
+    with pytest.raises(FileFormatError, match=r"cam2\.npz: .*cam2\.npz .*remove"):
+        read("S5", "acting3", 2)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"uv_px": None}, r"no array 'uv_px' of shape \(T, L, 2\)"),
+        ({"uv_px": np.zeros((T, 17, 2))}, r"\(7, 17, 2\), and 21 landmarks .*landmarks.txt"),
+        ({"keypoints": np.zeros((T, 21, 2))}, r"cam1.npz 'keypoints'.*uv_px"),
+        ({"confidence": np.full((T, 21), 87.0)}, r"outside \[0, 1\]"),
+    ],
+)
+def test_wrong_arrays_are_refused(changed: dict[str, Any], message: str, tmp_path: Path, read: Any) -> None:
+    path = write(tmp_path / "S5_acting3_cam1.npz", **changed)
+    with pytest.raises((FileFormatError, UnknownNameError), match=message) as caught:
+        read()
+    assert str(path) in str(caught.value)
+
+
+def test_wrong_names_of_landmarks_are_refused(tmp_path: Path, read: Any) -> None:
+    uv, confidence = values(2)
+    write(tmp_path / "S5_acting3_cam1.npz", uv_px=uv, confidence=confidence)
+    (tmp_path / "landmarks.txt").write_text("Nose\nLeftHnad\n")
+    with pytest.raises(UnknownNameError, match=r"cam1.npz 'LeftHnad'.*Did you mean 'LeftHand'"):
+        read()
+    (tmp_path / "landmarks.txt").write_text("Nose\nNose\n")
+    with pytest.raises(FileFormatError, match="cam1.npz: .*Nose .*more than once"):
+        read()
+    (tmp_path / "landmarks.txt").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileFormatError, match=r"landmarks.txt: not readable"):
+        read()
+    (tmp_path / "S5_acting3_cam1.npz").unlink()
+    (tmp_path / "S5_acting3_cam1.csv").write_text("left_hip_u_px,left_hip_v_px\n1,2\n")
+    with pytest.raises(UnknownNameError, match="name of their layout.*left_hip"):
+        read()
+
+
+def test_points_of_a_layout_are_converted_to_landmarks(tmp_path: Path) -> None:
+    motion = walking()
+    camera = watching(motion)
+    for layout, extra in (("coco17", "Nose"), ("mediapipe33", "RightHandEnd")):
+        np.savez(tmp_path / "S5_acting3_cam1.npz", keypoints=points_px(layout, motion, camera))
+        for asked in (layout, "auto"):
+            found = read_detections(tmp_path, "S5", "acting3", 1, camera, layout=asked)
+            assert set(NAMES) < set(found.names)
+            assert extra in found.names
+            np.testing.assert_allclose(found.times, np.arange(len(motion.times)) / 60)
+            seen = found.select(NAMES).uv_px
+            off = np.linalg.norm(seen - camera.project(motion.poses.p_world_joint), axis=-1)
+            assert np.nanmedian(off) < 12
+    with pytest.raises(FileFormatError, match=r"cam1.npz: layout body25 has 25 points.*mediapipe33"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera, layout="body25")
+    with pytest.raises(UnknownNameError, match="array.*'keypoints'"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera)
+
+
+def test_a_folder_of_json_is_found_like_a_file(tmp_path: Path) -> None:
+    motion = walking()
+    camera, folder = watching(motion), tmp_path / "S5" / "acting3" / "Cam1"
+    folder.mkdir(parents=True)
+    for frame, points in enumerate(points_px("body25", motion, camera)):
+        text = json.dumps({"people": [{"pose_keypoints_2d": flat(points)}]})
+        (folder / f"{frame:012d}_keypoints.json").write_text(text)
+    found = read_detections(tmp_path, "S5", "acting3", 1, camera, layout="auto")
+    assert len(found) == len(motion.times)
+    assert "RightHeel" in found.names
+    np.savez(tmp_path / "S5_acting3_cam1.npz", keypoints=points_px("coco17", motion, camera))
+    with pytest.raises(FileFormatError, match="claims to be the same detections; remove the wrong"):
+        read_detections(tmp_path, "S5", "acting3", 1, camera, layout="auto")

@@ -90,9 +90,9 @@ def test_where_velocities_are_unsharp_the_energy_decides(demo: Recording, monkey
     assert after.sigma[0] == pytest.approx(0.004)
 
 
-def test_sensors_of_another_day_are_named(demo: Recording) -> None:
-    noted = replace(demo.between(5.0, 9.0), notes=f"found: x\ndoubtful: {DAYS_APART}: 3 days apart")
-    assert found(noted).warnings[0] == f"{DAYS_APART}: 3 days apart"
+@pytest.mark.parametrize("note", [f"{DAYS_APART}: 3 days apart", f"{CLOCK_DOUBT}: the motion repeats itself"])
+def test_what_the_setup_noted_of_the_clocks_is_said_again(demo: Recording, note: str) -> None:
+    assert found(replace(demo.between(5.0, 9.0), notes=f"found: x\ndoubtful: {note}")).warnings[0] == note
 
 
 def test_the_uncertainty_of_the_clocks_widens_what_moves(demo: Recording) -> None:
@@ -115,11 +115,6 @@ def test_sensors_that_began_seconds_off_are_left_out_and_the_first_line_says_whe
     assert wrong.foreign
     assert "or they began 1.5 s earlier than declared" in check.cause
     assert "start_s" in check.advice
-
-
-def test_a_doubtful_start_of_the_sensors_is_said_again(demo: Recording) -> None:
-    noted = replace(demo.between(5.0, 9.0), notes=f"doubtful: {CLOCK_DOUBT}: the motion repeats itself")
-    assert found(noted).warnings[0] == f"{CLOCK_DOUBT}: the motion repeats itself"
 
 
 def test_bands_are_as_wide_as_strides_differ_where_the_stride_is_in_doubt() -> None:

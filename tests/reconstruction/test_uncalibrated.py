@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rtof_kin.calibration.camera_estimate import prior_sigma
 from rtof_kin.calibration.camera_unknowns import FOCAL, corrected
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.resources import model_path
@@ -135,10 +134,6 @@ def test_of_a_long_video_the_part_in_which_the_person_comes_and_goes_is_used() -
     assert part.times[-1] > 30
     assert part.times[-1] - part.times[0] <= 41
     assert len(excerpt(replace(video, times=video.times / 2))) == 60
-
-
-def test_prior_of_a_known_camera_is_zero() -> None:
-    np.testing.assert_array_equal(prior_sigma(demo().video.camera), 0)
 
 
 def test_the_audit_lists_the_unknowns_of_the_camera() -> None:

@@ -199,9 +199,6 @@ def check_replaceable(path: str | Path, marker: str, overwrite: bool = False) ->
     An empty folder may be filled. With `overwrite` a folder of the same kind may be replaced if it contains
     only unchanged files of this package (see `core.files.manifest`).
 
-    Args:
-        path, marker, overwrite: see `new_folder`.
-
     Raises:
         OutputExistsError: it may not be replaced. WritingError: its parent cannot be written.
     """
@@ -370,9 +367,6 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 def check_new_file(path: str | Path, overwrite: bool) -> None:
     """Check that an output file may be written.
-
-    Args:
-        path, overwrite: see `new_file`.
 
     Raises:
         OutputExistsError: it exists. WritingError: its folder cannot be written.

@@ -30,11 +30,7 @@ _MANTISSA: Final = 23
 
 
 def multiples(values: ArrayLike, bits: int) -> Array:
-    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits.
-
-    Args:
-        values: of any shape.
-    """
+    """Return the nearest multiples of ``2^-bits``; zero is positive, so that equal numbers are equal bits."""
     return np.asarray(np.ldexp(np.round(np.ldexp(np.asarray(values, dtype=float), bits)), -bits) + 0.0)
 
 

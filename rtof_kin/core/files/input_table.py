@@ -90,7 +90,7 @@ class OneOf:
     """Annotation of a text that is one of some choices."""
 
     def __init__(self, known: Callable[[], Iterable[str]]):
-        """Take the choices, which are asked for anew for every value."""
+        """Take the choices, which are read anew for every value."""
         self.known = known
 
     def checked(self, value: str) -> str:
@@ -168,10 +168,10 @@ class Rule(NamedTuple):
             letters = "".join(f"[{c}{c.upper()}]" for c in self.ending[1:])
             named = {"file": {"type": "string", "pattern": rf"\.{letters}$"}}
             conditions.append({"required": ["file"], "properties": named})
-        told = {"errorMessage": self.problem} if self.problem else {}
-        then: dict[str, Any] = {"required": list(self.required), **told} if self.required else {}
+        message = {"errorMessage": self.problem} if self.problem else {}
+        then: dict[str, Any] = {"required": list(self.required), **message} if self.required else {}
         if self.excluded:
-            then["properties"] = {field: {"not": {}, **told} for field in self.excluded}
+            then["properties"] = {field: {"not": {}, **message} for field in self.excluded}
         return {"if": {"allOf": conditions} if len(conditions) > 1 else conditions[0], "then": then}
 
 

@@ -83,9 +83,6 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -> Any:
     """Return the contents of a JSON file.
 
-    Args:
-        path, limit, what: see `read_text`.
-
     Raises:
         FileFormatError: see `read_text`, or not JSON.
     """
@@ -99,11 +96,7 @@ def load_json(path: str | Path, limit: int = LARGEST_TEXT, what: str = "JSON") -
 
 
 def measurable(array: Array) -> bool:
-    """Return whether all finite numbers are within `LARGEST_NUMBER`.
-
-    Args:
-        array: any shape.
-    """
+    """Return whether all finite numbers are within `LARGEST_NUMBER`."""
     with np.errstate(invalid="ignore"):
         return not np.any((np.abs(array) > LARGEST_NUMBER) & np.isfinite(array))
 

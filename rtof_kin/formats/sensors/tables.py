@@ -447,9 +447,6 @@ def _first_line(path: Path) -> str:
 def read_phone(paths: Sequence[Path]) -> SensorLog:
     """Read gyroscope and, where there is one, accelerometer of a phone as the sensor *phone*.
 
-    Args:
-        paths: of `phone_files`.
-
     Raises:
         FileFormatError: no gyroscope, or damaged.
     """
