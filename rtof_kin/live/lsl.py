@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,29 +21,20 @@ from rtof_kin.core.packages import optional
 from rtof_kin.formats.channels import PointChannels, StreamChannels
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 
-_CONNECT_S: Final = 3.0
-"""[s] for the connection, the metadata and the first offset of the clock, each."""
+_CONNECT_S: Final = 3.0  # [s] for the connection, the metadata and the first offset of the clock, each
 _SETTLE_S: Final = 0.7
 """[s] after the first answer within which another stream of the name answers too; LSL asks every 0.5 s."""
-_FORGET_S: Final = 1.5
-"""[s] without an answer after which a stream is gone."""
+_FORGET_S: Final = 1.5  # [s] without an answer after which a stream is gone
 _POLL_S: Final = 0.005
 _BUFFER_S: Final = 60
-_MOST_SAMPLES: Final = 4096
-"""Samples of one call to LSL."""
-_OFFSET_JUMP_S: Final = 0.02
-"""[s] that measured offsets do not change by between two measurements, which agree to 1 ms."""
-_AHEAD_S: Final = 0.5
-"""[s] after now; no sample comes from there."""
-_BACK_S: Final = 1.0
-"""[s] before the newest sample; senders keep the order of their samples but for less."""
-_LATE_S: Final = 10.0
-"""[s] of age that a first sample may have."""
+_MOST_SAMPLES: Final = 4096  # Samples of one call to LSL
+_OFFSET_JUMP_S: Final = 0.02  # [s] that measured offsets do not change by between two measurements, which agree to 1 ms
+_AHEAD_S: Final = 0.5  # [s] after now; no sample comes from there
+_BACK_S: Final = 1.0  # [s] before the newest sample; senders keep the order of their samples but for less
+_LATE_S: Final = 10.0  # [s] of age that a first sample may have
 _MOST_REPORTED: Final = 5
-_SILENT_S: Final = 0.6
-"""[s] without a sample after which a stream is reported."""
-_SILENT_PERIODS: Final = 4
-"""Sampling periods without a sample after which a slow stream is reported."""
+_SILENT_S: Final = 0.6  # [s] without a sample after which a stream is reported
+_SILENT_PERIODS: Final = 4  # Sampling periods without a sample after which a slow stream is reported
 
 
 def load_pylsl() -> Any:
@@ -56,28 +47,6 @@ def load_pylsl() -> Any:
 
 
 # --- channels ------------------------------------------------------------------------------------
-
-
-class Channels(Protocol):
-    """What the channels of a stream mean."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Sensors, or points of a frame."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences about channels that are left out, and about what sensors lack."""
-
-    def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
-        """Return the samples of rows of channels, in the order of times.
-
-        Args:
-            times: (T,) s. values: (T, C) of all channels.
-
-        Raises:
-            SourceError: another number of channels than labels.
-        """
 
 
 class ImuChannels:
@@ -122,7 +91,14 @@ class ImuChannels:
         self.notes = (*channels.notes, *lacks)
 
     def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
-        """Return one sample of each sensor at each time; see `Channels`."""
+        """Return one sample of each sensor at each time, in the order of times.
+
+        Args:
+            times: (T,) s. values: (T, C) of all channels.
+
+        Raises:
+            SourceError: another number of channels than labels.
+        """
         stamps = np.asarray(times, dtype=float)
         numbers = _checked_width(self._stream, values, len(stamps), self._channels.count)
         declaration, S = self._channels.declaration, len(self.names)
@@ -153,10 +129,13 @@ class FrameChannels:
         self.names = self._channels.names
 
     def samples(self, times: ArrayLike, values: ArrayLike) -> list[Sample]:
-        """Return the frames; see `Channels`."""
+        """Return the frames; arguments and errors as of `ImuChannels.samples`."""
         stamps = np.asarray(times, dtype=float)
         uv, confidence = self._channels.points(_checked_width(self._stream, values, len(stamps), self._channels.count))
         return [FrameSample(float(stamps[i]), uv[i], confidence[i]) for i in range(len(stamps))]
+
+
+Channels = ImuChannels | FrameChannels
 
 
 def _checked_width(stream: str, values: ArrayLike, rows: int, count: int) -> Array:

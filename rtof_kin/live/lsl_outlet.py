@@ -13,12 +13,9 @@ from rtof_kin.formats.joint_trajectory import BASE_COLUMNS
 from rtof_kin.live.lsl import load_pylsl
 from rtof_kin.live.samples import OnlineEstimate
 
-_BUFFER_S: Final = 60
-"""What a listener that has fallen behind is kept, s; LSL drops older samples."""
-_APART_S: Final = 5.0
-"""Age of the newest sample above which the clock of the poses is taken to be another than LSL's."""
-_IRREGULAR: Final = 0.0
-"""No nominal rate, so that receivers do not space the frames equally over a gap."""
+_BUFFER_S: Final = 60  # What a listener that has fallen behind is kept, s; LSL drops older samples
+_APART_S: Final = 5.0  # Age of the newest sample above which the clock of the poses is taken to be another than LSL's
+_IRREGULAR: Final = 0.0  # No nominal rate, so that receivers do not space the frames equally over a gap
 
 
 class LslOutlet:

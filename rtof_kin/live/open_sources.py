@@ -97,8 +97,7 @@ OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
 """Words of outputs, for messages."""
 _LSL, _WS = "lsl", "ws"
 _OUTLET: Final = "rtof_kin"
-_PORT: Final = 8765
-"""Of the WebSocket, unless another is given."""
+_PORT: Final = 8765  # Of the WebSocket, unless another is given
 _SKELETON: Final = "total_capture"
 
 
@@ -182,8 +181,12 @@ def open_sources(
     live = any(_is_live(word) for word in words)
     if live and speed != 1.0:
         raise SourceError(f"speed {speed:g}: is for replays; leave it out where a stream is live")
-    lsl = any(map(_is_lsl, words))
-    opening = _Opening(setup, ReplayClock(speed), live, _lsl_clock() if lsl else time.monotonic, detector)
+    now: Callable[[], float] = time.monotonic
+    if any(map(_is_lsl, words)):
+        from rtof_kin.live.lsl import load_pylsl
+
+        now = load_pylsl().local_clock
+    opening = _Opening(setup, ReplayClock(speed), live, now, detector)
     found = [(word, _camera(word, opening)) for word in cameras]
     found += [(word, _sensors(word, opening)) for word in sensors]
     sources = tuple(source for _, source in found)
@@ -207,7 +210,7 @@ def open_sinks(words: Sequence[str], setup: Recording) -> list[Sink]:
         RtofError: what an output needs is not installed.
     """
     if twice := {word for word in words if list(words).count(word) > 1}:
-        raise SourceError(f"--out {', '.join(sorted(twice))}: given twice; give each output once")
+        raise SourceError(f"--send {', '.join(sorted(twice))}: given twice; give each output once")
     return [_sink(word, setup) for word in words]
 
 
@@ -285,13 +288,6 @@ def _stream(word: str) -> str:
     return name
 
 
-def _lsl_clock() -> Callable[[], float]:
-    from rtof_kin.live.lsl import load_pylsl
-
-    clock: Callable[[], float] = load_pylsl().local_clock
-    return clock
-
-
 def _sink(word: str, setup: Recording) -> Sink:
     kind, _, rest = word.strip().partition(":")
     if kind.lower() == _LSL:
@@ -303,4 +299,4 @@ def _sink(word: str, setup: Recording) -> Sink:
 
         port = int(rest) if rest else _PORT
         return WebSocketServer(setup.skeleton, port, floor_height=setup.floor_height)
-    raise SourceError(f"--out {word}: there is no such output; give {OUTPUTS}")
+    raise SourceError(f"--send {word}: there is no such output; give {OUTPUTS}")

@@ -28,8 +28,7 @@ _LAYOUTS: Final = {
     136: "halpe26",
 }
 """Points of a detector's person -> their layout; those of whole bodies begin with the body's."""
-_CHECKED: Final = 30
-"""Images with the person after which the layout is confirmed by geometry."""
+_CHECKED: Final = 30  # Images with the person after which the layout is confirmed by geometry
 
 
 class PersonPoints:

@@ -22,10 +22,8 @@ from rtof_kin.core.errors import SolverError, UnknownNameError
 from rtof_kin.live.sensor_buffer import SensorBuffer
 from rtof_kin.live.window import Window
 
-_FRAMES: Final = 50
-"""Frames of a window of the calibration."""
-_SETTLED: Final = 30
-"""Frames after a beginning that are not used."""
+_FRAMES: Final = 50  # Frames of a window of the calibration
+_SETTLED: Final = 30  # Frames after a beginning that are not used
 _OPEN: Final = {
     "delay": {"sigma_delay": 0.05},
     "heading": {"sigma_heading": np.radians(8.0)},

@@ -29,8 +29,7 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoints import read_detector_keypoints
 
 _STEP: Final = 1 / 60
-_LONGEST_WAIT: Final = 0.05
-"""[s] after which a thread that waits looks whether it should stop."""
+_LONGEST_WAIT: Final = 0.05  # [s] after which a thread that waits looks whether it should stop
 
 
 class ReplayClock:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from rtof_kin.live.stream_checks import (
     unknown_sensors,
 )
 from rtof_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from rtof_kin.live.estimator import OnlineEstimator
 
 
 @dataclass(frozen=True)
@@ -87,27 +90,6 @@ _MOST_SENTENCES: Final = 1000
 _HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
 
 
-class Estimator(Protocol):
-    """Poses from samples, such as `rtof_kin.live.estimator.OnlineEstimator`."""
-
-    @property
-    def dropped(self) -> Mapping[str, int]:
-        """Samples that came too late, by sensor or `VIDEO`."""
-
-    def push(self, sample: Sample) -> None:
-        """Take a sample, in any order."""
-
-    @property
-    def hurried(self) -> int:
-        """Frames that were only predicted, to catch up."""
-
-    def advance(self, time: float | None = None, *, hurry: bool = False) -> list[OnlineEstimate]:
-        """Return the frames that are due at a time, s; in a hurry with less work for many of them."""
-
-    def finish(self) -> list[OnlineEstimate]:
-        """Return the frames that remain."""
-
-
 class LiveSession:
     """Runs sources, an estimator and sinks; `run` in real time, `step` for one instant.
 
@@ -118,7 +100,7 @@ class LiveSession:
         self,
         setup: Recording,
         sources: Sequence[Source],
-        estimator: Estimator,
+        estimator: OnlineEstimator,
         *,
         sinks: Sequence[Sink] = (),
         recorder: Recorder | None = None,

@@ -28,10 +28,8 @@ from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 from rtof_kin.vision.video import read_video
 from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
-_RECENT: Final = 30
-"""Frames of which times are the median."""
-_PATIENCE: Final = 2.0
-"""[s] to wait for a thread that ends."""
+_RECENT: Final = 30  # Frames of which times are the median
+_PATIENCE: Final = 2.0  # [s] to wait for a thread that ends
 
 
 @dataclass(frozen=True)
@@ -215,10 +213,8 @@ class Examination:
         self.problems.append(f"{what} ({error or type(error).__name__})")
 
 
-_SLOW: Final = 0.5
-"""[s] Latency of a video from which on it is told of; then twice as much, and so on."""
-_FIRST_TOLD: Final = 30
-"""Dropped images of a webcam that are told of first; then twice as many, and so on."""
+_SLOW: Final = 0.5  # [s] Latency of a video from which on it is told of; then twice as much, and so on
+_FIRST_TOLD: Final = 30  # Dropped images of a webcam that are told of first; then twice as many, and so on
 
 
 class VideoSource:

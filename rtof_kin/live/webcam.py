@@ -17,12 +17,9 @@ _PERMISSION: Final = {
     "darwin": "allow the terminal to use the camera: System Settings, Privacy and Security, Camera",
     "win32": "allow desktop programs to use the camera: Settings, Privacy, Camera",
 }
-_SYSTEM_CLOCK: Final = 1.0
-"""[s] Largest age of an image whose stamp is of the system's clock."""
-_NO_IMAGE_YET: Final = 0.003
-"""[s] after which a camera that does not wait is asked again."""
-_DRIFT: Final = 1e-4
-"""[s/s] Largest difference of the rates of a camera's clock and the system's."""
+_SYSTEM_CLOCK: Final = 1.0  # [s] Largest age of an image whose stamp is of the system's clock
+_NO_IMAGE_YET: Final = 0.003  # [s] after which a camera that does not wait is asked again
+_DRIFT: Final = 1e-4  # [s/s] Largest difference of the rates of a camera's clock and the system's
 
 
 def device_of(camera: int | str, platform: str = sys.platform) -> tuple[str, str]:

@@ -415,8 +415,7 @@ class WindowPoses:
         return self._whole_of[key]
 
 
-_TORSO_SHARE: Final = 0.05
-"""Share of a new lift in the mean of the torso's standard deviations."""
+_TORSO_SHARE: Final = 0.05  # Share of a new lift in the mean of the torso's standard deviations
 
 
 class StatedErrors:

@@ -212,6 +212,8 @@ def check_terms(terms: Sequence[Term], joints: Sequence[str], built_in: Sequence
     if unknown := [joint for joint in known if joint not in joints]:
         raise UnknownNameError("joint of a term", unknown, joints)
     for term in terms:
+        if isinstance(term, ObservedTerm):
+            term.check()
         if space == "cartesian" and not isinstance(term, PointTerm):
             raise InvalidInputError(
                 f"term {term.name!r}: space 'cartesian' has positions alone (PointTerm); use 'joint'"

@@ -24,8 +24,7 @@ from rtof_kin.view.legend import PALETTE
 
 _TRUNK: Final = (0.8, 1.25)
 """Depth and width of a segment in the middle of the body, relative to the radius in the table."""
-_LONGER: Final = 1.12
-"""Length of a solid relative to its bone: neighbours overlap."""
+_LONGER: Final = 1.12  # Length of a solid relative to its bone: neighbours overlap
 
 
 @dataclass(frozen=True)
@@ -63,10 +62,8 @@ LARGEST_SEMI_AXIS: Final = 2.0
 """[m] Ellipsoids beyond it are not drawn: the position is unknown."""
 AXES_LENGTH: Final = 0.12
 """[m] of the axes of a joint whose orientation was observed as a whole."""
-_SHORT: Final = 0.45
-"""Relative length of the axes of other joints."""
-_FAINT: Final = 0.35
-"""Opacity of a segment that is not valid."""
+_SHORT: Final = 0.45  # Relative length of the axes of other joints
+_FAINT: Final = 0.35  # Opacity of a segment that is not valid
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ from rtof_kin.vision.video_metadata import open_video, slow_motion, upright_imag
 
 HEIGHT: Final = 360
 """[px] Largest height of the images."""
-_AHEAD: Final = 2.0
-"""[s] Up to which images are decoded one after the other instead of sought."""
-_ROUNDING: Final = 0.004
-"""[s] By which a stamp may be before that of its image."""
+_AHEAD: Final = 2.0  # [s] Up to which images are decoded one after the other instead of sought
+_ROUNDING: Final = 0.004  # [s] By which a stamp may be before that of its image
 Image = NDArray[np.uint8]
 
 
@@ -152,10 +150,8 @@ def _small(image_bgr: Image) -> Image:
 DEPTH: Final = 0.6
 """[m] of the image before the camera."""
 _EDGES: Final = (40, 40, 48)
-_POINT: Final = 0.009
-"""Size of a point relative to the depth."""
-_BEHIND: Final = 1.003
-"""Depth of the image relative to that of the points."""
+_POINT: Final = 0.009  # Size of a point relative to the depth
+_BEHIND: Final = 1.003  # Depth of the image relative to that of the points
 
 
 @dataclass(frozen=True)

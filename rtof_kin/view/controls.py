@@ -70,10 +70,8 @@ class Playback:
 
 
 _RELATIVE, _WORLD = "relative to the root", "in world"
-_SLIDER_STEP: Final = 0.001
-"""[s]"""
-_HIDDEN: Final = (Layer.CONFIDENCE,)
-"""Layers that are hidden at the start."""
+_SLIDER_STEP: Final = 0.001  # [s]
+_HIDDEN: Final = (Layer.CONFIDENCE,)  # Layers that are hidden at the start
 
 
 class Controls:

@@ -21,18 +21,13 @@ from rtof_kin.view.projected_motion import Moment, ProjectedMotion, shown_proven
 _HEAD: Final = "Head"
 _RADIUS: Final = 0.24 / 1.75
 """Radius around the middle of the head that contains it with hair and chin, over the body height."""
-_SIGMAS: Final = 3.0
-"""Standard deviations of the head's position by which the region is larger."""
-_UNKNOWN: Final = 0.5
-"""Radii by which it is larger without a confidence."""
+_SIGMAS: Final = 3.0  # Standard deviations of the head's position by which the region is larger
+_UNKNOWN: Final = 0.5  # Radii by which it is larger without a confidence
 _MOST: Final = 1.5
 """Largest such margin, radii; a detected point of the head that lies elsewhere than expected counts too."""
-_BLOCKS: Final = 6
-"""Blocks across a region: about two across a face."""
-_BLOCKS_OF_ALL: Final = 12
-"""Blocks across the shorter side where the whole picture is blurred."""
-_SLACK: Final = 1
-"""Frames of the motion before and after, whose regions are added."""
+_BLOCKS: Final = 6  # Blocks across a region: about two across a face
+_BLOCKS_OF_ALL: Final = 12  # Blocks across the shorter side where the whole picture is blurred
+_SLACK: Final = 1  # Frames of the motion before and after, whose regions are added
 
 
 @dataclass(frozen=True)
@@ -105,8 +100,7 @@ class FaceFinder:
 
 
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / np.sqrt(3)
-_DIRECTIONS: Final = np.vstack([np.eye(3), -np.eye(3), _CORNERS])
-"""(14, 3) unit vectors in all directions."""
+_DIRECTIONS: Final = np.vstack([np.eye(3), -np.eye(3), _CORNERS])  # (14, 3) unit vectors in all directions
 
 
 def _top_of_head(skeleton: SkeletonModel) -> Array:

@@ -81,8 +81,7 @@ def read_result(folder: str | Path) -> ResultFiles:
     """Read the output of `reconstruct` or `run`.
 
     Raises:
-        FileFormatError: a file is missing or damaged; of an output of an earlier version, the message says
-            what to do.
+        FileFormatError: a file is missing or damaged; of an output of an earlier version, the message says what to do.
     """
     folder = motion_folder(folder)
     with MotionReader(folder) as reader:

@@ -25,12 +25,9 @@ from rtof_kin.vision.video_metadata import VideoMetadata, read_video_metadata
 _COLOURS: Final[dict[Background, int]] = {"white": 255, "dark": 32}
 _ASPECT: Final = 0.01
 """Largest relative difference of aspect ratios of the same picture: encoders cut or add some pixels."""
-_ROUNDING_PX: Final = 2.0
-"""Largest difference of a side by rounding."""
-_USUAL_HZ: Final = 30.0
-"""Assumed of a video that does not state its frame rate."""
-_RATE: Final = 0.02
-"""Largest relative difference of frame rates that is not pointed out."""
+_ROUNDING_PX: Final = 2.0  # Largest difference of a side by rounding
+_USUAL_HZ: Final = 30.0  # Assumed of a video that does not state its frame rate
+_RATE: Final = 0.02  # Largest relative difference of frame rates that is not pointed out
 
 
 @dataclass(frozen=True)
@@ -193,10 +190,8 @@ _ENCODERS: Final[dict[str, dict[str, str]]] = {
     "mpeg4": {},
 }
 """Options of the encoders that are tried, the best first."""
-_TICKS: Final = 90_000
-"""Ticks per second of time stamps."""
-_BT709: Final = 1
-"""FFmpeg's number of the colour space of BT.709."""
+_TICKS: Final = 90_000  # Ticks per second of time stamps
+_BT709: Final = 1  # FFmpeg's number of the colour space of BT.709
 
 
 class Mp4Writer:

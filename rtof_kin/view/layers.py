@@ -17,21 +17,16 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.view.block_content import AXES_LENGTH, BlockContent, SegmentSolids, segment_solids
 from rtof_kin.view.legend import Rgb
 
-_TRANSPARENT: Final = 0.45
-"""Opacity of a person beside the motion."""
+_TRANSPARENT: Final = 0.45  # Opacity of a person beside the motion
 _AXES_RADIUS: Final = 0.0035
 _UNKNOWN: Final = (150, 150, 150)
-_FADING: Final = 1.7
-"""Exponent by which the browser's tone mapping makes colours paler."""
+_FADING: Final = 1.7  # Exponent by which the browser's tone mapping makes colours paler
 _ELLIPSOID: Final = (120, 94, 240)
 _ELLIPSOID_OPACITY: Final = 0.25
 _SENSOR: Final = (40, 40, 48)
-_SENSOR_SIZE: Final = np.array([0.024, 0.017, 0.007])
-"""[m] Half edges of a drawn sensor."""
-_SENSOR_AXES: Final = 0.09
-"""[m]"""
-_AROUND, _ALONG = 16, 11
-"""Vertices of a mesh around its axis and along it."""
+_SENSOR_SIZE: Final = np.array([0.024, 0.017, 0.007])  # [m] Half edges of a drawn sensor
+_SENSOR_AXES: Final = 0.09  # [m]
+_AROUND, _ALONG = 16, 11  # Vertices of a mesh around its axis and along it
 
 
 def solid_colours(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

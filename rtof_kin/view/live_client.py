@@ -17,12 +17,9 @@ from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.core.packages import optional
 from rtof_kin.data.poses import PoseSequence
 
-_PATIENCE: Final = 2.0
-"""[s] for an answer."""
-_AGAIN: Final = 1.0
-"""[s] between two attempts to connect."""
-_LARGEST: Final = 1 << 20
-"""[bytes] of a message."""
+_PATIENCE: Final = 2.0  # [s] for an answer
+_AGAIN: Final = 1.0  # [s] between two attempts to connect
+_LARGEST: Final = 1 << 20  # [bytes] of a message
 
 
 def live_address(text: str) -> str:

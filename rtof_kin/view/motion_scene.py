@@ -25,16 +25,12 @@ from rtof_kin.view.legend import PALETTE, SECOND, TRUTH
 
 WORLD: Final = "/world"
 """Node that all others are in; it is moved to follow a person."""
-_DISTANCE: Final = 3.4
-"""[m] of the first view from the person."""
+_DISTANCE: Final = 3.4  # [m] of the first view from the person
 _ASIDE: Final = np.radians(52.0)
 """[rad] Direction of the first view from the person, away from that to the camera or from where the person faces."""
-_HIGH: Final = 1.5
-"""[m] of the first view above the floor."""
-_MIDDLE: Final = 0.9
-"""[m] of the point that is looked at above the floor."""
-_VIEW: Final = np.radians(50.0)
-"""[rad] Vertical angle of the first view."""
+_HIGH: Final = 1.5  # [m] of the first view above the floor
+_MIDDLE: Final = 0.9  # [m] of the point that is looked at above the floor
+_VIEW: Final = np.radians(50.0)  # [rad] Vertical angle of the first view
 
 
 class Stage:
@@ -58,8 +54,7 @@ class Stage:
 
         Args:
             poses: first frames of the motion.
-            floor: height of the floor, m; default: that of the measurements, else the lowest point of the first
-                frames.
+            floor: height of the floor, m; default: that of the measurements, else the lowest point of the first frames.
         """
         self._server = server
         given = floor if measurements is None or floor is not None else measurements.floor_height
@@ -136,14 +131,11 @@ def _lowest(poses: PoseSequence | None, skeleton: SkeletonModel | None) -> float
     return float(np.nanmin(points[..., 2])) if np.isfinite(points).any() else 0.0
 
 
-_PATH_S: Final = 60.0
-"""[s] of the root's path before and after the frame."""
+_PATH_S: Final = 60.0  # [s] of the root's path before and after the frame
 _PATH_BLOCK_S: Final = 30.0
 _PATH_POINTS: Final = 1500
-_SAME_TIME: Final = 0.05
-"""[s] By which times of two motions may differ for one frame."""
-_BEHIND: Final = 1.25, 0.8
-"""Depth of the image behind the person: relative to the person's distance, and added, m."""
+_SAME_TIME: Final = 0.05  # [s] By which times of two motions may differ for one frame
+_BEHIND: Final = 1.25, 0.8  # Depth of the image behind the person: relative to the person's distance, and added, m
 
 
 class Layer(Enum):

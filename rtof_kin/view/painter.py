@@ -35,16 +35,12 @@ WHITE: Final[Rgb] = (255, 255, 255)
 CROSSES: Final[Rgb] = (240, 228, 66)
 """Crosses at detected points; yellow of Okabe and Ito."""
 _GREY, _PALE, _FAULT = (120, 120, 120), (200, 200, 200), (255, 205, 90)
-_SQUARED_95: Final = 5.991
-"""95 % quantile of chi-squared with two degrees of freedom."""
+_SQUARED_95: Final = 5.991  # 95 % quantile of chi-squared with two degrees of freedom
 _FILL, _LABEL_OPACITY, _CAPTION_OPACITY = 0.18, 0.6, 0.75
 _SMALLEST_PX: Final = 11
-_SIZE: Final = 0.0165
-"""Size of the font over the square root of the picture's area."""
-_FAULT_LINES, _FAULTS = 2, 2
-"""Most lines of a fault; most faults that are named at a time."""
-_ALONG: Final = np.linspace(0, 1, 5)
-"""Points along each bone that labels should not cover, fractions of its length."""
+_SIZE: Final = 0.0165  # Size of the font over the square root of the picture's area
+_FAULT_LINES, _FAULTS = 2, 2  # Most lines of a fault; most faults that are named at a time
+_ALONG: Final = np.linspace(0, 1, 5)  # Points along each bone that labels should not cover, fractions of its length
 
 
 @dataclass(frozen=True)

@@ -123,12 +123,9 @@ class ScaledView:
         return (uv + 0.5) * self.scale - 0.5
 
 
-_LONGEST_GAP: Final = 2.5
-"""[frames] between poses that are interpolated."""
-_AT_ENDS: Final = 0.75
-"""[frames] before the first and after the last pose in which that is shown."""
-_NEAR: Final = 1e-3
-"""[frames] from a pose within which it is not interpolated."""
+_LONGEST_GAP: Final = 2.5  # [frames] between poses that are interpolated
+_AT_ENDS: Final = 0.75  # [frames] before the first and after the last pose in which that is shown
+_NEAR: Final = 1e-3  # [frames] from a pose within which it is not interpolated
 _STEP: Final = 1e-3  # [m] of the differences that give the derivative of the projection
 
 

@@ -24,16 +24,14 @@ FASTEST_HZ: Final = 30.0
 """Default rate of the frames."""
 SLOWEST_HZ: Final = 5.0
 """Least rate to which a long motion is thinned out."""
-_TRIAL: Final = 40
-"""Frames from which the size is estimated."""
+_TRIAL: Final = 40  # Frames from which the size is estimated
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
     "worker-src blob: data:; style-src 'unsafe-inline'; img-src data: blob:; font-src data:; "
     "connect-src data: blob:; base-uri 'none'; form-action 'none'"
 )
 """The browser loads nothing from elsewhere."""
-_PATIENCE: Final = 3600.0
-"""[s] until a frame is read; a file of hours takes minutes."""
+_PATIENCE: Final = 3600.0  # [s] until a frame is read; a file of hours takes minutes
 Progress = Callable[[str, int, int], None]
 
 

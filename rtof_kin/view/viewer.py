@@ -30,12 +30,9 @@ from rtof_kin.view.motion_scene import MotionScene, Stage
 
 FASTEST: Final = 60.0
 """[Hz] at which frames are sent."""
-_SLIDER_S: Final = 0.1
-"""Time between two moves of the slider while playing."""
-_CURVES_S: Final = 0.125
-"""Time between two updates of the curves while playing."""
-_PATIENCE: Final = 20.0
-"""[s] for the first frame."""
+_SLIDER_S: Final = 0.1  # Time between two moves of the slider while playing
+_CURVES_S: Final = 0.125  # Time between two updates of the curves while playing
+_PATIENCE: Final = 20.0  # [s] for the first frame
 
 
 @dataclass(frozen=True)
@@ -225,12 +222,9 @@ def _check_shape(video: VideoFrames, aspect: float) -> None:
         )
 
 
-_PATH_S: Final = 60.0
-"""[s] of the root's path."""
-_PATH_STEP: Final = 0.1
-"""[s] between two points of it."""
-_OLD: Final = 1.0
-"""[s] without an estimate after which the viewer says so."""
+_PATH_S: Final = 60.0  # [s] of the root's path
+_PATH_STEP: Final = 0.1  # [s] between two points of it
+_OLD: Final = 1.0  # [s] without an estimate after which the viewer says so
 
 
 class LiveViewer(Viewer):

@@ -168,37 +168,6 @@ def read_video_metadata(path: str | Path) -> VideoMetadata:
         )
 
 
-def read_photo_metadata(path: str | Path) -> VideoMetadata:
-    """Read the camera from the EXIF data of a photo that it took, without its rotation.
-
-    Raises:
-        FileFormatError: no such file, or not a readable image.
-    """
-    from PIL import ExifTags, Image  # of matplotlib
-
-    try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            inner = exif.get_ifd(ExifTags.IFD.Exif)
-            width, height = image.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise FileFormatError(path, f"not a readable photo: {error}") from error
-    tags = {
-        "make": str(exif.get(ExifTags.Base.Make, "")),
-        "model": str(exif.get(ExifTags.Base.Model, "")),
-        "lens_model": str(inner.get(ExifTags.Base.LensModel, "")),
-        "focallengthin35mmformat": str(inner.get(ExifTags.Base.FocalLengthIn35mmFilm, "")),
-    }
-    return VideoMetadata(
-        width,
-        height,
-        make=_text(tags, _MAKE),
-        model=_text(tags, _MODEL),
-        lens=_text(tags, _LENS),
-        focal_35mm_mm=_number(tags, _FOCAL, *_FOCAL_MM),
-    )
-
-
 def slow_motion(container: Any, stream: Any) -> float:
     """Return the factor by which a file is slower than real time: 1, or more for slow motion of Android."""
     captured = _number(_tags(container, stream), (_CAPTURE,), _SLOW_MOTION_HZ, 1e4)

@@ -58,14 +58,6 @@ def test_two_processes_have_the_loss_curve_of_one_up_to_rounding(folders: tuple[
 
 
 @pytest.mark.slow
-def test_own_windows_give_the_same_curve_within_their_noise(folders: tuple[Path, Path]) -> None:
-    one, two = (curve(reports(folder)["own"]) for folder in folders)
-    noise = np.std(np.array(curve(reports(folders[0])["same"]))[:4])
-    assert one != pytest.approx(two, rel=1e-3)
-    assert np.mean(two) == pytest.approx(np.mean(one), abs=max(3 * noise, 0.05 * np.mean(one)))
-
-
-@pytest.mark.slow
 def test_processes_report_the_same_loss_and_only_the_first_validates(folders: tuple[Path, Path]) -> None:
     first, second = reports(folders[1], 0), reports(folders[1], 1)
     for name in train_together.CONFIGS:

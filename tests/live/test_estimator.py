@@ -169,17 +169,6 @@ def test_the_camera_alone_is_enough() -> None:
     assert errors_mm(found)[20:].mean() < 120
 
 
-def test_a_person_seen_again_elsewhere_is_found() -> None:
-    """The camera sees nothing for a second, and then the person half a metre further."""
-    moved = [(t + (t > 1.0), replace(s, time=s.time + (s.time > 1.0))) for t, s in arrivals()]
-    camera = demo().video.camera
-    shifted = replace(demo(), keypoints=replace(demo().video, camera=camera))
-    own = OnlineEstimator(shifted, shifted.video.names, LAGGED)
-    found = played(own, moved)
-    assert np.isfinite(found[-1].poses.p_world_joint).all()
-    assert len(found) > 110
-
-
 def test_a_root_that_was_lost_is_found_by_the_image() -> None:
     own, found = estimator(OnlineSettings()), list[OnlineEstimate]()
     for t, sample in arrivals(2.0):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import planted
 import pytest
 
 from rtof_kin.body.skeleton import SkeletonModel
-from rtof_kin.core.errors import RtofError
 from rtof_kin.data.poses import PoseSequence, Provenance
 from rtof_kin.formats.joint_trajectory import joint_velocities
 from rtof_kin.live.samples import OnlineEstimate
@@ -101,9 +99,3 @@ def test_description_names_every_joint_angle_and_provenance() -> None:
     assert found["angles"][BODY.dof_names.index("RightUpLeg_y")]["sign"] == -1
     assert found["provenance"][Provenance.CAMERA_AND_IMU] == "camera and imu"
     assert found["height_m"] == pytest.approx(1.6)
-
-
-def test_poses_of_another_skeleton_are_refused() -> None:
-    names = tuple(f"{name}_" for name in BODY.names)
-    with pytest.raises(RtofError, match="Hips_"):
-        JointStates(BODY).message(estimate(0, replace(MOTION.poses, names=names)))

@@ -27,7 +27,6 @@ from rtof_kin.core.errors import InvalidInputError
 from rtof_kin.data.imu import STANDARD_GRAVITY
 from rtof_kin.live.clock_map import VIDEO
 from rtof_kin.live.recorder import Recorder
-from rtof_kin.live.replay import Faults, RecordingReplay, ReplayClock
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample, Sample
 from rtof_kin.live.session import LiveSession
 from rtof_kin.recording.recording import Recording
@@ -302,15 +301,3 @@ def test_run_in_background_starts_sources_in_threads() -> None:
     imus.now = 1.0
     summary = LiveSession(demo(), [imus], FakeEstimator()).run(period_s=0.001)
     assert summary.streams["L_UpArm"].received == 18
-
-
-@pytest.mark.parametrize("faults", [Faults(), Faults(loss=0.1, jitter_s=0.05, seed=2)])
-def test_replays_as_fast_as_they_are_read(faults: Faults) -> None:
-    replay = ReplayClock(np.inf)
-    imus = RecordingReplay.of_recording(demo(), replay, video=False, faults=faults)
-    video = RecordingReplay.of_recording(demo(), replay, sensors=False)
-    session = LiveSession(demo(), [imus, video], FakeEstimator(), in_background=False)
-    summary = session.run(lambda: replay.time > 3.0, clock=lambda: replay.time, period_s=0.0)
-    assert summary.frames == pytest.approx(180, abs=3)
-    assert bool(summary.sentences) == bool(faults.loss)
-    assert all("do not come" in text or "late" in text for text in summary.sentences)

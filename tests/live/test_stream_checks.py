@@ -12,15 +12,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.data.imu import GRAVITY_WORLD
 from rtof_kin.live.clock_map import Arrived
 from rtof_kin.live.samples import FrameSample, ImuSample
-from rtof_kin.live.stream_checks import (
-    FirstSeconds,
-    landmark_sentences,
-    number_faults,
-    sensor_sentence,
-    shape_faults,
-    unknown_landmarks,
-    unknown_sensors,
-)
+from rtof_kin.live.stream_checks import FirstSeconds, number_faults, shape_faults
 
 
 def imus(seconds: float) -> list[ImuSample]:
@@ -116,16 +108,3 @@ def test_frames_of_other_shapes_or_numbers() -> None:
     assert f"{L} points where {L + 1}" in shape_faults([frame], [L + 1])[0]
     assert "infinite" in number_faults([replace(frame, uv_px=frame.uv_px * np.inf)])[0]
     assert "confidence" in number_faults([replace(frame, confidence=frame.confidence + 2)])[0]
-
-
-def test_names_that_the_setup_does_not_have() -> None:
-    setup = demo()
-    assert unknown_sensors(["L_UpArm", "left arm"], setup) == ["left arm"]
-    assert unknown_sensors(["left arm"], replace(setup, calibration=None)) == []
-    assert "did you mean L_UpArm" in sensor_sentence(["L_Uparm"], ["L_Uparm"], setup)
-    names = [*setup.video.names[1:], "LeftFott", "nowhere:point", "mediapipe33:LeftEar"]
-    assert unknown_landmarks(names, setup) == ["LeftFott", "nowhere:point"]
-    unknown, missing = landmark_sentences(names, setup)
-    assert "LeftFott" in unknown
-    assert "LeftFoot" in unknown
-    assert setup.video.names[0] in missing

@@ -100,18 +100,6 @@ def test_step_moves_the_root_in_world_and_joints_in_their_own_frames(space: Stat
     assert at == space.size
 
 
-@pytest.mark.parametrize("space", [FREE, BENT], ids=["free", "hinged"])
-def test_steps_lead_from_each_state_to_the_next(space: StateSpace) -> None:
-    x = random_states(space, 12)
-    steps = space.steps(x)
-    assert steps.shape == (11, 3 + 3 * len(space.joints))
-    tangent = np.concatenate([steps[:, :3], steps[:, 3:] @ space.expand], axis=1)
-    reached, expected = space.retract(x[:-1], tangent), x[1:]
-    np.testing.assert_allclose(reached[:, :3], expected[:, :3], atol=1e-14)
-    same = np.abs(np.sum(space.rotations(reached) * space.rotations(expected), axis=-1))
-    np.testing.assert_allclose(same, 1.0, atol=1e-13)
-
-
 def test_blend_follows_the_shorter_arc() -> None:
     x = random_states(BENT, 5)
     d = 0.4 * np.random.default_rng(3).normal(size=(5, BENT.size))

@@ -77,12 +77,6 @@ def test_all_parts_are_there_and_can_be_hidden(scene: MotionScene) -> None:
     assert scene.stage.height == pytest.approx(0.02)
 
 
-def test_colours_of_solids_stay_apart() -> None:
-    found = [tuple(shown(colour).tolist()) for colour in dict.fromkeys(COLOURS.values())]
-    assert len(set(found)) == 5
-    assert shown((255, 255, 255)).tolist() == [255] * 3
-
-
 def test_person_stands_where_the_motion_says(scene: MotionScene, files: Opened) -> None:
     for frame in (0, 77):
         assert scene.show(frame, 10.0) is not None

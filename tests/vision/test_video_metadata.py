@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from dot_detector import write_video
-from PIL import ExifTags, Image
 
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.vision.video_metadata import (
@@ -21,7 +20,6 @@ from rtof_kin.vision.video_metadata import (
     lens_prior,
     phone_table,
     read_phone_table,
-    read_photo_metadata,
     read_video_metadata,
 )
 
@@ -101,21 +99,6 @@ def test_a_file_without_frames_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(FileFormatError, match="text.mp4: not a readable video"):
         read_video_metadata(tmp_path / "text.mp4")
-
-
-def test_a_photo_tells_the_camera(tmp_path: Path) -> None:
-    image, exif = Image.new("RGB", (40, 30)), Image.Exif()
-    exif[ExifTags.Base.Make], exif[ExifTags.Base.Model] = "samsung", "SM-S911B"
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 24
-    image.save(tmp_path / "photo.jpg", exif=exif)
-    expected = VideoMetadata(40, 30, make="samsung", model="SM-S911B", focal_35mm_mm=24.0)
-    assert read_photo_metadata(tmp_path / "photo.jpg") == expected
-    image.save(tmp_path / "plain.png")
-    assert read_photo_metadata(tmp_path / "plain.png") == VideoMetadata(40, 30)
-    (tmp_path / "text.jpg").write_text("no photo")
-    for name in ("text.jpg", "none.jpg"):
-        with pytest.raises(FileFormatError, match=f"{name}: not a readable photo"):
-            read_photo_metadata(tmp_path / name)
 
 
 STATED_MM = {  # equivalent focal lengths of main cameras, from Apple's data sheets

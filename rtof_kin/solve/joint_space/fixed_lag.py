@@ -173,7 +173,7 @@ class FixedLagSmoother:
     Attributes:
         x: (N, 3 + 4A) states, oldest first. inside: (N,) which frames exist; before N frames were appended,
             the first ones do not.
-        rows: name -> (N, ...) observations, a_world, w_acceleration: (N, S, 3) and (N, S); as those of
+        rows: name -> (N, ...) observations, a_world, w_acceleration: (N, P, 3) and (N, P); as those of
             `Observations`, but `w_visual` relative to the landmarks' errors. They may be written.
         sigma_px: standard deviation of a landmark, px.
     """
@@ -191,8 +191,8 @@ class FixedLagSmoother:
         self.rows = {name: np.repeat(values[:1], frames, axis=0) for name, values in data.rows.items()}
         for name in _weights(self.rows):
             self.rows[name][:] = 0.0
-        S = len(data.sensors)
-        self.a_world, self.w_acceleration = np.zeros((frames, S, 3)), np.zeros((frames, S))
+        P = data.a_world.shape[1]
+        self.a_world, self.w_acceleration = np.zeros((frames, P, 3)), np.zeros((frames, P))
         self.inside = np.zeros(frames, dtype=bool)
         self.x = np.repeat(data.start[:1], frames, axis=0)
         self._multipliers = np.zeros((frames, len(self.limits.names) if self.limits else 0))

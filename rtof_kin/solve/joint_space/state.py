@@ -106,12 +106,6 @@ class StateSpace:
         q /= np.linalg.norm(q, axis=-1, keepdims=True)
         return np.concatenate([x[:, :3] + d[:, :3], q.reshape(len(x), -1)], axis=1)
 
-    def steps(self, x: Array) -> Array:
-        """Return displacements and rotation vectors between frames, (T - 1, 3 + 3A), m and rad."""
-        q = self.rotations(x)
-        turns = quat.log(quat.multiply(quat.conjugate(q[:-1]), q[1:]))
-        return np.concatenate([np.diff(x[:, :3], axis=0), turns.reshape(len(x) - 1, -1)], axis=1)
-
     def difference(self, x: Array, y: Array) -> Array:
         """Return the tangents (T, D) that lead from states x (T, 3 + 4A) to states y, m and rad."""
         turns = quat.log(quat.multiply(quat.conjugate(self.rotations(x)), self.rotations(y)))

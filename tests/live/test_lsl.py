@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pylsl
 import pytest
+from live_support import FakeEstimator, demo, frame_samples, imu_samples
 from lsl_support import Sender, unique, until
 
 from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import MissingPackageError, SourceError
 from rtof_kin.data.imu_stream import Declaration
 from rtof_kin.live import lsl
-from rtof_kin.live.lsl import LslFrameSource, LslImuSource
+from rtof_kin.live.lsl import LslClock, LslFrameSource, LslImuSource
+from rtof_kin.live.recorder import Recorder
 from rtof_kin.live.samples import Clock, FrameSample, ImuSample
+from rtof_kin.live.session import LiveSession
+from rtof_kin.recording.recording import Recording
 
 ONE = ("qw", "qx", "qy", "qz", "acc_x", "acc_y", "acc_z")
 LABELS = [f"{sensor}_{label}" for sensor in ("pelvis", "head") for label in ONE]
@@ -196,3 +202,130 @@ def test_without_pylsl_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "pylsl", None)
     with pytest.raises(MissingPackageError, match=r"rtof-kin\[live\]"):
         LslImuSource("any").start()
+
+
+@pytest.mark.usefixtures("_no_twin")
+def test_a_session_over_lsl_estimates_and_records_what_is_sent(tmp_path: Path) -> None:
+    imus, video = demo().imus, demo().video
+    assert imus is not None
+    senders = {name: Sender(unique(name), [f"{name}_{label}" for label in ONE]) for name in imus.names}
+    points = [f"{name}_{what}" for name in video.names for what in ("x", "y", "confidence")]
+    senders["video"] = Sender(unique("points"), points)
+    names = {who: sender._outlet.get_info().name() for who, sender in senders.items()}
+    sources = [LslFrameSource(names["video"]), *(LslImuSource(names[name]) for name in imus.names)]
+    starts = [threading.Thread(target=source.start) for source in sources]
+    for thread in starts:
+        thread.start()
+    for thread in starts:
+        thread.join()
+    samples = sorted([*imu_samples(1.5), *frame_samples(1.5)], key=lambda sample: sample.time)
+    begun = pylsl.local_clock() - samples[0].time
+
+    def send() -> None:
+        for sample in samples:
+            time.sleep(max(0.0, begun + sample.time - pylsl.local_clock()))
+            if isinstance(sample, FrameSample):
+                uv = np.where(np.isfinite(sample.uv_px), sample.uv_px, 0.0)
+                senders["video"].send(np.column_stack([uv, sample.confidence]).ravel(), begun + sample.time)
+            else:
+                quat = so3.to_quat_wxyz(sample.R_inertial_sensor)
+                senders[sample.sensor].send([*quat, *sample.f_sensor], begun + sample.time)
+
+    sender = threading.Thread(target=send)
+    session = LiveSession(demo(), sources, FakeEstimator(), recorder=Recorder(tmp_path / "take", demo()))
+    sender.start()
+    deadline = time.monotonic() + 60.0
+    summary = session.run(lambda: time.monotonic() > deadline or not sender.is_alive(), clock=pylsl.local_clock)
+    sender.join()
+    assert summary.frames > 60
+    recorded = Recording.load(tmp_path / "take")
+    assert recorded.imus is not None
+    assert set(recorded.imus.names) == set(imus.names)
+    assert min(len(recorded.video), len(recorded.imus)) > 70
+
+
+RATE_HZ = 50.0
+
+
+def replay(clock: LslClock, stamps: np.ndarray, arrivals: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Times of stamps that arrive in chunks of two, and the sentences."""
+    times, sentences = [], []
+    for i in range(0, len(stamps), 2):
+        some, sentence = clock.times(stamps[i : i + 2], float(arrivals[i : i + 2].max()))
+        times.append(some)
+        sentences += [sentence] if sentence else []
+    return np.concatenate(times), sentences
+
+
+def test_measured_offset_is_added_and_small_changes_are_no_jump() -> None:
+    clock = LslClock()
+    assert clock.offset_s == 0.0
+    assert clock.corrected_by(None) is None
+    assert clock.corrected_by(-120.0) is None
+    assert clock.corrected_by(-120.0004) is None
+    times, sentence = clock.times(np.array([1120.0, 1120.02]), 1000.03)
+    np.testing.assert_allclose(times, [999.9996, 1000.0196])
+    assert (sentence, clock.offset_s) == (None, -120.0004)
+
+
+def test_loss_gaps_jitter_and_late_samples_are_no_jumps() -> None:
+    rng = np.random.default_rng(0)
+    true = 1000 + np.arange(500) / RATE_HZ
+    true = true[(rng.uniform(size=500) > 0.1) & ~((true > 1003) & (true < 1006))]
+    arrivals = np.maximum.accumulate(true + rng.uniform(0, 0.05, len(true)))
+    stamps = true.copy()
+    stamps[[100, 101]] = stamps[[101, 100]]
+    times, sentences = replay(LslClock(), stamps, arrivals)
+    np.testing.assert_array_equal(times, stamps)
+    assert sentences == []
+
+
+@pytest.mark.parametrize("jump", [3600.0, -3600.0, 1.7e9, 2.0])
+def test_jump_of_stamps_is_said_once_and_times_go_on(jump: float) -> None:
+    rng = np.random.default_rng(1)
+    true = 1000 + np.arange(400) / RATE_HZ
+    arrivals = np.maximum.accumulate(true + rng.uniform(0.005, 0.05, len(true)))
+    stamps = true + np.where(np.arange(400) >= 201, jump, 0.0)
+    times, sentences = replay(LslClock(), stamps, arrivals)
+    np.testing.assert_allclose(times, true, atol=0.06)
+    np.testing.assert_allclose(np.diff(times[202:]), 1 / RATE_HZ, atol=1e-6)
+    (sentence,) = sentences
+    said = re.search(r"[+-][\d.]+", sentence)
+    assert said is not None
+    assert float(said[0]) == pytest.approx(jump, abs=0.06)
+
+
+def test_stamps_of_another_clock_from_the_start_are_mapped_by_arrival() -> None:
+    clock = LslClock()
+    true = 1000 + np.arange(100) / RATE_HZ
+    times, sentences = replay(clock, true + 1.7e9, true + 0.01)
+    np.testing.assert_allclose(times, true, atol=0.05)
+    assert len(sentences) == 1
+    assert clock.offset_s == pytest.approx(-1.7e9, abs=0.1)
+    assert clock.corrected_by(-1.7e9) is None  # the first measurement came late
+    assert clock.offset_s == -1.7e9
+
+
+def test_jump_of_the_offset_is_said_and_replaces_that_of_the_stamps() -> None:
+    clock = LslClock()
+    clock.corrected_by(5.0)
+    clock.times(np.array([995.0]), 1000.0)
+    _, said = clock.times(np.array([1995.02]), 1000.02)  # the sender's clock is 1000 s ahead from here on
+    assert said is not None
+    sentence = clock.corrected_by(-995.0)
+    assert sentence is not None
+    assert "+1000.000 s" in sentence
+    times, again = clock.times(np.array([1995.04]), 1000.04)
+    np.testing.assert_allclose(times, 1000.04)
+    assert again is None
+    assert clock.corrected_by(-994.0) is not None
+
+
+def test_jumps_without_end_are_said_five_times_and_missing_stamps_stay_missing() -> None:
+    clock = LslClock()
+    said = [clock.times(np.array([1000.0 + i + 100 * (i % 2)]), 1000.0 + i)[1] for i in range(40)]
+    assert sum(sentence is not None for sentence in said) == 5
+    times, sentence = clock.times(np.array([np.nan, np.inf]), 1040.0)
+    assert not np.isfinite(times).any()
+    assert sentence is None
+    assert clock.times(np.zeros(0), 1041.0) == (pytest.approx([]), None)
