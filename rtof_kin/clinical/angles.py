@@ -11,10 +11,9 @@ second     its complete orientation                the direction of its bone
 third      its complete orientation                its complete orientation
 =========  ======================================  =========================================
 
-The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a
-sensor); the direction where the joint and its only child are observed. A leaf without a sensor (hand, foot)
-has neither. An angle of a knee or elbow that is constant while the joint flexes is fixed by the model of the
-motion, and counts as unobserved.
+The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a sensor); the
+direction where the joint and its only child are observed. A leaf without a sensor (hand, foot) has neither. An angle of
+a knee or elbow that is constant while the joint flexes is fixed by the model of the motion, and counts as unobserved.
 
 **Coordinates of an OpenSim model** give clinical angles too, to compare them with those of a motion.
 

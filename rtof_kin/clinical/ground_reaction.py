@@ -457,9 +457,8 @@ def _notes(found: GroundReaction, missed: Mask) -> list[str]:
     if percent(flight[known]) > 0:
         residual = np.linalg.norm(found.force[known & flight], axis=1) / found.body_weight
         notes.append(
-            "without a foot on the floor the force should be zero, and is "
-            f"{np.sqrt(np.mean(residual**2)):.2f} body weights (root mean square): the error of the motion's "
-            "acceleration"
+            f"without a foot on the floor the force should be zero, and is {np.sqrt(np.mean(residual**2)):.2f} body "
+            "weights (root mean square): the error of the motion's acceleration"
         )
     if percent(((found.state == Contact.NOT_KNOWN) & ~missed)[known]) > 0:
         notes.append("where a foot is unobserved, it is not known which feet bear load")

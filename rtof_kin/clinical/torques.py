@@ -316,10 +316,9 @@ def _confidence_notes(found: _Arrays) -> list[str]:
             f"({100 * MASS_SIGMA:.0f} % of each segment)"
         ]
     return [
-        "standard deviations: errors of the motion by its confidence (in simulation with held-out people 1.0 "
-        "to 2.5 times the actual errors of torques; of the vertical force, without sensors, half of them), "
-        f"masses of segments to {100 * MASS_SIGMA:.0f} %; bone lengths, body mass and impacts faster than "
-        f"{CUTOFF_HZ:g} Hz are not in them"
+        "standard deviations: errors of the motion by its confidence (in simulation with held-out people 1.0 to 2.5 "
+        "times the actual errors of torques; of the vertical force, without sensors, half of them), masses of segments "
+        f"to {100 * MASS_SIGMA:.0f} %; bone lengths, body mass and impacts faster than {CUTOFF_HZ:g} Hz are not in them"
     ]
 
 

@@ -36,8 +36,7 @@ class Travel:
     """Way and turning of the pelvis; NaN where it was never observed."""
 
     path_length: float
-    """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight
-    across gaps."""
+    """[m] length of its horizontal path, low-passed, without what is shorter than `LEAST_WAY`; straight across gaps."""
     displacement: float
     """[m] distance from the first to the last point of that path, never longer; 0 if below `LEAST_WAY`."""
     direction: float
