@@ -201,10 +201,8 @@ def _segment_sources(masks: ObservationMasks) -> Sources:
 def _joint_angles(
     joint: JointCoordinateSystem, decomposed: Array, seen_by: Sources, masks: ObservationMasks
 ) -> tuple[Array, Sources, Mask]:
-    """Values, provenance and singular flags (T, 3) of one joint coordinate system.
-
-    Args:
-        decomposed: (T, 3) rad, see `DecomposedAngles`. seen_by: (T, J) of the segments.
+    """Values, provenance and singular flags (T, 3) of one joint coordinate system; decomposed: (T, 3) rad, see
+    `DecomposedAngles`; seen_by: (T, J) of the segments.
     """
     names, levels = masks.skeleton.names, masks.levels
     child = names.index(joint.child)
