@@ -42,7 +42,7 @@ def text_of(studio: Studio, *arguments: str | Path) -> str:
 ENTRIES = (
     Entry(
         "rtof-kin run walk.mp4 dots/ --height 1.72 -o out/walk",
-        "From a video and sensor files to a report in one command ([how](phone.md)); `demo` does the last "
+        "From a video and sensor files to a report in one command ([how](phone.md)); `run --demo` does the last "
         "steps on the recording of the package. The first lines say how good it is, and cautions:",
         printed=lambda studio: text_of(studio, "run", "--demo", "-o", studio.folder / "printed", "--no-figures"),
     ),

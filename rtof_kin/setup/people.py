@@ -1,4 +1,4 @@
-"""People of a video: numbered for the picture `init` writes, and the one that the recording is of."""
+"""People of a video: numbered for the picture of a recording, and the one that the recording is of."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commented ``recording.toml`` of `init`: every value says where it is from."""
+"""The commented ``recording.toml`` of `make_recording`: every value says where it is from."""
 
 from __future__ import annotations
 

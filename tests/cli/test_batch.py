@@ -79,7 +79,7 @@ def test_batch_of_good_and_unreadable_recordings(cli: Any, takes: Path, tmp_path
         ),
         (["--chain", "reconstruct --help"], "asks for help"),
         (["--chain", "batch"], "batch is no command"),
-        (["--chain", "reconstruct,analyse"], "chain: analyse is now rtof-kin report OUT --analysis FOLDER"),
+        (["--chain", "reconstruct,analyse"], "chain: analyse is now report OUT --analysis FOLDER"),
         (["--chain", "view"], "what view reads and writes is not known"),
         (["--address", "host:6379"], "add --engine ray"),
         (["--shard", "2/1"], "shard 2/1"),

@@ -237,7 +237,7 @@ def test_export_writes_what_was_asked(reconstructed: Path, tmp_path: Path, cli: 
 
 def test_simulate_writes_a_recording_with_the_sensors_asked_for(tmp_path: Path, cli: Any) -> None:
     folder = tmp_path / "r [mm] [red]x"  # brackets are no markup
-    command = ("simulate", MOCAP, "-o", folder, "--keypoints", "perfect", "--sensors", "Pelvis,L_LowArm")
+    command = ("simulate", MOCAP, "-o", folder, "--noise", "perfect", "--sensors", "Pelvis,L_LowArm")
     done = cli(*command)
     assert done.code == 0
     assert str(folder) in done.out

@@ -161,7 +161,7 @@ def test_fields_are_described_once() -> None:
 )
 def test_fields_become_options_with_their_types_and_defaults(words: list[str], expected: Settings) -> None:
     @command
-    def walk(*, how: Annotated[Settings, Fields("names", "kind", "fast", length_m="length")]) -> Settings:
+    def walk(*, how: Annotated[Settings, Fields("names kind fast", length_m="length")]) -> Settings:
         """Walk."""
         return how
 
