@@ -200,10 +200,9 @@ class Lifter:
             )
         if len(ever) < MIN_JOINTS:
             raise InvalidInputError(
-                f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some "
-                f"time, and sees {len(ever)} ({', '.join(ever) or 'none'}); its joints are "
-                f"{', '.join(self.names)}: rename the detector's landmarks, use its adapter, or give a "
-                "lifter trained for these joints"
+                f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some time, and sees "
+                f"{len(ever)} ({', '.join(ever) or 'none'}); its joints are {', '.join(self.names)}: rename the "
+                "detector's landmarks, use its adapter, or give a lifter trained for these joints"
             )
 
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:

@@ -1,8 +1,7 @@
 """Random training windows from a corpus of motion, in batches, on one device.
 
-A window is a moment of a recorded motion, re-timed, mirrored, re-proportioned, sometimes tilted or
-combined from the upper body of one motion and the lower body of another, seen by a random camera.
-Arrays are (B, 3, W, J), see `windows`.
+A window is a moment of a recorded motion, re-timed, mirrored, re-proportioned, sometimes tilted or combined from the
+upper body of one motion and the lower body of another, seen by a random camera. Arrays are (B, 3, W, J), see `windows`.
 """
 
 from __future__ import annotations

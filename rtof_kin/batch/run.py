@@ -171,8 +171,7 @@ def run_batch(
         Rows of this shard's recordings, in their order.
 
     Raises:
-        OutputExistsError: see `claim`. WritingError: the folder cannot be written, or
-            the disk is full.
+        OutputExistsError: see `claim`. WritingError: the folder cannot be written, or the disk is full.
     """
     try:
         with claim(batch.out, batch.source, batch.shard, overwrite) as place:

@@ -38,9 +38,8 @@ RATE_HZ = 50.0
 _LIMIT_GT_PX, _LIMIT_DETECTED_PX = 3.0, 30.0
 """Largest median reprojection error of a recording with projected and with detected keypoints, px."""
 ACKNOWLEDGEMENT = (
-    "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and "
-    "Predictive Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic "
-    "use only."
+    "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and Predictive "
+    "Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic use only."
 )
 _PLAUSIBLE_THIGH = (0.2, 0.7)
 _CHECKED_FRAMES = 20
@@ -113,9 +112,8 @@ class Human36M:
             bone = int(wrong[0])
             raise FileFormatError(
                 self._archives.path_3d,
-                f"{subject} {action!r}: the bone that ends at "
-                f"{self.skeleton.names[bone]} is {own[bone]:.3f} m long, but {usual[bone]:.3f} m in all "
-                "of the subject's actions together; get the archive again",
+                f"{subject} {action!r}: the bone that ends at {self.skeleton.names[bone]} is {own[bone]:.3f} m long, "
+                f"but {usual[bone]:.3f} m in all of the subject's actions together; get the archive again",
             )
         return ActionMotion(subject, action, p, offsets)
 

@@ -158,9 +158,8 @@ def advice(plan: Plan) -> tuple[str, ...]:
     if cameras and cameras[0].name == plan.protocol.camera.words:
         best, worst = cameras[0], cameras[-1]
         found.append(
-            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean "
-            f"{np.degrees(best.loss):.1f} deg, the worst ({worst.name.partition(', ')[0]}) "
-            f"{np.degrees(worst.loss):.1f} deg."
+            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean {np.degrees(best.loss):.1f} deg, "
+            f"the worst ({worst.name.partition(', ')[0]}) {np.degrees(worst.loss):.1f} deg."
         )
     elif cameras and _is_clear(cameras[0]):
         best = cameras[0]

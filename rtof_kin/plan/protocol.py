@@ -189,9 +189,8 @@ class CameraPlace:
         low, high = _FIELD_OF_VIEW_DEG
         if not low <= self.field_of_view_deg <= high:
             raise InvalidInputError(
-                f"camera: focal_px of {self.focal_px:g} with a width of {self.width_px} px is a field of "
-                f"view of {self.field_of_view_deg:.0f} deg; expected {low:g} to {high:g}. The focal length "
-                "is in pixels, not mm"
+                f"camera: focal_px of {self.focal_px:g} with a width of {self.width_px} px is a field of view of "
+                f"{self.field_of_view_deg:.0f} deg; expected {low:g} to {high:g}. The focal length is in pixels, not mm"
             )
 
     @property

@@ -288,8 +288,7 @@ def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> 
     """Return the recording of a take, and what was found, assumed or in doubt.
 
     Raises:
-        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`,
-            `calibrate_by_pose`.
+        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`, `calibrate_by_pose`.
     """
     mode = job.protocol.own_mode
     if mode in _WITH_SENSORS and inputs.sensors is None:

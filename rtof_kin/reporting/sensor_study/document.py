@@ -235,9 +235,8 @@ def _order(study: SensorStudy, tolerance: float) -> str:
         )
     )
     return (
-        f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of "
-        f"{len(study.angles)} within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets "
-        f"of this order{rest}"
+        f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of {len(study.angles)} "
+        f"within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets of this order{rest}"
     )
 
 
