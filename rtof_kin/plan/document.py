@@ -221,11 +221,7 @@ def _not_identifiable(weaknesses: Sequence[Weakness]) -> Iterator[str]:
 
 
 def where(setup: Setup, sensor: str) -> str:
-    """Return the segment of a sensor in words.
-
-    Args:
-        sensor: name in the skeleton's table.
-    """
+    """Return the segment of a sensor of the skeleton's table in words."""
     joint, _ = setup.skeleton.sensors[sensor]
     terms = {own: term for term, own in angle_table(setup.skeleton.table).segments.items()}
     return terms.get(joint, joint).replace("_", " ")

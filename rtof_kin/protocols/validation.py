@@ -209,11 +209,7 @@ def _opened(dataset: str, root: Path) -> PublicSet:
 
 
 def detect(job: tuple[Path, Path | None]) -> JobResult:
-    """Detect the people in a video.
-
-    Args:
-        job: the video, and the detector's models.
-    """
+    """Detect the people in a video with the detector's models."""
     video, models = job
     found = detect_video(video, models)
     assert found.times is not None
@@ -252,10 +248,7 @@ def measure(job: ValidationJob) -> JobResult:
 def compared_with(
     estimate: ClinicalAngles, truth: Truth, take: Take, aligned: bool = True
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Compare the angles of a take with its reference.
-
-    Returns:
-        Plain facts, and the arrays of `differences`.
+    """Compare the angles of a take with its reference: plain facts, and the arrays of `differences`.
 
     Raises:
         InvalidInputError: no angle is in both at the same instants.
