@@ -19,19 +19,17 @@ from rich.live import Live
 from rich.table import Column, Table
 from rich.text import Text
 
-from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.cli.options import FetchModels, Fields, Model, ModelDir, Seconds, command, written
 from rtof_kin.cli.record import detector_of
 from rtof_kin.cli.terminal import ended_by_signals, err, line, out, print_calibration, warnings_in_summary
-from rtof_kin.clinical.angles import clinical_angles
 from rtof_kin.core.errors import InvalidInputError, RtofError, SourceError
 from rtof_kin.live.online_settings import OnlineSettings
-from rtof_kin.live.samples import OnlineEstimate
 
 if TYPE_CHECKING:
+    from rtof_kin.body.skeleton import SkeletonModel
     from rtof_kin.calibration.result import SelfCalibration
     from rtof_kin.live.open_sources import Streams
-    from rtof_kin.live.samples import Sink, Source
+    from rtof_kin.live.samples import OnlineEstimate, Sink, Source
     from rtof_kin.live.session import LiveSession, SessionSummary
     from rtof_kin.live.websocket_server import WebSocketServer
     from rtof_kin.recording.recording import Recording
@@ -124,7 +122,7 @@ def live(
     from rtof_kin.live.session import LiveSession
     from rtof_kin.recording.index import INDEX
     from rtof_kin.recording.recording import Recording
-    from rtof_kin.setup.run import ReconstructionTask
+    from rtof_kin.setup.settings import ReconstructionTask
 
     with ended_by_signals():
         if output is not None:
@@ -429,6 +427,8 @@ class LiveDisplay:
             return self._known
         self._computed = self._now()
         try:
+            from rtof_kin.clinical.angles import clinical_angles
+
             angles = clinical_angles(self._last.poses, self._skeleton)
         except RtofError:  # the skeleton has no clinical angles
             return []

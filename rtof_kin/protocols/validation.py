@@ -44,7 +44,8 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.recording.sensor_files import imus_of_log
 from rtof_kin.reporting import document
 from rtof_kin.reporting.document import Document
-from rtof_kin.setup.init import SetupSettings, find_people, write_recording
+from rtof_kin.setup.init import find_people, write_recording
+from rtof_kin.setup.settings import SetupSettings
 from rtof_kin.setup.sources import Sources
 from rtof_kin.vision.detections import Detections
 from rtof_kin.vision.keypoint_files import FORMATS, read_detector_file
