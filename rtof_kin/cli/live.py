@@ -36,15 +36,12 @@ if TYPE_CHECKING:
 
 CALIBRATION: Final = "calibration.toml"
 """File of what was refined, in the folder of the recording."""
-_LONGEST_WAIT: Final = 10.0
-"""[s] for the names of the points of a camera's stream."""
-_MEASURING: Final = 2.0
-"""[s] for the first examined image of a webcam."""
+_LONGEST_WAIT: Final = 10.0  # [s] for the names of the points of a camera's stream
+_MEASURING: Final = 2.0  # [s] for the first examined image of a webcam
 _LATENCY, _MARGIN = (0.2, 0.6), 1.5
 """[s] Least and largest latency of images that is prepared for; the latter relative to the measured one."""
 _ANGLES: Final = ("hip_flexion", "knee_flexion", "elbow_flexion")
-_FRAMES: Final = 600
-"""Frames of which the times are summarised."""
+_FRAMES: Final = 600  # Frames of which the times are summarised
 _MESSAGES: Final = 8
 _TABLE_EVERY, _LINE_EVERY, _ANGLES_EVERY = 0.2, 1.0, 0.5  # [s]
 _STYLES: Final = {"ok": "green", "waiting": "dim", "late": "yellow", "lossy": "yellow"}

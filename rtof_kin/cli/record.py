@@ -51,8 +51,7 @@ if TYPE_CHECKING:
     from rtof_kin.vision.person_detector import PersonDetector
 
 _KINDS = {"given": "", "file": "", "found": "green", "assumed": "yellow", "doubtful": "bold red"}
-_OF_KEYPOINTS = "rtof_kin.recording.cameras"
-"""Logger of how the person was followed, which the findings say."""
+_OF_KEYPOINTS = "rtof_kin.recording.cameras"  # Logger of how the person was followed, which the findings say
 
 
 @command

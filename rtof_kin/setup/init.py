@@ -56,10 +56,8 @@ if TYPE_CHECKING:
 KEYPOINTS: Final = "keypoints.npz"
 FINDINGS: Final = "findings.json"
 """Files of the folder beside `INDEX`, `PICTURE` and `IMUS`."""
-_LEAST_SEEN: Final = 0.7
-"""Share of the frames below which it is said that the person is seen rarely."""
-_SHORTEST: Final = 5.0
-"""[s] of a take below which it is said that it is short."""
+_LEAST_SEEN: Final = 0.7  # Share of the frames below which it is said that the person is seen rarely
+_SHORTEST: Final = 5.0  # [s] of a take below which it is said that it is short
 Detect = Callable[[Path], Detections]
 
 
@@ -277,8 +275,7 @@ def write_recording(
 def texts_of(found: Findings, tables: Tables, sources: Sources, settings: SetupSettings) -> dict[str, str]:
     """Return the texts of a recording's folder by file; without the name of a video that is not kept.
 
-    Args:
-        sources, settings: as for `make_recording`.
+    `sources`, `settings`: as for `make_recording`.
     """
     title = f"Recording, made by rtof-kin run from {', '.join(path.name for path in sources.paths)}"
     texts = {
