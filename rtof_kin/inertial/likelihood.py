@@ -367,6 +367,14 @@ class Headings:
 def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """Estimate a heading for each sensor.
 
+    A sensor calibrated in a pose is right in that pose, at time 0, for any heading h of its reference::
+
+        R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
+
+    h changes the axis in the body about which the segment rotates afterwards; an axis that is vertical in the pose does
+    not determine it. The likelihood is maximised exactly on a grid of headings over the tree of compared pairs
+    (max-product, Pearl 1988), then refined.
+
     Args:
         motions: S, calibrated in the pose with headings 0.
         R_pose: (S, 3, 3) R_world_bone of their segments in the pose.

@@ -223,6 +223,10 @@ _MISTAKES = (
 def check_form(imus: ImuSequence, R_world_inertial: Array) -> tuple[Check, ...]:
     """Check that sensors are alive and that their samples have the form of a recording.
 
+    Orientations map sensor axes to their reference (from quaternions w, x, y, z), and specific force is raw: so the
+    mean of ``R_world_inertial R_inertial_sensor f_sensor`` points up with the size of gravity, but for the change of
+    velocity over the time. Each usual mistake is undone on the same numbers; the one under which this holds is named.
+
     Args:
         R_world_inertial: (S, 3, 3) of their calibration.
 

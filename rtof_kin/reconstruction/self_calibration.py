@@ -327,6 +327,9 @@ class Knowledge:
 def find_offset(jobs: Sequence[Job]) -> ClockOffset:
     """Estimate the clocks of a recording with sensors; nothing where no person is seen or nothing moves.
 
+    Angular velocities of the limbs in a lift of the image alone are compared with those of the sensors
+    (`calibration.clocks.small_offset`); where that leaves more than `_UNSHARP`, the energy of a short excerpt decides.
+
     Args:
         jobs: on the recording, or on parts of it in the order of time.
     """

@@ -82,6 +82,11 @@ class MocapClip:
 def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str) -> MocapClip:
     """Map a motion to the package's joints, at the source's rate.
 
+    A segment's orientation is its source's rotation from the T-pose, in axes x forward, y left, z up:
+    ``R_world_bone(t) = R_world_source(t) R_world_source(T-pose)^T``. Where the T-pose spreads legs or lowers arms, a
+    constant minimal rotation first brings thighs and shanks to -z, arms to +-y. Joint offsets are those of the T-pose
+    and constant: positions are forward kinematics.
+
     Args:
         motion: source frames without artificial ones. unit_m: length unit of the source, m.
         rate_hz: its sampling rate, Hz.
