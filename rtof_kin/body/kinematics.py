@@ -177,7 +177,7 @@ def shared_frames(names: Sequence[str], offsets: Array) -> Array:
 
 
 def to_shared(R_bone_shared: Array, parents: Sequence[int], offsets: Array) -> Array:
-    """Return joint offsets (J, 3) in the parents' shared frames, m, from those (J, 3) in the parents' link frames, m."""
+    """Return joint offsets (J, 3) in the parents' shared frames, m, from those in the parents' link frames, m."""
     above = R_bone_shared[np.maximum(parents, 0)]
     return np.asarray(np.einsum("jba,jb->ja", above, offsets))
 

@@ -91,7 +91,7 @@ def t_pose_frames(poses: PoseSequence) -> Mask:
 
 
 def posture_from_t_pose(poses: PoseSequence, parents: Sequence[int]) -> NeutralPosture | None:
-    """Return the posture of the first T-pose of evenly spaced 21-joint poses, of joints with `parents` (J,); else None."""
+    """Return the posture of the first T-pose of evenly spaced 21-joint poses, with `parents` (J,); else None."""
     least = _SHORTEST * poses.rate_hz
     runs = [(start, stop) for start, stop in signals.runs(t_pose_frames(poses)) if stop - start >= least]
     return NeutralPosture.of(poses[slice(*runs[0])], parents) if runs else None

@@ -82,7 +82,7 @@ class BoneImages:
 def bone_images(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, poses: PoseSequence, skeleton: SkeletonModel
 ) -> BoneImages | None:
-    """Return the bones with sensors between joints of the detector, with poses at its times for depth; None for none."""
+    """Return the bones with sensors between joints of the detector, with poses at its times for depth; or None."""
     times = keypoints.times
     every = max(1, -(-int(np.ptp(times) / STEP) // _MOST_FRAMES))
     frames = np.arange(0, int(np.ptp(times) / STEP) + 1, every)

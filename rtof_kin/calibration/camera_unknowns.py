@@ -76,7 +76,7 @@ def refocused(camera: Camera, y: float) -> Camera:
 
 
 def turned(camera: Camera, y: Array, rise: float = 0.0) -> Camera:
-    """Return a camera turned about its centre by y (3,), rad, in its own axes, and raised by `rise` along world z, m."""
+    """Return a camera turned about its centre by y (3,), rad, in its own axes, and raised by `rise` along z, m."""
     R, centre = so3.exp(y) @ camera.R_camera_world, camera.center_world + np.array([0.0, 0.0, rise])
     return replace(camera, R_camera_world=R, t_camera_world=-R @ centre)
 

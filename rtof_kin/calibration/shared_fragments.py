@@ -241,7 +241,7 @@ class SharedFragments:
         return out
 
     def profile(self, corrected: CalibrationObservations, y: Array) -> tuple[Array, Array]:
-        """Return Hessian (G, G) and gradient (G,) of the data's energy at y (G,) as a function of the unknowns alone."""
+        """Return Hessian (G, G) and gradient (G,) of the data's energy at y (G,) by the unknowns alone."""
         hessian, gradient = np.zeros_like(self.prior), np.zeros(len(y))
         for first in self._firsts:
             fragment = self._profiled(corrected, first, *self._states[first])

@@ -175,7 +175,7 @@ def lasting(seconds: float) -> float:
 
 
 def turn_of_image(imus: BoneImuSequence, skeleton: SkeletonModel, camera: Camera, poses: PoseSequence) -> Array:
-    """Return the rotation vector (3,), camera axes, from the sensors' bones to those lifted by the image alone, or NaN."""
+    """Return the rotation vector (3,), camera axes, from the sensors' bones to those of the image alone, or NaN."""
     p, products = poses.p_world_joint, np.zeros((3, 3))
     for s, joint in enumerate(skeleton.index(*imus.joints)):
         children = kinematics.children_of(skeleton.parents, joint)
@@ -262,7 +262,7 @@ class HeadingDrift:
 def without_heading_drift(
     keypoints: KeypointSequence, bone_imus: BoneImuSequence, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> KeypointSequence:
-    """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for; None: the shipped lifter."""
+    """Return stabilised keypoints without the drift that `Camera.heading_drift` allows for; None: shipped lifter."""
     found = heading_drift(lift(keypoints, skeleton, lifter).poses, bone_imus, keypoints.camera.heading_drift)
     first, last = np.degrees(found.angle[[0, -1]])
     _log.info(

@@ -26,7 +26,7 @@ _SURE_DEG = 4.0  # [deg] Largest standard deviation of a hinge's zero without a 
 def quality_warnings(
     prepared: Prepared, solution: FragmentSolution | None, settings: ReconstructionSettings
 ) -> tuple[str, ...]:
-    """Return quality warnings (sensors without samples, joints far from their keypoints); None: nothing was optimised."""
+    """Return quality warnings (sensors without samples, joints far from their keypoints); None: no optimisation."""
     found: tuple[str, ...] = ()
     if prepared.bone_imus is not None and not np.isfinite(prepared.bone_imus.R_world_bone).any():
         found += (

@@ -213,7 +213,7 @@ def find_camera(
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
-    """Return the part of a long video in which the person's size changes most; of a fast one, some frames are left out."""
+    """Return the part of a long video in which the person's size changes most; of a fast one, fewer frames."""
     rate_hz = 1 / float(np.median(np.diff(keypoints.times))) if len(keypoints) > 1 else 0.0
     keypoints = keypoints[:: max(1, int(rate_hz / _ENOUGH_HZ))]
     times = keypoints.times

@@ -369,7 +369,7 @@ def orientation(q: Matrix, q_measured: Matrix) -> Matrix:
 
 
 def rotation_vector(q: Matrix, q_mean: Matrix) -> Matrix:
-    """Return the rotation vector, between unit quaternions (4, 1), of a joint from its mean, in its axes (3, 1), rad."""
+    """Return the rotation vector of a joint from its mean, unit quaternions (4, 1), in its axes (3, 1), rad."""
     error = quat_multiply(quat_conjugate(q_mean), q)
     sign = ca.if_else(error[0] < 0, -1, 1)
     sine = ca.sqrt(ca.sumsqr(error[1:]) + 1e-18)

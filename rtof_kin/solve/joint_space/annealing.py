@@ -47,7 +47,7 @@ class Annealing:
         observation: dict[str, Array],
         least_px: float = 0.0,
     ) -> None:
-        """Set the initial weights; confidence (N, L), and sizes (L,) of the landmarks' errors relative to the others'."""
+        """Set the initial weights: landmarks' confidence (N, L), and sizes (L,) of their errors relative to others'."""
         self._settings, self._problem, self._confidence = settings, problem, confidence
         self._seen, self._others = observation["w_visual"] > 0, observation
         low, high = settings.sigma_reprojection_range
