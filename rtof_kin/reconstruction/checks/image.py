@@ -44,7 +44,7 @@ _REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
 _HEADINGS = np.radians(np.arange(0, 360, 15))
 _REACH = 0.55  # Fraction of the image beyond which points of an image half as large cannot lie
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
-OF_PICTURE: Final = (_SIZE, _TURN, _SIDES)
+OF_IMAGE: Final = (_SIZE, _TURN, _SIDES)
 _LEGS = "left and right of the legs' keypoints are exchanged"
 _SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
 _MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
@@ -61,7 +61,7 @@ class Lifted:
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageExcerpt:
     """Excerpt of a recording and the checks of its image."""
 
     keypoints: KeypointSequence
@@ -76,7 +76,7 @@ class Picture:
         return next((check.cause for check in self.checks if check.failed), "")
 
 
-def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Picture:
+def check_image(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> ImageExcerpt:
     """Compare the keypoints with each usual mistake undone.
 
     Args:
@@ -97,7 +97,7 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
             wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
             checks += (_unknown(name, wrong) if wrong else check(),)
     small = _SMALL if look.reach < _REACH else ""
-    return Picture(keypoints, look.given, look.bone_imus, checks, small)
+    return ImageExcerpt(keypoints, look.given, look.bone_imus, checks, small)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
