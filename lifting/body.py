@@ -71,13 +71,10 @@ class Body:
         return [self.sensor_joints.index(self.mirrored[j]) for j in self.sensor_joints]
 
     def bones_of(self, offsets: Tensor) -> Tensor:
-        """Return the bones of a person (..., 3 G), m.
+        """Return the bones (..., 3 G), m, of a person with joint offsets (..., J, 3), m.
 
-        One offset per bone in its parent's link frame: the right side is mirrored and averaged with the
-        left, bones in the middle lose their sideways part.
-
-        Args:
-            offsets: joint offsets (..., J, 3), m.
+        One offset per bone in its parent's link frame: the right side is mirrored and averaged with the left, bones in
+        the middle lose their sideways part.
         """
         parts = []
         for joints in bone_groups(self.names).values():
@@ -90,14 +87,7 @@ class Body:
 
 
 def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
-    """Return the joint indices of each bone, left and right together.
-
-    Args:
-        joint_names: J names, root first.
-
-    Returns:
-        Indices by the name, without side, of the bone's distal joint.
-    """
+    """Return the joint indices of each bone, left and right together, by its distal joint's name without side."""
     groups: dict[str, list[int]] = {}
     for j, name in enumerate(joint_names[1:], start=1):
         groups.setdefault(side_of(name)[1], []).append(j)
@@ -105,11 +95,7 @@ def bone_groups(joint_names: tuple[str, ...]) -> dict[str, list[int]]:
 
 
 def side_of(joint_name: str) -> tuple[str, str]:
-    """Split a joint's name into its side ('left', 'right' or '') and the rest.
-
-    Args:
-        joint_name: such as ``LeftArm`` or ``LElbow``.
-    """
+    """Split a joint's name, such as ``LeftArm`` or ``LElbow``, into its side ('left', 'right' or '') and the rest."""
     found = _SIDED.match(joint_name)
     if not found:
         return "", joint_name

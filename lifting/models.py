@@ -80,14 +80,7 @@ MODELS: Final = {
 
 
 def model_of(name: str) -> Model:
-    """Return the model of a name.
-
-    Args:
-        name: a key of `MODELS`.
-
-    Raises:
-        UnknownNameError: it is not.
-    """
+    """Return the model of a name, a key of `MODELS`; `UnknownNameError` for others."""
     if name not in MODELS:
         raise UnknownNameError("model", [name], list(MODELS))
     return MODELS[name]
@@ -124,11 +117,7 @@ class FoldedNetwork:
         self._shrink = out[:, -1].clone(), _transposed(out[:, :-1])
 
     def __call__(self, features: Tensor, constants: Tensor) -> Tensor:
-        """Return the network's output (B, outputs).
-
-        Args:
-            features: (B, receptive_field, inputs). constants: (B, constants).
-        """
+        """Return the network's output (B, outputs); constants are (B, constants)."""
         x = self._first(features, torch.addmm(self._constant[0], constants, self._constant[1])[:, None])
         for temporal, pointwise, width, which in self._blocks:
             kept = x[:, which::width]

@@ -72,22 +72,14 @@ class Lifter:
     def __init__(
         self, network: TemporalNetwork, description: LifterDescription, sha256: str = "", name: str = ""
     ) -> None:
-        """Take a network in evaluation mode; `load` reads one from a file.
-
-        Args:
-            network: not to be changed afterwards. description: see `LifterDescription`.
-        """
+        """Take a network in evaluation mode, not to be changed afterwards; `load` reads one from a file."""
         self.network, self.description = network, description
         self.sha256, self.name = sha256, name
         self._folded: dict[bool, FoldedNetwork] = {}
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> Lifter:
-        """Read a lifter.
-
-        Args:
-            path: a file, or the name of a shipped lifter, see `rtof_kin.core.resources.lifter_path`; the
-                default one if None.
+        """Read a lifter: a file, a shipped one by name (`rtof_kin.core.resources.lifter_path`), or the default one.
 
         Raises:
             FileFormatError: no such file, or see `load_checkpoint`.
@@ -200,17 +192,13 @@ class Lifter:
             )
         if len(ever) < MIN_JOINTS:
             raise InvalidInputError(
-                f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some "
-                f"time, and sees {len(ever)} ({', '.join(ever) or 'none'}); its joints are "
-                f"{', '.join(self.names)}: rename the detector's landmarks, use its adapter, or give a "
-                "lifter trained for these joints"
+                f"keypoints: the lifter needs at least {MIN_JOINTS} joints that are seen at some time, and sees "
+                f"{len(ever)} ({', '.join(ever) or 'none'}); its joints are {', '.join(self.names)}: rename the "
+                "detector's landmarks, use its adapter, or give a lifter trained for these joints"
             )
 
     def bones_of(self, joint_offsets: ArrayLike | None) -> Array:
         """Return a person's bones in shared frames, as the network takes them (`Body.bones_of`); NaN if None.
-
-        Args:
-            joint_offsets: (J, 3) m, each joint in its parent's link frame.
 
         Raises:
             InvalidInputError: not finite, or not a human's bone lengths.
@@ -230,10 +218,7 @@ class Lifter:
 
     def shared_frames(self, joint_offsets: ArrayLike | None) -> Array:
         """Return R_bone_shared (J, 3, 3), from the frames in which the network knows a person's segments to
-        their link frames, see `rtof_kin.body.kinematics`; the same frames if the offsets are None.
-
-        Args:
-            joint_offsets: (J, 3) m, each joint in its parent's link frame.
+        their link frames, see `rtof_kin.body.kinematics`; the same frames if the offsets (J, 3), m, are None.
         """
         if joint_offsets is None:
             return np.tile(np.eye(3), (len(self.names), 1, 1))
@@ -241,10 +226,7 @@ class Lifter:
 
 
 def camera_height(camera: Camera, floor_height: float | None) -> float:
-    """Return the height of the camera over a floor, m; NaN where the floor is None.
-
-    Args:
-        camera: extrinsics in world, z up. floor_height: z of the floor, m.
+    """Return the height of the camera over a floor (z, m) in world, m; NaN where the floor is None.
 
     Raises:
         ViewError: the camera is below the floor.

@@ -285,11 +285,8 @@ class StreamingLifter:
     def push(
         self, time: float, uv_px: ArrayLike, confidence: ArrayLike, R_world_bone: Mapping[str, ArrayLike] | None = None
     ) -> tuple[StreamedPose | None, ...]:
-        """Take one frame, as `put` does, and return a pose for each of the lookaheads k.
-
-        Returns:
-            Pose of the frame that is k frames before the newest; None where there is none within
-            `history_s`, or too little is seen around it.
+        """Take one frame, as `put` does, and return a pose for each of the lookaheads k: of the frame that is k frames
+        before the newest; None where there is none within `history_s`, or too little is seen around it.
         """
         self.put(time, uv_px, confidence, R_world_bone)
         times = self._frames.times
@@ -328,13 +325,8 @@ class StreamingLifter:
         self._frames.forget(self._frames.newest - self._history - before)
 
     def lift(self, times: ArrayLike) -> tuple[StreamedPose | None, ...]:
-        """Return the poses at any times within `history_s` before the newest frame, from all frames so far.
-
-        Args:
-            times: (n,) s; not necessarily those of frames.
-
-        Returns:
-            n poses; None where too little is seen around one.
+        """Return poses at n times, s, not necessarily of frames, within `history_s` before the newest frame, from all
+        frames so far; None where too little is seen around one.
 
         Raises:
             InvalidInputError: a time is earlier, or later than the newest frame.

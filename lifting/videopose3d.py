@@ -63,11 +63,8 @@ def encode(body: Body, windows: Windows) -> EncodedPictures:  # noqa: ARG001, as
 
 
 def decode(body: Body, output: Tensor, encoded: EncodedPictures) -> Estimate:
-    """Return the estimate in world axes, its spreads NaN.
-
-    Args:
-        output: (B, outputs): joints but the root (3, J-1) relative to the root, and the root (3), in the camera's
-            frame, m.
+    """Return the estimate in world axes, its spreads NaN, from (B, outputs): joints but the root (3, J-1) relative to
+    the root, and the root (3), in the camera's frame, m.
     """
     output = output.to(encoded.R_camera_world.dtype)  # bfloat16 in training
     B, J = len(output), len(body.names)
@@ -94,12 +91,9 @@ def mirror_output(body: Body, output: Tensor) -> Tensor:
 
 
 def bridged(xy: Tensor, seen: Tensor) -> Tensor:
-    """Replace unseen image points by those of the nearest frame that saw them.
+    """Replace unseen image points (B, 2, W, J) by those of the nearest frame that saw them; seen is (B, W, J).
 
     A landmark never seen in a window is placed at the mean of all seen points, or in the middle.
-
-    Args:
-        xy: (B, 2, W, J) image points. seen: (B, W, J).
     """
     if bool(seen.all()):
         return xy

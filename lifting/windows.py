@@ -254,10 +254,8 @@ def _sensed_axes(windows: Windows, R_ray_world: Tensor) -> list[Tensor]:
 
 
 def _centre_ray(body: Body, rays: Tensor, seen: Tensor, estimated: int) -> Tensor:
-    """Direction (B, 3) to the centre of a window.
-
-    In the nearest frame to the estimated one with anything seen: the root, else the mean of the hips, else
-    the mean of all landmarks seen; x if nothing is seen.
+    """Direction (B, 3) to the centre of a window, in the nearest frame to the estimated one with anything seen:
+    the root, else the mean of the hips, else the mean of all landmarks seen; x if nothing is seen.
     """
     B, W, J = seen.shape
     away = (torch.arange(W, device=seen.device) - estimated).abs()
@@ -295,9 +293,8 @@ def _scale(image: Tensor, weight: Tensor) -> Tensor:
 
 
 def _standing(rays: Tensor, seen: Tensor, camera_height: Tensor, scale: Tensor) -> Tensor:
-    """Log(horizontal distance x scale) of each foot if it is on the floor, and whether known, (B, W, 2 F).
-
-    Unknown if the height is, or if the ray (B, 3, W, F) is near the horizon.
+    """Log(horizontal distance x scale) of each foot if it is on the floor, and whether known, (B, W, 2 F);
+    unknown if the height is, or if the ray (B, 3, W, F) is near the horizon.
     """
     slope = -rays[:, 2] / _length(rays[:, :2])[:, 0].clamp_min(1e-6)
     height = (camera_height - ANKLE_HEIGHT)[:, None, None]

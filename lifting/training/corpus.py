@@ -36,10 +36,9 @@ BENCHMARK_SPLIT: Final = Path(__file__).parents[2] / "benchmarks" / "split.toml"
 
 
 def read_split(path: str | Path) -> dict[str, str]:
-    """Read the split of each subject listed; subjects that are not listed train.
+    """Read the split of each subject listed in a TOML file; subjects that are not listed train.
 
-    Args:
-        path: TOML file with lists named ``test``, ``validation`` and ``excluded``; tables are ignored.
+    Its lists are named ``test``, ``validation`` and ``excluded``; tables are ignored.
 
     Raises:
         FileFormatError: not TOML, an unknown list, or a subject in two lists.
@@ -140,10 +139,7 @@ class Corpus:
         return slice(int(self.start[clip]), int(self.start[clip + 1]))
 
     def clips(self, split: str, required: bool = True) -> list[int]:
-        """Return the indices of the clips of a split.
-
-        Args:
-            split: one of `SPLITS`. required: whether there must be any.
+        """Return the indices of the clips of a split, one of `SPLITS`.
 
         Raises:
             InvalidInputError: there is none, and one is required.
@@ -157,10 +153,8 @@ class Corpus:
         return found
 
     def positions(self, clip: int, joint_offsets: Array | None = None) -> Array:
-        """Return the joints (T, J, 3) of a clip in world, m.
-
-        Args:
-            joint_offsets: (J, 3) m, of another skeleton; None for its own. `beyond_rigid` is added to both.
+        """Return the joints (T, J, 3) of a clip in world, m, of its own or another skeleton's offsets (J, 3), m;
+        `beyond_rigid` is added to both.
         """
         frames = self.frames(clip)
         offsets = self.joint_offsets[clip] if joint_offsets is None else joint_offsets
@@ -180,11 +174,7 @@ class Corpus:
         return replace(self, R_world_bone=R, joint_offsets=offsets)
 
     def skeletons(self, split: str, at_most: int) -> list[Array]:
-        """Return the joint offsets (J, 3) of the different bodies in a split, m.
-
-        Args:
-            split: one of `SPLITS`. at_most: number of bodies, those with most frames first.
-        """
+        """Return the joint offsets (J, 3), m, of the different bodies in a split, those with most frames first."""
         bodies: list[Array] = []
         frames: list[int] = []
         for c in self.clips(split):
@@ -291,10 +281,8 @@ def join_clips(
 
 
 def _at_rate(clip: mocap.MocapClip, parents: tuple[int, ...], rate_hz: float) -> tuple[Array, Array, Array]:
-    """Resampled root (T, 3), orientations (T, J, 3, 3) and joints minus forward kinematics (T, J, 3).
-
-    An integer ratio of rates takes every n-th frame; otherwise orientations relative to the parent are
-    interpolated on the geodesic, the rest linearly.
+    """Resampled root (T, 3), orientations (T, J, 3, 3) and joints minus forward kinematics (T, J, 3); takes every
+    n-th frame for an integer ratio of rates; else interpolates relative orientations on the geodesic, others linearly.
     """
     poses, offsets = clip.poses, clip.joint_offsets
     p_root, R = poses.p_world_joint[:, 0], poses.R_world_bone

@@ -1,8 +1,7 @@
 """Random training windows from a corpus of motion, in batches, on one device.
 
-A window is a moment of a recorded motion, re-timed, mirrored, re-proportioned, sometimes tilted or
-combined from the upper body of one motion and the lower body of another, seen by a random camera.
-Arrays are (B, 3, W, J), see `windows`.
+A window is a moment of a recorded motion, re-timed, mirrored, re-proportioned, sometimes tilted or combined from the
+upper body of one motion and the lower body of another, seen by a random camera. Arrays are (B, 3, W, J), see `windows`.
 """
 
 from __future__ import annotations
@@ -182,13 +181,9 @@ def plain(noise: NoiseConfig = PERFECT) -> AugmentConfig:
 
 
 def augmentation(noise: str, camera: Sequence[float] | None = None) -> AugmentConfig:
-    """Return the settings for a kind of 2D.
+    """Return the settings for a kind of 2D, a key of `TRAINING_NOISE`; `UnknownNameError` for others.
 
-    Args:
-        noise: a key of `TRAINING_NOISE`. camera: distance and height of all cameras, m; None for random.
-
-    Raises:
-        UnknownNameError: there is no such kind.
+    `camera` has distance and height of all cameras, m; None for random.
     """
     if noise not in TRAINING_NOISE:
         raise UnknownNameError("noise of the keypoints", [noise], list(TRAINING_NOISE))
@@ -329,9 +324,8 @@ class MotionBank:
         return (1 + draw.integers(others)) * (draw.uniform(draw.batch) >= config.own_skeleton)
 
     def _at(self, frames: Tensor, offset: Tensor, lag: Tensor, body: Tensor) -> tuple[Moving, Tensor]:
-        """Motion at offsets (B, W) from frames, within their clip, and the heading (B,) in the frames.
-
-        Segments with sensors are taken `lag` (B, 1) frames later, from the nearest frame.
+        """Motion at offsets (B, W) from frames, within their clip, and the heading (B,) in the frames; segments with
+        sensors are taken `lag` (B, 1) frames later, from the nearest frame.
         """
         low, high, share = self._between(frames, offset)
         bones = torch.lerp(self.bones[body[:, None], low], self.bones[body[:, None], high], share)

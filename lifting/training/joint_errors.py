@@ -193,11 +193,8 @@ def harmonics(v: Tensor) -> Tensor:
 
 
 def rig_places(body: Body, offsets: Tensor) -> Tensor:
-    """Return where rigs have the joints of the trunk (B, J, 3), upright, from the line between the middles of
-    hips and shoulders, in lengths of a leg; zero for limbs.
-
-    Args:
-        offsets: (B, J, 3) m.
+    """Return where rigs with offsets (B, J, 3), m, have the joints of the trunk (B, J, 3), upright, from the line
+    between the middles of hips and shoulders, in lengths of a leg; zero for limbs.
     """
     places = [torch.zeros_like(offsets[:, 0])]
     for j, parent in enumerate(body.parents[1:], start=1):
@@ -212,10 +209,8 @@ def rig_places(body: Body, offsets: Tensor) -> Tensor:
 
 
 def designs(view: View) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what the mean error is linear in.
-
-    Returns:
-        Segments (B, J, 3, 3) and pelvis (B, 3, 3) in the camera's frame, and harmonics (B, J, 9).
+    """Return what the mean error is linear in: segments (B, J, 3, 3) and pelvis (B, 3, 3) in the camera's frame,
+    and harmonics (B, J, 9).
     """
     R = view.segments()
     p = view.joints.transpose(1, 2)
@@ -263,10 +258,8 @@ def _behind(points: Tensor, start: Tensor, stop: Tensor, radius: float, margin: 
 def smooth_errors(
     body: Body, table: JointErrors, view: View, amplitude: Tensor, frames: int, draw: Draw, rate_hz: float
 ) -> Tensor:
-    """Draw errors (B, 2, W, J) in the image planes of the joints, m: all but exchanges and jumps.
-
-    Args:
-        amplitude: (B,) factor on what is the detector's. rate_hz: of the frames, Hz.
+    """Draw errors (B, 2, W, J) in the image planes of the joints, m, at a rate in Hz: all but exchanges and
+    jumps; `amplitude` (B,) is a factor on what is the detector's.
     """
     B, J = draw.batch, len(body.names)
     factor, rest = table.blended(body, view)
@@ -290,10 +283,7 @@ def smooth_errors(
 @lru_cache(maxsize=8)
 def path_basis(frames: int, rate_hz: float, memory: float, rank: int = 8) -> Tensor:
     """Return (W, rank) whose product with white noise is a path of unit variance with the covariance
-    exp(-|t| / memory), approximately.
-
-    Args:
-        rate_hz: of the frames, Hz. memory: s; infinite for a constant.
+    exp(-|t| / memory), approximately; the memory, s, is infinite for a constant.
     """
     if memory == float("inf"):
         return torch.ones(frames, 1)

@@ -289,10 +289,8 @@ def places(body: Body, config: RigConfig, draw: Draw) -> Tensor:
 
 
 def turns(axes: Tensor, config: RigConfig, draw: Draw) -> Tensor:
-    """Draw the turns (B, W, 8, 3, 3) in world from a motion's trunk to another rig's.
-
-    Args:
-        axes: (B, 3, W, 2, 8) x and z axes of `trunk_segments`.
+    """Draw the turns (B, W, 8, 3, 3) in world from a motion's trunk, with x and z axes (B, 3, W, 2, 8) of
+    `trunk_segments`, to another rig's.
     """
     B = len(axes)
     x, z = axes.unbind(dim=3)

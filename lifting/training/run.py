@@ -343,11 +343,7 @@ class Run:
         }
 
     def save_lifter(self, path: Path, overwrite: bool) -> Path:
-        """Write the lifter with its last validation errors and the pose prior of its motion.
-
-        Args:
-            overwrite: replace an existing one.
-        """
+        """Write the lifter with its last validation errors and the pose prior of its motion."""
         errors = self.history[-1]["validation"] if self.history else {}
         description = checkpoint.LifterDescription(
             self.body,
@@ -378,10 +374,7 @@ class Run:
         checkpoint.save_tensors(state, path, overwrite=True)
 
     def start(self, lifter: str | Path) -> None:
-        """Begin with the weights of another lifter.
-
-        Args:
-            lifter: a file, or a name, see `rtof_kin.core.resources.lifter_path`.
+        """Begin with the weights of another lifter, a file or a name, see `rtof_kin.core.resources.lifter_path`.
 
         Raises:
             FileFormatError: it is not a lifter, or does not fit.

@@ -30,9 +30,6 @@ PRIORS: Final = get_args(PriorChoice)
 def prior_of_corpus(corpus: Corpus, choice: PriorChoice = "auto") -> PosePrior | None:
     """Return the pose prior of the training clips; None for 'none', for joints other than the package's 21
     and where every clip is too short.
-
-    Args:
-        choice: see `PriorChoice`.
     """
     motions = motions_of(corpus)
     table = read_skeleton_table(model_path("skeleton.toml"))
@@ -59,10 +56,8 @@ def motions_of(corpus: Corpus) -> list[PersonMotion]:
 
 
 def postures_of(corpus: Corpus) -> dict[str, NeutralPosture]:
-    """Return the neutral postures of those training subjects who stand in a T-pose, from the first one.
-
-    Args:
-        corpus: of the 21-joint skeleton, with orientations in the link frames.
+    """Return the neutral postures of those training subjects who stand in a T-pose, from the first one, in a
+    corpus of the 21-joint skeleton with orientations in the link frames.
     """
     found: dict[str, NeutralPosture] = {}
     for clip in corpus.clips("train"):
@@ -148,11 +143,7 @@ class TrainConfig:
 
     @classmethod
     def for_model(cls, model: str, **settings: Any) -> Self:
-        """Return the usual settings of a model, the published ones for the baseline.
-
-        Args:
-            model: one of `models.MODELS`. settings: fields to change; None keeps the usual value.
-        """
+        """Return usual settings of one of `models.MODELS`, the published ones for the baseline, with those given."""
         usual = PUBLISHED if model == VIDEOPOSE3D else {}
         return cls(model=model, **{**usual, **{k: v for k, v in settings.items() if v is not None}})
 

@@ -53,14 +53,7 @@ class Shard:
 
     @classmethod
     def of(cls, text: str) -> Shard:
-        """Read a shard from a text.
-
-        Args:
-            text: such as 3/10.
-
-        Raises:
-            InvalidInputError: it is none.
-        """
+        """Read a shard from a text such as 3/10; `InvalidInputError` if it is none."""
         if not (found := re.fullmatch(r"(\d{1,6})/(\d{1,6})", text.strip())):
             raise InvalidInputError(f"shard {text!r}: write its number and how many there are, as 3/10")
         return cls(int(found.group(1)), int(found.group(2)))
@@ -75,10 +68,7 @@ class Shard:
 
 
 def find_recordings(source: Path, out: Path) -> list[Entry]:
-    """Return the recordings of a folder or a manifest, sorted by name.
-
-    Args:
-        out: folder of the output, in which none are looked for.
+    """Return the recordings of a folder or a manifest, sorted by name; none are looked for in `out`.
 
     Raises:
         FileFormatError: there is no such source, or the manifest has an error.
@@ -190,11 +180,7 @@ class Step:
         return None
 
     def line(self, recording: Path, out: Path, overwrite: bool) -> list[str]:
-        """Return the command line.
-
-        Args:
-            overwrite: replace the output.
-        """
+        """Return the command line, with which an output is replaced if wanted."""
         own = [a.replace(RECORDING, str(recording)).replace(OUT, str(out)) for a in self.arguments]
         return [self.command, *own, *(["--overwrite"] if overwrite and self.output else [])]
 
@@ -204,10 +190,7 @@ class Step:
 
 
 def read_chain(text: str, commands: Collection[str]) -> tuple[Step, ...]:
-    """Return the steps of a chain.
-
-    Args:
-        text: see the top of this module.
+    """Return the steps of a chain, see the top of this module.
 
     Raises:
         InvalidInputError: a command does not exist or needs its files named, or two write the same.

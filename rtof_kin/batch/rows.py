@@ -123,11 +123,7 @@ class RowFile:
 
 
 def read_rows(paths: Iterable[Path]) -> dict[str, Numbered]:
-    """Return the latest row of each recording.
-
-    Args:
-        paths: files of `RowFile`; incomplete lines are ignored.
-    """
+    """Return the latest row of each recording in files of `RowFile`; incomplete lines are ignored."""
     latest: dict[str, Numbered] = {}
     for path in paths:
         for line in path.read_bytes().splitlines():
@@ -153,13 +149,10 @@ _GRADES: Final = {ERROR: "fail", DONE: "pass"}
 
 
 def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None:
-    """Write ``index.html``, and ``index-2.html`` and so on where there are very many recordings.
+    """Write ``index.html``, and ``index-2.html`` and so on where there are very many recordings, worst first.
 
     Pages are single files that open offline and without a script. The browser does not lay out rows that are out of
     sight, so that ten thousand open at once.
-
-    Args:
-        rows: worst first.
     """
     pages = [rows[k : k + ROWS_PER_PAGE] for k in range(0, len(rows), ROWS_PER_PAGE)] or [()]
     for number, part in enumerate(pages, start=1):
@@ -175,11 +168,7 @@ def write_index(out: Path, rows: Sequence[Row], total: int, source: str) -> None
 def document(
     part: Sequence[Row], rows: Sequence[Row], total: int, source: str, number: int = 1, pages: int = 1
 ) -> Document:
-    """Return a batch, or the part of its rows for one page, as a document.
-
-    Args:
-        rows: all of them.
-    """
+    """Return a batch, or the part of its rows for one page, as a document."""
     counts = Counter(row.verdict for row in rows)
     waiting = f"; {total - len(rows)} are not done" if len(rows) < total else ""
     minutes, hours = sum(row.duration_s for row in rows) / 60, sum(row.seconds for row in rows) / 3600

@@ -162,17 +162,12 @@ class Batch:
 def run_batch(
     batch: Batch, command: Command, engine: Engine, overwrite: bool = False, progress: Progress | None = None
 ) -> list[Row]:
-    """Run a batch, or what is left of it.
+    """Run a batch, or what is left of it, and return the rows of this shard's recordings, in their order.
 
-    Args:
-        command: runs one command line; at the top level of a module.
-
-    Returns:
-        Rows of this shard's recordings, in their order.
+    `command` runs one command line and stands at the top level of a module.
 
     Raises:
-        OutputExistsError: see `claim`. WritingError: the folder cannot be written, or
-            the disk is full.
+        OutputExistsError: see `claim`. WritingError: the folder cannot be written, or the disk is full.
     """
     try:
         with claim(batch.out, batch.source, batch.shard, overwrite) as place:

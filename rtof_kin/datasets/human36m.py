@@ -38,9 +38,8 @@ RATE_HZ = 50.0
 _LIMIT_GT_PX, _LIMIT_DETECTED_PX = 3.0, 30.0
 """Largest median reprojection error of a recording with projected and with detected keypoints, px."""
 ACKNOWLEDGEMENT = (
-    "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and "
-    "Predictive Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic "
-    "use only."
+    "Human3.6M: C. Ionescu, D. Papava, V. Olaru, C. Sminchisescu, 'Human3.6M: Large Scale Datasets and Predictive "
+    "Methods for 3D Human Sensing in Natural Environments', IEEE TPAMI 36(7), 2014. Academic use only."
 )
 _PLAUSIBLE_THIGH = (0.2, 0.7)
 _CHECKED_FRAMES = 20
@@ -113,9 +112,8 @@ class Human36M:
             bone = int(wrong[0])
             raise FileFormatError(
                 self._archives.path_3d,
-                f"{subject} {action!r}: the bone that ends at "
-                f"{self.skeleton.names[bone]} is {own[bone]:.3f} m long, but {usual[bone]:.3f} m in all "
-                "of the subject's actions together; get the archive again",
+                f"{subject} {action!r}: the bone that ends at {self.skeleton.names[bone]} is {own[bone]:.3f} m long, "
+                f"but {usual[bone]:.3f} m in all of the subject's actions together; get the archive again",
             )
         return ActionMotion(subject, action, p, offsets)
 
@@ -237,25 +235,19 @@ def _median(values: Array) -> float:
 
 
 def bone_lengths(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
-    """Return the median distance (J,) of each joint from its parent, m, 0 for the root.
-
-    Args:
-        p_world_joint: (T, J, 3) m, joints in its order, finite.
-    """
+    """Return the median distance (J,) of finite joints (T, J, 3) from their parents, m, 0 for the root."""
     parents = np.maximum(skeleton.parents, 0)
     distance = np.linalg.norm(p_world_joint - p_world_joint[:, parents], axis=-1)
     return np.asarray(np.median(distance, axis=0))
 
 
 def measured_offsets(skeleton: SkeletonModel, p_world_joint: Array) -> Array:
-    """Return the subject's joint offsets (J, 3) in the parents' link frames, m, 0 for the root.
+    """Return the subject's joint offsets (J, 3) in the parents' link frames, m, from finite joints
+    (T, J, 3); 0 for the root.
 
-    Each bone has its median length. A segment with one child has the direction of the table. For one with
-    several (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes
-    analysis over the frames, without scale (Gower 1975), in axes nearest to the table's.
-
-    Args:
-        p_world_joint: (T, J, 3) m, joints in its order, finite.
+    Each bone has its median length. A segment with one child has the direction of the table. For one with several
+    (pelvis, thorax) the directions are those of the mean shape of its children: a Procrustes analysis over the frames,
+    without scale (Gower 1975), in axes nearest to the table's.
 
     Raises:
         InvalidInputError: a bone has no length.

@@ -240,11 +240,7 @@ class Archives:
         return p
 
     def keypoints(self, subject: str, action: str, camera: int) -> Array:
-        """Return (T', 17, 2) px; NaN where not finite. T' may differ from T by some frames.
-
-        Args:
-            camera: 0 to 3.
-        """
+        """Return (T', 17, 2) px of camera 0 to 3; NaN where not finite. T' may differ from T by some frames."""
         actions = _entry(f"subject in {self.path_2d.name}", self.all_keypoints, subject)
         cameras = _entry(f"action of {subject} in {self.path_2d.name}", actions, action)
         if not isinstance(cameras, list | tuple) or len(cameras) != len(CAMERA_IDS):
@@ -257,11 +253,7 @@ class Archives:
         return uv
 
     def camera(self, subject: str, number: int) -> Camera:
-        """Return a subject's camera.
-
-        Args:
-            number: 0 to 3.
-        """
+        """Return a subject's camera, 0 to 3."""
         name = self.path_cameras.name
         cameras: Mapping[int, Camera] = _entry(f"subject in {name}", self.all_cameras, subject)
         if number not in cameras:

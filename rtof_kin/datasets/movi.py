@@ -165,13 +165,8 @@ def _arrays(path: Path, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
 
 
 def read_motions(path: Path) -> dict[str, Any]:
-    """Read names, frames and joint centres of one person.
-
-    Args:
-        path: ``F_v3d_Subject_1.mat``.
-
-    Returns:
-        motions: names. flags30, flags120: (M, 2) from 1. points: (T, 20, 3).
+    """Read a person's ``F_v3d_Subject_1.mat``: names of the motions, flags30 and flags120 (M, 2) from 1, and
+    joint centres, points (T, 20, 3).
 
     Raises:
         FileFormatError: not that struct, a field missing or of another shape, or damaged.

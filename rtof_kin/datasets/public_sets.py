@@ -127,14 +127,7 @@ class PublicSet(ABC):
 
 
 def existing(path: Path, what: str, remedy: str) -> Path:
-    """Return a file that exists.
-
-    Args:
-        remedy: what to do without it.
-
-    Raises:
-        FileFormatError: there is no such file.
-    """
+    """Return a file that exists; `FileFormatError` with a remedy if there is none."""
     if not path.is_file():
         raise FileFormatError(path, f"{what} is missing; {remedy}")
     return path
@@ -161,11 +154,7 @@ def orientation_log(path: Path, what: str, sensors: Mapping[str, tuple[Array, Ar
 
 
 def kind_of(name: str, kinds: Mapping[str, Movement]) -> Movement:
-    """Return the class of a movement by the beginning of its name in small letters; 'other' if unknown.
-
-    Args:
-        kinds: beginning -> class; the longest that fits counts.
-    """
+    """Return the class of a movement by the longest beginning of its name, in small letters; 'other' if unknown."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     fitting = [start for start in kinds if plain.startswith(start)]
     return kinds[max(fitting, key=len)] if fitting else "other"
@@ -188,8 +177,7 @@ HINGES: Final = {
 def hinge_table(times: Array, centres: Mapping[str, Array]) -> OpenSimTable:
     """Return the flexion, rad, of the hinges whose three centres are known.
 
-    Args:
-        times: (T,) s. centres: joint -> (T, 3) in any one unit; NaN where unknown.
+    Centres are joint -> (T, 3) in any one unit, at times (T,) s; NaN where unknown.
     """
     found = {
         name: _flexion(*(centres[joint] for joint in joints))
@@ -209,8 +197,7 @@ def _flexion(before: Array, at: Array, after: Array) -> Array:
 def hip_centres(markers: Mapping[str, Array]) -> dict[str, Array]:
     """Return both hip centres (T, 3) m from the pelvis (Harrington et al. 2007, simple regressions).
 
-    Args:
-        markers: 'right_asis', 'left_asis', 'right_psis', 'left_psis' -> (T, 3) m, any axes.
+    Markers are 'right_asis', 'left_asis', 'right_psis', 'left_psis' -> (T, 3) m, in any axes.
     """
     front = (markers["right_asis"] + markers["left_asis"]) / 2
     back = (markers["right_psis"] + markers["left_psis"]) / 2

@@ -154,10 +154,9 @@ def _metadata(take: Take) -> tuple[float, dict[str, str]]:
 
 
 def read_orientations(path: Path) -> SensorLog:
-    """Read the orientation of every sensor; components by their names, as files order them differently.
+    """Read the orientation of every sensor of an ``xsens_imu_data_*.csv``.
 
-    Args:
-        path: ``xsens_imu_data_*.csv``.
+    Components are found by their names, as files order them differently.
 
     Raises:
         FileFormatError: no time, an incomplete sensor, no quaternions, or damaged.
@@ -171,10 +170,7 @@ def read_orientations(path: Path) -> SensorLog:
 
 
 def read_markers(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Read times (T,) s and each marker (T, 3) m; NaN where it is missing.
-
-    Args:
-        path: ``qualisys_marker_data_*.csv``.
+    """Read times (T,) s and markers (T, 3) m of a ``qualisys_marker_data_*.csv``; NaN where one is missing.
 
     Raises:
         FileFormatError: no time, no marker in mm, or damaged.
@@ -297,10 +293,7 @@ class Vidimu(PublicSet):
 
 
 def read_raw(path: Path, sensors: tuple[str, ...]) -> SensorLog:
-    """Read the quaternions of one trial, without the N-pose in the first instant.
-
-    Args:
-        path: ``.raw`` file. sensors: names that it must have.
+    """Read the quaternions of one trial's ``.raw`` file, without the N-pose in the first instant.
 
     Raises:
         FileFormatError: another header, an unknown or missing sensor, no numbers, or damaged.

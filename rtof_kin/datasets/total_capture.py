@@ -154,10 +154,7 @@ class Take:
         )
 
     def camera(self, number: int) -> Camera:
-        """Return a camera.
-
-        Args:
-            number: 1 to 8.
+        """Return a camera, 1 to 8.
 
         Raises:
             UnknownNameError: no such camera, or no calibration of the cameras.
@@ -231,10 +228,7 @@ class TotalCapture:
         return [text for kind, text in _NEEDED.items() if kind not in have]
 
     def take(self, subject: str, name: str) -> Take:
-        """Read a take.
-
-        Args:
-            subject: S1 to S5. name: such as acting3.
+        """Read a take of S1 to S5, such as acting3.
 
         Raises:
             UnknownNameError: no file of it was found. FileFormatError: no ground truth, a damaged file, or
@@ -376,11 +370,7 @@ def check_take(take: Take) -> list[Check]:
 
 
 def check_camera(camera: int) -> list[Check]:
-    """Return a failed check for a camera that is known to be miscalibrated, none for others.
-
-    Args:
-        camera: number, 1 to 8.
-    """
+    """Return a failed check for a camera, 1 to 8, that is known to be miscalibrated, none for others."""
     if camera not in MISCALIBRATED:
         return []
     advice = f"{_sentence(MISCALIBRATED[camera])}; ground-truth 2D is not affected"
@@ -390,10 +380,7 @@ def check_camera(camera: int) -> list[Check]:
 
 
 def check_keypoints(take: Take, camera: int, keypoints: KeypointSequence) -> list[Check]:
-    """Check the median reprojection error of the reference's joints.
-
-    Args:
-        camera: number, 1 to 8.
+    """Check the median reprojection error of the reference's joints in a camera, 1 to 8.
 
     Raises:
         UnknownNameError: the take has no such camera.

@@ -76,10 +76,7 @@ class FileIndex:
     """Files whose name and folders do not give subject and take."""
 
     def one(self, take: Take, kind: str) -> Path | None:
-        """Return the file of a kind, or None.
-
-        Args:
-            kind: one of `KINDS`.
+        """Return the file of one of `KINDS`, or None.
 
         Raises:
             FileFormatError: there are several, and they differ.

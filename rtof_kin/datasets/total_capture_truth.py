@@ -199,10 +199,8 @@ def _same_length(path: Path, p: Array, R: Array, notes: list[str]) -> tuple[Arra
 def _from_bvh(
     path: Path, p: Array | None, R: Array | None, skeleton: SkeletonModel, notes: list[str]
 ) -> tuple[Array, Array]:
-    """Return positions and orientations, the missing ones from the take's BVH file.
-
-    The frames of its joints differ from ours by one constant rotation, the one that brings its offsets
-    nearest to the skeleton's.
+    """Return positions and orientations, the missing ones from the take's BVH file; the frames of its joints
+    differ from ours by one constant rotation, the one that brings its offsets nearest to the skeleton's.
     """
     motion = read_bvh(path)
     index = _indices(path, skeleton, motion.names)

@@ -38,6 +38,17 @@ if TYPE_CHECKING:
     from lifting.predict import Lifter
     from lifting.streaming import StreamedPose, StreamingLifter
 
+_LOOKAHEADS_S: Final = (0.0, 0.22)  # ages at which a frame is lifted
+_LIFT_EVERY_S: Final = 0.05  # [s] between lifts, which are autocorrelated for longer
+_GRACE: Final = 1e-6  # [frames] of rounding
+_ASTRAY_ROOT_M: Final = 1.0  # of the root from where the image shows it
+_BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
+_LONGEST_STEP_S: Final = 5.0
+_FEW: Final = 3  # frames that are due at once and solved even in a hurry
+_CHECK_EVERY: Final = 10  # images, of which one is compared with its lift
+_ASTRAY_M, _ASTRAY_TIMES = 0.3, 3  # mean distance of joints about the root from the lift, and how often
+_LAST_ITERATIONS: Final = 5
+
 
 def first_lifted(
     skeleton: SkeletonModel, pose: StreamedPose, sensed: Mapping[str, Array], keypoints: KeypointSequence
@@ -78,18 +89,6 @@ def first_sensed(
     return poses.with_poses(
         slice(None), poses.p_world_joint + np.array([0.0, 0.0, ankle_height - lowest]), poses.R_world_bone
     )
-
-
-_LOOKAHEADS_S: Final = (0.0, 0.22)  # ages at which a frame is lifted
-_LIFT_EVERY_S: Final = 0.05  # [s] between lifts, which are autocorrelated for longer
-_GRACE: Final = 1e-6  # [frames] of rounding
-_ASTRAY_ROOT_M: Final = 1.0  # of the root from where the image shows it
-_BACK_S, _BACK_M = 0.5, 0.2  # without an image for so long, a root that jumps by so much is moved
-_LONGEST_STEP_S: Final = 5.0
-_FEW: Final = 3  # frames that are due at once and solved even in a hurry
-_CHECK_EVERY: Final = 10  # images, of which one is compared with its lift
-_ASTRAY_M, _ASTRAY_TIMES = 0.3, 3  # mean distance of joints about the root from the lift, and how often
-_LAST_ITERATIONS: Final = 5
 
 
 class OnlineEstimator:

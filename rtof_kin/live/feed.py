@@ -1,4 +1,4 @@
-"""`Feed`: a source that is started again where it fails."""
+"""`Feed`, a source that is started again where it fails, and `SinkGroup`, sinks of which one that fails is dropped."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from threading import Thread
 from typing import Final
 
 from rtof_kin.live.samples import OnlineEstimate, Sample, Sink, Source
+
+_FIRST_PAUSE: Final = 0.5
+_LONGEST_PAUSE: Final = 8.0  # [s] between attempts
 
 
 class SinkGroup:
@@ -42,10 +45,6 @@ class SinkGroup:
                 why = str(error) or type(error).__name__
                 dropped.append(f"{type(sink).__name__}: gets no more estimates ({why})")
         return dropped
-
-
-_FIRST_PAUSE: Final = 0.5
-_LONGEST_PAUSE: Final = 8.0  # [s] between attempts
 
 
 class Feed:

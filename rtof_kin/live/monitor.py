@@ -26,6 +26,15 @@ _EVEN, _MOSTLY_EVEN = 0.25, 0.8  # [periods] deviation of a step from whole ones
 _HALVES = 0.1  # [-] share of steps of a part of the median that make this part the period
 _CLEARLY, _ADAPTING = 0.75, 0.05  # [-] of the usual rate of a stream without a period; followed each time
 _MOST: Final = 1024
+_EVERY, _TURNS = 0.1, 3  # [s] between checks; of so many the last one renews the figures of the streams
+_SILENT, _PERIODS = 0.5, 5.0  # [s] without a sample, or as many periods of a slow stream
+_SAME, _SAME_ORIENTATION = 0.3, 2.0  # [s] of identical numbers; of orientations alone, which may be rounded
+_NOBODY = 0.75  # [s]
+_LOSS, _MISSING, _TOGETHER = 0.05, 4, 2  # [-] of a second's samples; so many, or fewer where all lose some
+_LATE, _UNEVEN_FRAMES, _LATE_FRAMES = 0.015, 0.025, 0.5  # [s] of sensors; jitter and age of frames
+_RECOVERED = 3.0  # [s] below half a limit
+_GRACE = 0.1  # [s] without any sample, from which on the session's clock goes on by itself
+_FRAMES = 60  # estimates that the figures of `Monitor.status` are of
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,17 +131,6 @@ class State(Enum):
     LATE = "late"
     """Samples come late or out of order."""
     OK = "ok"
-
-
-_EVERY, _TURNS = 0.1, 3  # [s] between checks; of so many the last one renews the figures of the streams
-_SILENT, _PERIODS = 0.5, 5.0  # [s] without a sample, or as many periods of a slow stream
-_SAME, _SAME_ORIENTATION = 0.3, 2.0  # [s] of identical numbers; of orientations alone, which may be rounded
-_NOBODY = 0.75  # [s]
-_LOSS, _MISSING, _TOGETHER = 0.05, 4, 2  # [-] of a second's samples; so many, or fewer where all lose some
-_LATE, _UNEVEN_FRAMES, _LATE_FRAMES = 0.015, 0.025, 0.5  # [s] of sensors; jitter and age of frames
-_RECOVERED = 3.0  # [s] below half a limit
-_GRACE = 0.1  # [s] without any sample, from which on the session's clock goes on by itself
-_FRAMES = 60  # estimates that the figures of `Monitor.status` are of
 
 
 @dataclass(frozen=True)

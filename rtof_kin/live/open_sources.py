@@ -19,6 +19,17 @@ from rtof_kin.recording.recording import Recording
 from rtof_kin.vision.keypoint_files import FORMATS
 from rtof_kin.vision.person_detector import PersonDetector, choose_detector
 
+CAMERAS: Final = "number of a webcam, VIDEO, a detector's file, lsl:NAME, or the folder of a recording"
+"""Words of a camera, for messages."""
+SENSORS: Final = "lsl:NAME, a file or folder of sensors, or the folder of a recording"
+"""Words of sensors, for messages."""
+OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
+"""Words of outputs, for messages."""
+_LSL, _WS = "lsl", "ws"
+_OUTLET: Final = "rtof_kin"
+_PORT: Final = 8765  # Of the WebSocket, unless another is given
+_SKELETON: Final = "total_capture"
+
 
 class RenamedSensors:
     """A source with other names of its sensors; those that a map does not name keep theirs.
@@ -87,18 +98,6 @@ class RenamedSensors:
             fits = (name for key, name in self._names.items() if same_sensor(key, sensor))
             self._known[sensor] = next(fits, sensor)
         return self._known[sensor]
-
-
-CAMERAS: Final = "number of a webcam, VIDEO, a detector's file, lsl:NAME, or the folder of a recording"
-"""Words of a camera, for messages."""
-SENSORS: Final = "lsl:NAME, a file or folder of sensors, or the folder of a recording"
-"""Words of sensors, for messages."""
-OUTPUTS: Final = "lsl, lsl:NAME, ws or ws:PORT"
-"""Words of outputs, for messages."""
-_LSL, _WS = "lsl", "ws"
-_OUTLET: Final = "rtof_kin"
-_PORT: Final = 8765  # Of the WebSocket, unless another is given
-_SKELETON: Final = "total_capture"
 
 
 @dataclass(frozen=True)

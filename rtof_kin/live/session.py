@@ -34,6 +34,14 @@ from rtof_kin.recording.recording import Recording
 if TYPE_CHECKING:
     from rtof_kin.live.estimator import OnlineEstimator
 
+_LEAST: Final = 1e-5  # [s]
+_WIDTH: Final = math.log(1.02)
+_BINS: Final = 800
+_AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
+_ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
+_MOST_SENTENCES: Final = 1000
+_HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
+
 
 @dataclass(frozen=True)
 class SessionSummary:
@@ -53,11 +61,6 @@ class SessionSummary:
     """What was told, with the time; at most 1000."""
     folder: Path | None
     """Recording of the session; None where none was made."""
-
-
-_LEAST: Final = 1e-5  # [s]
-_WIDTH: Final = math.log(1.02)
-_BINS: Final = 800
 
 
 class FrameTimes:
@@ -82,12 +85,6 @@ class FrameTimes:
             return float("nan")
         place = int(np.searchsorted(np.cumsum(self._counts), percent / 100 * self.frames))
         return _LEAST * math.exp((place + 0.5) * _WIDTH)
-
-
-_AHEAD: Final = 1.0  # [s] by which a clock that is ahead of all others is left out
-_ALIVE: Final = 0.5  # [s] since a stream's last sample, in which its time counts
-_MOST_SENTENCES: Final = 1000
-_HURRIED: Final = 120  # frames that were only predicted before the machine counts as too slow
 
 
 class LiveSession:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from rtof_kin.vision.video_metadata import read_video_metadata, upright_image
 
 _RECENT: Final = 30  # Frames of which times are the median
 _PATIENCE: Final = 2.0  # [s] to wait for a thread that ends
+_SLOW: Final = 0.5  # [s] Latency of a video from which on it is told of; then twice as much, and so on
+_FIRST_TOLD: Final = 30  # Dropped images of a webcam that are told of first; then twice as many, and so on
 
 
 @dataclass(frozen=True)
@@ -45,43 +47,6 @@ class Image:
 
 
 Images = Generator[Image, None, None]
-
-
-class _Slot:
-    """Place of one image between two threads; `every`: a full one waits, else it is replaced."""
-
-    def __init__(self, every: bool):
-        self._every, self._ended = every, False
-        self._image: Image | None = None
-        self._changed = threading.Condition()
-        self.dropped = 0
-
-    def put(self, image: Image) -> bool:
-        """Return False where nobody takes images any more."""
-        with self._changed:
-            while self._every and self._image is not None and not self._ended:
-                self._changed.wait()
-            if self._ended:
-                return False
-            self.dropped += self._image is not None
-            self._image = image
-            self._changed.notify_all()
-            return True
-
-    def take(self) -> Image | None:
-        """Wait for an image; None where there will be no more."""
-        with self._changed:
-            while self._image is None and not self._ended:
-                self._changed.wait()
-            image, self._image = self._image, None
-            self._changed.notify_all()
-            return image
-
-    def end(self) -> None:
-        """Let the last image be taken, and no more come."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
 
 
 class Examination:
@@ -103,17 +68,17 @@ class Examination:
         now: Callable[[], float],
     ):
         self._replay, self._now = replay, now
-        self._slot = _Slot(every=replay is not None)
-        self._stop, self._changed = threading.Event(), threading.Condition()
-        self._ended = False
+        self._changed, self._stop = threading.Condition(), threading.Event()
+        self._waiting: Image | None = None  # of the reading thread, for the detector
+        self._all_read = self._ended = False
         self._samples: deque[FrameSample] = deque()
         self._latency: deque[float] = deque(maxlen=_RECENT)
         self._detection: deque[float] = deque(maxlen=_RECENT)
         self.problems: deque[str] = deque()
         """What ended it, for people."""
         self.points = points
-        self.examined = 0
-        """Number of images."""
+        self.examined = self.dropped = 0
+        """Numbers of images, and of those that another one replaced."""
         self._threads = [
             threading.Thread(target=target, args=args, daemon=True)
             for target, args in ((self._read, (images, first)), (self._examine, (detector,)))
@@ -126,11 +91,6 @@ class Examination:
         """Whether all was examined and taken."""
         with self._changed:
             return self._ended and not self._samples
-
-    @property
-    def dropped(self) -> int:
-        """Images that another one replaced."""
-        return self._slot.dropped
 
     @property
     def latency_s(self) -> float:
@@ -159,14 +119,14 @@ class Examination:
     def close(self) -> None:
         """Stop the threads; may be called twice."""
         self._stop.set()
-        self._slot.end()
-        self._end()
+        self._end(True)
         for thread in self._threads:
             thread.join(_PATIENCE)
 
-    def _end(self) -> None:
+    def _end(self, examined: bool) -> None:
+        """Let the image that waits be the last one, or nothing more come at all."""
         with self._changed:
-            self._ended = True
+            self._all_read, self._ended = True, self._ended or examined
             self._changed.notify_all()
 
     def _read(self, images: Images, first: Image) -> None:
@@ -179,42 +139,45 @@ class Examination:
                         if not self._replay.wait(image.time, self._stop):
                             break
                         image = replace(image, taken=self._now() - self._replay.age(image.time))
-                    if not self._slot.put(image):
-                        break
+                    with self._changed:
+                        if self._replay is not None:  # every image of a file, the newest one of a webcam
+                            self._changed.wait_for(lambda: self._waiting is None or self._all_read)
+                        if self._all_read:
+                            break
+                        self.dropped += self._waiting is not None
+                        self._waiting = image
+                        self._changed.notify_all()
                     image = next(images, None)
         except Exception as error:  # of a foreign library
-            self._problem("there are no further images", error)
+            self.problems.append(f"there are no further images ({error or type(error).__name__})")
         finally:
-            self._slot.end()
+            self._end(False)
 
     def _examine(self, detector: PersonDetector) -> None:
         """Detect the person in the images that are handed over."""
         try:
             with closing(detector):
-                while (image := self._slot.take()) is not None and not self._stop.is_set():
-                    self._one(image)
+                while (image := self._next()) is not None and not self._stop.is_set():
+                    begun = system.perf_counter()
+                    uv, confidence = self.points.of(image.pixels, image.time)
+                    self._detection.append(system.perf_counter() - begun)
+                    self._latency.append(self._now() - image.taken)
+                    self.examined += 1
+                    with self._changed:
+                        self._samples.append(FrameSample(image.time, uv, confidence))
+                        self._changed.notify_all()
         except Exception as error:  # of a foreign detector
-            self._problem("detection failed", error)
+            self.problems.append(f"detection failed ({error or type(error).__name__})")
         finally:
-            self._slot.end()
-            self._end()
+            self._end(True)
 
-    def _one(self, image: Image) -> None:
-        begun = system.perf_counter()
-        uv, confidence = self.points.of(image.pixels, image.time)
-        self._detection.append(system.perf_counter() - begun)
-        self._latency.append(self._now() - image.taken)
-        self.examined += 1
+    def _next(self) -> Image | None:
+        """Wait for an image; None where there will be no more."""
         with self._changed:
-            self._samples.append(FrameSample(image.time, uv, confidence))
+            self._changed.wait_for(lambda: self._waiting is not None or self._all_read)
+            image, self._waiting = self._waiting, None
             self._changed.notify_all()
-
-    def _problem(self, what: str, error: Any) -> None:
-        self.problems.append(f"{what} ({error or type(error).__name__})")
-
-
-_SLOW: Final = 0.5  # [s] Latency of a video from which on it is told of; then twice as much, and so on
-_FIRST_TOLD: Final = 30  # Dropped images of a webcam that are told of first; then twice as many, and so on
+            return image
 
 
 class VideoSource:

@@ -49,6 +49,15 @@ if TYPE_CHECKING:
 Data = dict[str, Any]
 _LONGEST_STEP_S: Final = 0.25  # Time between two poses above which their difference says nothing about the velocity
 _DIGITS: Final = 5  # Digits after the point of joint positions, m
+_ASSETS: Final = Path(__file__).parent / "assets"
+_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js")  # Shared with the report
+_MESSAGES: Final = 100  # Messages kept for a client that connects or is slow
+_SEND_BUFFER_BYTES: Final = 1 << 16  # Asked of the system for each client: more would make a slow client see old poses
+_LONGEST_REQUEST: Final = 4096  # [bytes] of what a client says
+_PATIENCE_S: Final = 1.0
+"""For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
+_LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
+_LOG.propagate = False  # else a broken request, as of a browser's spare connection, is printed
 
 
 class JointStates:
@@ -152,10 +161,6 @@ class JointStates:
         return rates
 
 
-_ASSETS: Final = Path(__file__).parent / "assets"
-_SCRIPTS: Final = ("unpack.js", "charts.js", "scene.js")  # Shared with the report
-
-
 @cache
 def _sources() -> tuple[str, str]:
     style = asset("page.css") + _own("live.css")
@@ -193,14 +198,7 @@ def page_headers(host: str) -> dict[str, str]:
     }
 
 
-_MESSAGES: Final = 100  # Messages kept for a client that connects or is slow
-_SEND_BUFFER_BYTES: Final = 1 << 16  # Asked of the system for each client: more would make a slow client see old poses
-_LONGEST_REQUEST: Final = 4096  # [bytes] of what a client says
-_PATIENCE_S: Final = 1.0
-"""For a request, which a browser's spare connection never sends, and for a farewell; `close` may take it."""
-_LOG: Final = logging.getLogger("rtof_kin.live.websocket_server")
 _LOG.addHandler(logging.NullHandler())
-_LOG.propagate = False  # else a broken request, as of a browser's spare connection, is printed
 
 
 class _Outbox:

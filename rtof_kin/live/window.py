@@ -44,6 +44,8 @@ _CONTACTS_EVERY: Final = 4  # frames
 _SELDOM: Final = 12  # frames between searches for standing feet that only tell the ground's height
 _GROUND_SHARE: Final = 0.1
 _LOST_S: Final = 0.1  # [s] without an image after which feet hold the root
+_LEGS: Final = ("LeftLeg", "RightLeg", *FEET)
+_TORSO_SHARE: Final = 0.05  # Share of a new lift in the mean of the torso's standard deviations
 
 
 class Window:
@@ -310,9 +312,6 @@ class Window:
             rows["w_contact"][-1, foot] = 1 / s.sigma_contact**2
 
 
-_LEGS: Final = ("LeftLeg", "RightLeg", *FEET)
-
-
 def _problem(
     skeleton: SkeletonModel,
     camera: Camera | None,
@@ -413,9 +412,6 @@ class WindowPoses:
                 levels = levels_by_points(self._skeleton, points)[0]
             self._whole_of[key] = levels == WHOLE
         return self._whole_of[key]
-
-
-_TORSO_SHARE: Final = 0.05  # Share of a new lift in the mean of the torso's standard deviations
 
 
 class StatedErrors:

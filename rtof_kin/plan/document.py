@@ -158,9 +158,8 @@ def advice(plan: Plan) -> tuple[str, ...]:
     if cameras and cameras[0].name == plan.protocol.camera.words:
         best, worst = cameras[0], cameras[-1]
         found.append(
-            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean "
-            f"{np.degrees(best.loss):.1f} deg, the worst ({worst.name.partition(', ')[0]}) "
-            f"{np.degrees(worst.loss):.1f} deg."
+            f"Camera place: {best.name}, the best of {len(cameras)} compared; mean {np.degrees(best.loss):.1f} deg, "
+            f"the worst ({worst.name.partition(', ')[0]}) {np.degrees(worst.loss):.1f} deg."
         )
     elif cameras and _is_clear(cameras[0]):
         best = cameras[0]
@@ -222,11 +221,7 @@ def _not_identifiable(weaknesses: Sequence[Weakness]) -> Iterator[str]:
 
 
 def where(setup: Setup, sensor: str) -> str:
-    """Return the segment of a sensor in words.
-
-    Args:
-        sensor: name in the skeleton's table.
-    """
+    """Return the segment of a sensor of the skeleton's table in words."""
     joint, _ = setup.skeleton.sensors[sensor]
     terms = {own: term for term, own in angle_table(setup.skeleton.table).segments.items()}
     return terms.get(joint, joint).replace("_", " ")

@@ -83,10 +83,8 @@ class Information:
     """(A, A + 3) of the errors under the measurements alone, with those of all angles and of `ROOT`."""
 
     def weaknesses(self, shown: Sequence[str], others: Sequence[str]) -> tuple[Weakness, ...]:
-        """Return those of some angles that are not identifiable, the least first.
-
-        Args:
-            others: what they may be confused with, beside `ROOT`.
+        """Return those of some angles that are not identifiable, the least first; they may be confused with others,
+        and with `ROOT`.
         """
         found = []
         for name in shown:
@@ -103,11 +101,7 @@ class Information:
 
 
 def information(setup: Setup, seed: int, lifter: LifterLike | None = None) -> Information:
-    """Return the information of the measurements alone, in a simulated recording.
-
-    Args:
-        lifter: as for `reconstruct`.
-    """
+    """Return the information of the measurements alone, in a simulated recording."""
     names = tuple(row.name for row in angle_table(setup.skeleton.table).rows)
     variances, correlations = [], []
     for space, x, covariance in _covariances(setup, seed, lifter):

@@ -37,11 +37,7 @@ _LABEL_STEP: Final = 0.275
 def write_instructions(
     setup: Setup, movement: MovementInfo, repetitions: int, further: Sequence[str], doubts: Sequence[str], folder: Path
 ) -> None:
-    """Write the sheet and its drawing of the set-up into a folder.
-
-    Args:
-        further: steps after the usual ones. doubts: see `operator_page`.
-    """
+    """Write the sheet and its drawing of the set-up into a folder, with steps after the usual ones."""
     drawing = folder / "setup.svg"
     framed = draw_setup(setup.poses, setup.skeleton, setup.camera, setup.sensors, drawing)
     seconds = float(setup.poses.times[-1] - setup.poses.times[0])
@@ -271,11 +267,7 @@ def operator_page(
 def operator_steps(
     movement: MovementInfo, place: Framing, sensors: dict[str, str], repetitions: int, seconds: float
 ) -> list[str]:
-    """Return what the operator does, in order.
-
-    Args:
-        sensors: of `sensor_places`, maybe none. seconds: length of the movement, s.
-    """
+    """Return what the operator does, in order, for a movement of some seconds and maybe no sensors."""
     tilt = f"tilted {abs(place.tilt_deg):.0f}° {'downwards' if place.tilt_deg > 0 else 'upwards'}"
     tilt = "pointing level" if abs(place.tilt_deg) < 1 else tilt
     steps = [

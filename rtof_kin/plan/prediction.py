@@ -76,11 +76,7 @@ class Prediction:
         return replace(self, names=tuple(names), **arrays)
 
     def loss(self, unobserved: Array) -> float:
-        """Return the mean standard deviation over the angles, rad.
-
-        Args:
-            unobserved: (A,) rad, counted for an angle that is unobserved.
-        """
+        """Return the mean standard deviation over the angles, rad; unobserved ones count by `unobserved` (A,), rad."""
         return float(np.mean(np.where(np.isfinite(self.sigma), self.sigma, unobserved)))
 
 
@@ -186,11 +182,7 @@ class CalibrationTime:
     """The same of the errors that are left in the simulations."""
 
     def needed(self, kind: str) -> float | None:
-        """Return the shortest length, s, from which on a kind is observed, by statement and simulation.
-
-        Args:
-            kind: of `PLANTED`.
-        """
+        """Return the shortest length, s, from which on a kind of `PLANTED` is observed, by statement and simulation."""
         good = np.maximum(self.sigma[kind], self.error[kind]) <= ENOUGH[kind]
         later = np.flatnonzero(~good)
         first = int(later[-1]) + 1 if len(later) else 0

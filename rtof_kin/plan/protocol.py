@@ -82,11 +82,7 @@ class Framing:
 
 
 def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Framing:
-    """Return where a camera stands relative to a movement, and whether it sees all of it.
-
-    Args:
-        poses: of the movement, finite, on the floor z = 0.
-    """
+    """Return where a camera stands relative to a movement on the floor z = 0, and whether it sees all of it."""
     distance, height, angle_deg = stand_of(camera, poses)
     axis = camera.R_camera_world[2]
     uv = camera.project(skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone))
@@ -108,9 +104,6 @@ def framing(poses: PoseSequence, skeleton: SkeletonModel, camera: Camera) -> Fra
 def stand_of(camera: Camera, poses: PoseSequence) -> tuple[float, float, float]:
     """Return a camera's horizontal distance from the middle of a movement, m, its height, m, and its
     direction from there, deg from the person's facing at the start, positive to the left.
-
-    Args:
-        poses: of the movement, pelvis first.
     """
     way = camera.center_world[:2] - centre_of(poses)[:2]
     angle = np.degrees(np.arctan2(way[1], way[0]) - facing_of(poses))
@@ -118,22 +111,14 @@ def stand_of(camera: Camera, poses: PoseSequence) -> tuple[float, float, float]:
 
 
 def centre_of(poses: PoseSequence) -> Array:
-    """Return the middle (3,) m of a movement: of the pelvis' path on the floor, and of the body's height.
-
-    Args:
-        poses: of the movement, pelvis first.
-    """
+    """Return the middle (3,) m of a movement: of the pelvis' path on the floor, and of the body's height."""
     path, heights = poses.p_world_joint[:, 0, :2], poses.p_world_joint[..., 2]
     middle = (path.min(axis=0) + path.max(axis=0)) / 2
     return np.array([*middle, (heights.min() + heights.max()) / 2])
 
 
 def facing_of(poses: PoseSequence) -> float:
-    """Return the heading of the pelvis in the first frame, rad from world's x.
-
-    Args:
-        poses: of the movement, pelvis first.
-    """
+    """Return the heading of the pelvis in the first frame, rad from world's x."""
     return float(so3.heading(poses.R_world_bone[:1, 0])[0])
 
 
@@ -189,9 +174,8 @@ class CameraPlace:
         low, high = _FIELD_OF_VIEW_DEG
         if not low <= self.field_of_view_deg <= high:
             raise InvalidInputError(
-                f"camera: focal_px of {self.focal_px:g} with a width of {self.width_px} px is a field of "
-                f"view of {self.field_of_view_deg:.0f} deg; expected {low:g} to {high:g}. The focal length "
-                "is in pixels, not mm"
+                f"camera: focal_px of {self.focal_px:g} with a width of {self.width_px} px is a field of view of "
+                f"{self.field_of_view_deg:.0f} deg; expected {low:g} to {high:g}. The focal length is in pixels, not mm"
             )
 
     @property
@@ -200,11 +184,7 @@ class CameraPlace:
         return float(np.degrees(2 * np.arctan2(self.width_px / 2, self.focal_px)))
 
     def camera(self, poses: PoseSequence) -> Camera:
-        """Return the camera.
-
-        Args:
-            poses: the movement, world z up, floor at 0.
-        """
+        """Return the camera for a movement in world, z up, floor at 0."""
         centre, angle = centre_of(poses), facing_of(poses) + np.radians(self.angle_deg)
         at = centre + self.distance_m * np.array([np.cos(angle), np.sin(angle), 0.0])
         at[2] = self.height_m
@@ -260,10 +240,7 @@ class Protocol:
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a protocol's TOML file.
-
-        Args:
-            path: of the file; the folder of a motion is relative to it.
+        """Read a protocol's TOML file; the folder of a motion is relative to it.
 
         Raises:
             FileFormatError: a field is missing, unknown, or of another type.
@@ -383,11 +360,7 @@ def _camera(table: CameraPlaceTable) -> tuple[CameraPlace, tuple[CameraPlace, ..
 
 
 def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace:
-    """Return where a camera stands relative to a movement.
-
-    Args:
-        rate_hz: frames per second.
-    """
+    """Return where a camera of a frame rate stands relative to a movement."""
     distance, height, angle_deg = stand_of(camera, poses)
     return CameraPlace(
         angle_deg=round(angle_deg, 1),
@@ -401,11 +374,7 @@ def place_of(camera: Camera, poses: PoseSequence, rate_hz: float) -> CameraPlace
 
 
 def direction(angle_deg: float) -> str:
-    """Return a camera's direction in words.
-
-    Args:
-        angle_deg: see the module.
-    """
+    """Return a camera's direction in words; for the angle see the module."""
     angle = (angle_deg + 180) % 360 - 180
     side = "left" if angle > 0 else "right"
     places = {

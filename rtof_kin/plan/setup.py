@@ -154,12 +154,7 @@ def planned(
 
 
 def setup_of(protocol: Protocol, lifter: LifterLike | None = None, progress: Progress | None = None) -> Setup:
-    """Return the setup of a protocol.
-
-    Args:
-        protocol: with the name of a movement, or the folder of a motion or recording.
-        lifter, progress: as for `reconstruct`, for a recording.
-    """
+    """Return the setup of a protocol with the name of a movement, or the folder of a motion or recording."""
     if protocol.movement in MOVEMENTS:
         skeleton = SkeletonModel.default()
         skeleton = skeleton if protocol.height_m is None else skeleton.with_height(protocol.height_m)
@@ -206,11 +201,7 @@ def _worn(skeleton: SkeletonModel, joints: Sequence[str]) -> tuple[str, ...]:
 
 
 def liveliest(poses: PoseSequence, seconds: float) -> PoseSequence:
-    """Return the part of a movement with the fastest turns, from time 0.
-
-    Args:
-        seconds: its length, s; all of a shorter movement.
-    """
+    """Return the part of a movement with the fastest turns, of some seconds or all of a shorter one, from time 0."""
     count = min(round(seconds * poses.rate_hz), len(poses))
     speed = np.linalg.norm(np.diff(poses.R_world_bone, axis=0), axis=(2, 3)).sum(axis=1)
     total = np.concatenate([[0.0], np.cumsum(speed)])

@@ -33,10 +33,7 @@ class Measured(NamedTuple):
 
 
 def protocol_of(name: str) -> type[Any]:
-    """Return the class of the settings of a protocol, whose first field is the data set's folder.
-
-    Args:
-        name: one of `SETS`.
+    """Return the settings' class of the protocol of one of `SETS`; its first field is the data set's folder.
 
     Raises:
         UnknownNameError: there is no such data set.

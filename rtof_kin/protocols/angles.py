@@ -94,8 +94,7 @@ def clock_shift(
 ) -> dict[str, Any]:
     """Return the shift of the reference's clock, ``shift_s``, ``how`` it was found, and what it rests on.
 
-    Args:
-        reach: s, largest shift that is searched.
+    Shifts up to `reach`, s, are searched.
     """
     common = [
         name
@@ -135,11 +134,9 @@ def angle_document(
     files: Mapping[str, document.Table] | None = None,
     alarm: bool = False,
 ) -> Document:
-    """Return errors of angles with their tables, figure and page.
+    """Return errors of angles (`error_rows`) with their tables, figure and page.
 
-    Args:
-        rows: see `error_rows`. title, notes: of the table of errors. further: tables below it.
-        facts: more of the JSON. files: more CSV files.
+    Title and notes are of the table of errors; further tables stand below it, and facts and files are added.
     """
     tables = (error_table(rows, title, notes), published_table(rows), *further)
     figure = Figure("figures/angle_errors", "Errors of each joint angle, and published values", lambda: _figure(rows))
@@ -159,11 +156,7 @@ def angle_document(
 
 
 def error_table(rows: Sequence[AngleErrors], title: str, notes: Sequence[str] = ()) -> Table:
-    """Return the table of errors by joint angle and class of movement.
-
-    Args:
-        rows: see `error_rows`.
-    """
+    """Return the table of errors by joint angle and class of movement."""
     cells: list[tuple[str | float | None, ...]] = []
     for row in rows:
         angles = (row.rmse, row.mae, row.median, row.offset_removed, row.offset)
@@ -175,11 +168,7 @@ def error_table(rows: Sequence[AngleErrors], title: str, notes: Sequence[str] = 
 
 
 def published_table(rows: Sequence[AngleErrors]) -> Table:
-    """Return published values, each beside ours of the same metric and joint angle over all movements.
-
-    Args:
-        rows: see `error_rows`.
-    """
+    """Return published values, each beside ours of the same metric and joint angle over all movements."""
     ours = {row.angle: row for row in rows if row.movement == ALL}
     cells: list[tuple[str | float | None, ...]] = []
     for value in PUBLISHED:
@@ -197,11 +186,7 @@ def _name(angle: str) -> str:
 
 
 def plain_rows(rows: Sequence[AngleErrors]) -> list[dict[str, Any]]:
-    """Return rows as plain values with units in their names; None where there is no value.
-
-    Args:
-        rows: see `error_rows`.
-    """
+    """Return rows as plain values with units in their names; None where there is no value."""
     metrics = ("rmse", "mae", "median", "offset_removed", "offset")
     return [
         {"angle": row.angle, "movement": row.movement, "takes": row.takes, "samples": row.samples}

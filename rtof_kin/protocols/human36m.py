@@ -132,9 +132,8 @@ def all_tables(protocol: Human36MProtocol, outcome: Outcome) -> list[Table]:
     frames = sum(row["frames"] for row in rows if row["method"] == STILL)
     kind = "ground-truth 2D" if protocol.keypoints == "gt" else f"2D of {protocol.keypoints}"
     notes = [
-        f"Ours: {', '.join(protocol.subjects)}, cameras {', '.join(map(str, protocol.cameras))}, "
-        f"{frames} frames, all pooled; {kind}; lifter: {protocol.lifter.name}. The printed rows have "
-        "detected 2D.",
+        f"Ours: {', '.join(protocol.subjects)}, cameras {', '.join(map(str, protocol.cameras))}, {frames} frames, all "
+        f"pooled; {kind}; lifter: {protocol.lifter.name}. The printed rows have detected 2D.",
         *published.HUMAN36M_CAVEATS,
     ]
     found = {job.subject for job in protocol.jobs().values()}

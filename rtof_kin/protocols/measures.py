@@ -117,11 +117,8 @@ def reconstructions(
 ) -> dict[str, Reconstruction]:
     """Return, for every mode in the order of `CAMERA_MODES`, a reconstruction with it among its stages.
 
-    Modes that need sensors are omitted for a recording without them. Mode *lift* uses the image only, not the
-    lifter with sensors of the other modes.
-
-    Args:
-        lifter: checkpoint, by default the shipped one.
+    Modes that need sensors are omitted for a recording without them. Mode *lift* uses the image only, not the lifter
+    with sensors of the other modes.
     """
     from lifting.predict import Lifter
 
@@ -137,11 +134,7 @@ def reconstructions(
 
 
 def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: str) -> dict[str, Array]:
-    """Return the data of `rtof_kin.protocols.pictures`: errors over time, and poses at a few instants.
-
-    Args:
-        results: by mode, see `reconstructions`.
-    """
+    """Return errors over time by mode, see `reconstructions`, and poses at a few instants."""
     truth = recording.truth
     assert truth is not None
     frames = np.linspace(0, len(truth) - 1, _SNAPSHOTS + 2).round().astype(int)[1:-1]
@@ -159,11 +152,7 @@ def curves(recording: Recording, results: Mapping[str, Reconstruction], knee: st
 
 
 def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
-    """Write the motion of one stage to a file.
-
-    Args:
-        path: of the file; None writes nothing.
-    """
+    """Write the motion of one stage to a file; None writes nothing."""
     if path is None:
         return
     motion = result.motion if mode == result.mode else result.motion.skeleton.motion(result.stages[mode])
@@ -171,10 +160,8 @@ def save_motion(result: Reconstruction, mode: str, path: Path | None) -> None:
 
 
 def plain_settings(protocol: Any, *without: str) -> dict[str, Any]:
-    """Return the fields of a protocol as plain values, with the lifter's weights and the version.
-
-    Args:
-        without: fields that results do not depend on.
+    """Return the fields of a protocol as plain values, with the lifter's weights and the version, but without
+    those that results do not depend on.
     """
 
     def plain(value: Any) -> Any:
@@ -191,11 +178,7 @@ def plain_settings(protocol: Any, *without: str) -> dict[str, Any]:
 
 
 def figures(outcome: Outcome, table: SkeletonTable, rate_hz: float) -> list[Figure]:
-    """Return the figures of a protocol; none if no job has curves.
-
-    Args:
-        rate_hz: frame rate, Hz.
-    """
+    """Return the figures of a protocol; none if no job has curves."""
     if not (keys := _characters(outcome)):
         return []
     return [
@@ -228,11 +211,7 @@ def _characters(outcome: Outcome) -> list[str]:
 
 
 def error_curves(outcome: Outcome, keys: Sequence[str], rate_hz: float) -> Plot:
-    """Plot joint error (left) and the error of the right knee's flexion (right) over time.
-
-    Args:
-        keys: of jobs, one row each. rate_hz: frame rate, Hz.
-    """
+    """Plot joint error (left) and the error of the right knee's flexion (right) over time, one row a job."""
     from matplotlib.figure import Figure as Plot
 
     from rtof_kin.reporting.figures import STAGE_COLORS

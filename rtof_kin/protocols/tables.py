@@ -58,13 +58,9 @@ class Table(document.Table):
 
 
 def write_results(found: Document, folder: Path, json_file: Path | None = None, overwrite: bool = False) -> list[Path]:
-    """Write a document and ``tables.md`` into a folder, and the JSON also elsewhere if asked.
+    """Write a document and ``tables.md`` into a folder, and the JSON also elsewhere if asked; return the paths.
 
-    Args:
-        folder: its own files are replaced. overwrite: whether `json_file` may be, see `check_json_file`.
-
-    Returns:
-        The paths written.
+    The folder's own files are replaced; for `json_file` see `check_json_file`.
 
     Raises:
         OutputExistsError: `json_file` exists already. RtofError: one of them cannot be written.
@@ -100,11 +96,7 @@ def rows_of(outcome: Outcome) -> Iterator[dict[str, Any]]:
 
 
 def pooled(rows: Iterable[Mapping[str, Any]], figure: str, weight: str = "frames") -> float | None:
-    """Return the mean of a figure over all frames of rows that have it; None without any.
-
-    Args:
-        rows: see `rows_of`.
-    """
+    """Return the mean of a figure over all frames of rows (`rows_of`) that have it; None without any."""
     known = [
         (row[figure], row[weight])
         for row in rows

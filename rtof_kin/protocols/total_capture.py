@@ -456,11 +456,10 @@ def _notes(protocol: TotalCaptureProtocol, rows: list[Row]) -> tuple[str, ...]:
     if protocol.lifter is not None:
         lifter = f"Lifter: {Path(protocol.lifter).name}."
     setup = (
-        f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all "
-        f"{frames} frames of all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: "
-        f"{keypoints}; 21 joints, root included; solved in {protocol.space} space, the "
-        f"sensors' calibration {calibration}, neutral posture {posture}. {lifter} Mode lift is scored "
-        "with the joints of the network; its saved motions have rigid bones."
+        f"Ours: one camera at a time ({', '.join(map(str, cameras)) or 'none'}), pooled over all {frames} frames of "
+        f"all cameras; {len(protocol.sensors)} IMUs where a mode uses them; 2D: {keypoints}; 21 joints, root included; "
+        f"solved in {protocol.space} space, the sensors' calibration {calibration}, neutral posture {posture}. "
+        f"{lifter} Mode lift is scored with the joints of the network; its saved motions have rigid bones."
     )
     return (setup, *_incomplete(protocol, rows))
 

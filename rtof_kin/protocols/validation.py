@@ -209,11 +209,7 @@ def _opened(dataset: str, root: Path) -> PublicSet:
 
 
 def detect(job: tuple[Path, Path | None]) -> JobResult:
-    """Detect the people in a video.
-
-    Args:
-        job: the video, and the detector's models.
-    """
+    """Detect the people in a video with the detector's models."""
     video, models = job
     found = detect_video(video, models)
     assert found.times is not None
@@ -252,10 +248,7 @@ def measure(job: ValidationJob) -> JobResult:
 def compared_with(
     estimate: ClinicalAngles, truth: Truth, take: Take, aligned: bool = True
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Compare the angles of a take with its reference.
-
-    Returns:
-        Plain facts, and the arrays of `differences`.
+    """Compare the angles of a take with its reference: plain facts, and the arrays of `differences`.
 
     Raises:
         InvalidInputError: no angle is in both at the same instants.
@@ -288,8 +281,7 @@ def recording_of(job: ValidationJob, inputs: TakeInputs, lifter: LifterLike) -> 
     """Return the recording of a take, and what was found, assumed or in doubt.
 
     Raises:
-        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`,
-            `calibrate_by_pose`.
+        InvalidInputError: the take lacks what the mode needs. Errors of `write_recording`, `calibrate_by_pose`.
     """
     mode = job.protocol.own_mode
     if mode in _WITH_SENSORS and inputs.sensors is None:

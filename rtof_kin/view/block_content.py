@@ -25,6 +25,14 @@ from rtof_kin.view.legend import PALETTE
 _TRUNK: Final = (0.8, 1.25)
 """Depth and width of a segment in the middle of the body, relative to the radius in the table."""
 _LONGER: Final = 1.12  # Length of a solid relative to its bone: neighbours overlap
+QUANTILE_95: Final = 2.795483
+"""Radius of the 95 % ellipsoid of a normal error in three dimensions, in standard deviations."""
+LARGEST_SEMI_AXIS: Final = 2.0
+"""[m] Ellipsoids beyond it are not drawn: the position is unknown."""
+AXES_LENGTH: Final = 0.12
+"""[m] of the axes of a joint whose orientation was observed as a whole."""
+_SHORT: Final = 0.45  # Relative length of the axes of other joints
+_FAINT: Final = 0.35  # Opacity of a segment that is not valid
 
 
 @dataclass(frozen=True)
@@ -54,16 +62,6 @@ def segment_solids(skeleton: SkeletonModel) -> SegmentSolids:
         turns.append(so3.minimal_rotation(np.array([0.0, 0.0, 1.0]), along))
         sizes.append([depth * joint.radius, width * joint.radius, _LONGER * length / 2])
     return SegmentSolids(np.array(centers), np.array(turns), np.array(sizes))
-
-
-QUANTILE_95: Final = 2.795483
-"""Radius of the 95 % ellipsoid of a normal error in three dimensions, in standard deviations."""
-LARGEST_SEMI_AXIS: Final = 2.0
-"""[m] Ellipsoids beyond it are not drawn: the position is unknown."""
-AXES_LENGTH: Final = 0.12
-"""[m] of the axes of a joint whose orientation was observed as a whole."""
-_SHORT: Final = 0.45  # Relative length of the axes of other joints
-_FAINT: Final = 0.35  # Opacity of a segment that is not valid
 
 
 @dataclass(frozen=True)

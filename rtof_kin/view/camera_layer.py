@@ -1,4 +1,4 @@
-"""A camera in the scene: its frustum, the image in it, detected points and reprojected joints.
+"""A camera in the scene: its frustum, the image of the video in it, detected points and reprojected joints.
 
 All of it lies in one plane at some depth before the camera, so that a line from the camera's centre through
 a point meets the joint. Pixels are placed as if the lens had no distortion, like those of the image.
@@ -29,6 +29,11 @@ HEIGHT: Final = 360
 _AHEAD: Final = 2.0  # [s] Up to which images are decoded one after the other instead of sought
 _ROUNDING: Final = 0.004  # [s] By which a stamp may be before that of its image
 Image = NDArray[np.uint8]
+DEPTH: Final = 0.6
+"""[m] of the image before the camera."""
+_EDGES: Final = (40, 40, 48)
+_POINT: Final = 0.009  # Size of a point relative to the depth
+_BEHIND: Final = 1.003  # Depth of the image relative to that of the points
 
 
 class VideoFrames:
@@ -145,13 +150,6 @@ def _small(image_bgr: Image) -> Image:
         parts = image_bgr[:h, :w].reshape(h // step, step, w // step, step, 3)
         image_bgr = parts.mean(axis=(1, 3), dtype=np.float32).astype(np.uint8)
     return np.ascontiguousarray(image_bgr[..., ::-1])
-
-
-DEPTH: Final = 0.6
-"""[m] of the image before the camera."""
-_EDGES: Final = (40, 40, 48)
-_POINT: Final = 0.009  # Size of a point relative to the depth
-_BEHIND: Final = 1.003  # Depth of the image relative to that of the points
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,13 @@ _FARTHEST_PX: Final = 1e6  # Corners farther away are drawn there, within OpenCV
 _GROWN_PX: Final = 0.64  # By which OpenCV's anti-aliased polygons are larger than their corners say
 _AROUND: Final = np.linspace(0, 2 * np.pi, 49)[:-1]
 _MORE: Final = " …"
+_DISTANCES: Final = (1.0, 1.7, 2.6, 4.0, 6.0)
+"""Distances of a label from its point that are tried, in heights of a line."""
+_HEIGHTS: Final = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)  # Vertical displacements that are tried, in heights of a line
+_TOLERATED: Final = 2  # Points that a label may cover before it leaves its place
+_MISTAKEN: Final = 3
+"""Points that a label rather covers than to stand nearer to the point of another label than to its own."""
+_NOTHING: Final = np.zeros((0, 2))
 
 
 @dataclass(frozen=True)
@@ -219,15 +226,6 @@ class Lettering:
         while text and self.width(text + _MORE) > width:
             text = text[: max(len(text) - max(1, len(text) // 20), 0)]
         return (text.rstrip() + _MORE).strip()
-
-
-_DISTANCES: Final = (1.0, 1.7, 2.6, 4.0, 6.0)
-"""Distances of a label from its point that are tried, in heights of a line."""
-_HEIGHTS: Final = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)  # Vertical displacements that are tried, in heights of a line
-_TOLERATED: Final = 2  # Points that a label may cover before it leaves its place
-_MISTAKEN: Final = 3
-"""Points that a label rather covers than to stand nearer to the point of another label than to its own."""
-_NOTHING: Final = np.zeros((0, 2))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,9 @@ from rtof_kin.view.motion_scene import Layer, MotionScene
 
 SPEEDS: Final = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0, "4": 4.0}
 """Speeds relative to real time, by label."""
+_RELATIVE, _WORLD = "relative to the root", "in world"
+_SLIDER_STEP: Final = 0.001  # [s]
+_HIDDEN: Final = (Layer.CONFIDENCE,)  # Layers that are hidden at the start
 
 
 class Playback:
@@ -67,11 +70,6 @@ class Playback:
         time = self.at(now)
         with self._lock:
             self._time, self._since, self._speed = time, now, speed
-
-
-_RELATIVE, _WORLD = "relative to the root", "in world"
-_SLIDER_STEP: Final = 0.001  # [s]
-_HIDDEN: Final = (Layer.CONFIDENCE,)  # Layers that are hidden at the start
 
 
 class Controls:

@@ -23,6 +23,20 @@ WHOLE_S: Final = 300.0
 _PART_S: Final = 60.0
 _MOVES: Final = np.radians(1.0)  # [rad] Range of a hinge beyond which constant other angles are seen to be fixed
 _MARGIN_S: Final = 8.0  # [s] before and after a part, so that a window of it is whole
+WINDOW: Final = 5.0
+"""[s] shown before and after the cursor."""
+COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))
+"""RGB of the curves (Okabe and Ito, 2008)."""
+_NONE: Final = "none"
+_FIRST: Final = ("right_knee_flexion", "left_knee_flexion")  # Angles that are shown at the start
+_LEAST_SPAN: Final = 10.0  # [deg] of the vertical axis
+_EMPTY: Final = (0.0, 10.0)  # [deg] Range of the vertical axis of no curve
+_AXES: Final = (
+    {"label": "time [s]", "labelSize": 16, "size": 32},
+    {"label": "angle [deg]", "labelSize": 18, "size": 44},
+)
+_WIDEST_BAND: Final = 30.0  # [deg] Half width of a band up to which it fits the vertical axis
+_PER_CURVE: Final = 3  # Series of a curve: value, lower and upper limit of the 95 % band
 
 
 class AngleBlocks:
@@ -73,22 +87,6 @@ class AngleBlocks:
             if known.any() and np.ptp(values[known, 0]) > _MOVES:
                 self._doubtful -= {first + k for k in (1, 2) if np.isfinite(values[:, k]).any()}
         return found
-
-
-WINDOW: Final = 5.0
-"""[s] shown before and after the cursor."""
-COLOURS: Final = ((0, 114, 178), (213, 94, 0), (0, 158, 115))
-"""RGB of the curves (Okabe and Ito, 2008)."""
-_NONE: Final = "none"
-_FIRST: Final = ("right_knee_flexion", "left_knee_flexion")  # Angles that are shown at the start
-_LEAST_SPAN: Final = 10.0  # [deg] of the vertical axis
-_EMPTY: Final = (0.0, 10.0)  # [deg] Range of the vertical axis of no curve
-_AXES: Final = (
-    {"label": "time [s]", "labelSize": 16, "size": 32},
-    {"label": "angle [deg]", "labelSize": 18, "size": 44},
-)
-_WIDEST_BAND: Final = 30.0  # [deg] Half width of a band up to which it fits the vertical axis
-_PER_CURVE: Final = 3  # Series of a curve: value, lower and upper limit of the 95 % band
 
 
 class Curves:

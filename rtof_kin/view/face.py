@@ -28,6 +28,8 @@ _MOST: Final = 1.5
 _BLOCKS: Final = 6  # Blocks across a region: about two across a face
 _BLOCKS_OF_ALL: Final = 12  # Blocks across the shorter side where the whole picture is blurred
 _SLACK: Final = 1  # Frames of the motion before and after, whose regions are added
+_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / np.sqrt(3)
+_DIRECTIONS: Final = np.vstack([np.eye(3), -np.eye(3), _CORNERS])  # (14, 3) unit vectors in all directions
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,6 @@ class FaceFinder:
         apart = np.linalg.norm(detected - expected, axis=1)
         margin = max(margin, float(apart[np.isfinite(apart)].max(initial=0.0)))
         return (uv[0], radius + margin) if margin <= _MOST * radius else None
-
-
-_CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) / np.sqrt(3)
-_DIRECTIONS: Final = np.vstack([np.eye(3), -np.eye(3), _CORNERS])  # (14, 3) unit vectors in all directions
 
 
 def _top_of_head(skeleton: SkeletonModel) -> Array:

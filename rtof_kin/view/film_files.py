@@ -28,6 +28,23 @@ _ASPECT: Final = 0.01
 _ROUNDING_PX: Final = 2.0  # Largest difference of a side by rounding
 _USUAL_HZ: Final = 30.0  # Assumed of a video that does not state its frame rate
 _RATE: Final = 0.02  # Largest relative difference of frame rates that is not pointed out
+SUFFIXES: Final = (".mp4", ".gif")
+GIF_WIDTH: Final = 480
+"""Largest width of a GIF unless another one is asked for, px."""
+GIF_HEIGHT: Final = 640
+"""Largest height of a GIF unless a width is asked for, px."""
+GIF_RATE_HZ: Final = 15.0
+"""Highest frame rate of a GIF."""
+MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
+"""Most pixels of all pictures of a GIF, which are in memory until it is written."""
+_ENCODERS: Final[dict[str, dict[str, str]]] = {
+    "libx264": {"preset": "superfast", "crf": "21"},
+    "libopenh264": {"rc_mode": "quality"},
+    "mpeg4": {},
+}
+"""Options of the encoders that are tried, the best first."""
+_TICKS: Final = 90_000  # Ticks per second of time stamps
+_BT709: Final = 1  # FFmpeg's number of the colour space of BT.709
 
 
 @dataclass(frozen=True)
@@ -173,25 +190,6 @@ def check_times(source: VideoSource, view: PictureView, shift: float) -> tuple[s
             "is it the same video?"
         )
     return tuple(notes)
-
-
-SUFFIXES: Final = (".mp4", ".gif")
-GIF_WIDTH: Final = 480
-"""Largest width of a GIF unless another one is asked for, px."""
-GIF_HEIGHT: Final = 640
-"""Largest height of a GIF unless a width is asked for, px."""
-GIF_RATE_HZ: Final = 15.0
-"""Highest frame rate of a GIF."""
-MOST_OF_GIF: Final = 900 * GIF_WIDTH * GIF_HEIGHT
-"""Most pixels of all pictures of a GIF, which are in memory until it is written."""
-_ENCODERS: Final[dict[str, dict[str, str]]] = {
-    "libx264": {"preset": "superfast", "crf": "21"},
-    "libopenh264": {"rc_mode": "quality"},
-    "mpeg4": {},
-}
-"""Options of the encoders that are tried, the best first."""
-_TICKS: Final = 90_000  # Ticks per second of time stamps
-_BT709: Final = 1  # FFmpeg's number of the colour space of BT.709
 
 
 class Mp4Writer:

@@ -47,6 +47,9 @@ TRUTH: Final[Rgb] = (70, 70, 78)
 SECOND: Final[Rgb] = (170, 60, 190)
 """A second motion beside the first."""
 _GRADES: Final = ("pass", "warn", "fail")
+GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}
+"""RGB by verdict."""
+_UNKNOWN: Final = (90, 90, 90)
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,6 @@ def read_verdict(folder: Path) -> Verdict:
     grade = str(found.get("grade", ""))
     text = str(found.get("headline", "the summary has none; reconstruct again"))
     return Verdict(grade if grade in _GRADES else "", text, str(data.get("recording", "")))
-
-
-GRADES: Final = {"pass": (0, 120, 70), "warn": (180, 95, 0), "fail": (200, 0, 30)}
-"""RGB by verdict."""
-_UNKNOWN: Final = (90, 90, 90)
 
 
 def verdict_html(verdict: Verdict) -> str:

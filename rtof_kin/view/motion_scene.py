@@ -31,6 +31,11 @@ _ASIDE: Final = np.radians(52.0)
 _HIGH: Final = 1.5  # [m] of the first view above the floor
 _MIDDLE: Final = 0.9  # [m] of the point that is looked at above the floor
 _VIEW: Final = np.radians(50.0)  # [rad] Vertical angle of the first view
+_PATH_S: Final = 60.0  # [s] of the root's path before and after the frame
+_PATH_BLOCK_S: Final = 30.0
+_PATH_POINTS: Final = 1500
+_SAME_TIME: Final = 0.05  # [s] By which times of two motions may differ for one frame
+_BEHIND: Final = 1.25, 0.8  # Depth of the image behind the person: relative to the person's distance, and added, m
 
 
 class Stage:
@@ -129,13 +134,6 @@ def _lowest(poses: PoseSequence | None, skeleton: SkeletonModel | None) -> float
         return 0.0
     points = skeleton.landmark_positions(poses.p_world_joint, poses.R_world_bone)
     return float(np.nanmin(points[..., 2])) if np.isfinite(points).any() else 0.0
-
-
-_PATH_S: Final = 60.0  # [s] of the root's path before and after the frame
-_PATH_BLOCK_S: Final = 30.0
-_PATH_POINTS: Final = 1500
-_SAME_TIME: Final = 0.05  # [s] By which times of two motions may differ for one frame
-_BEHIND: Final = 1.25, 0.8  # Depth of the image behind the person: relative to the person's distance, and added, m
 
 
 class Layer(Enum):

@@ -23,6 +23,11 @@ _CLOSER: Final = 0.78125
 """Distance of the camera, over that at which a sphere around all points just fits into the picture: people
 are narrower than the sphere."""
 _STANDS: Final = 2.5  # [m] largest radius of a motion that is seen whole; a larger one is followed
+_LONGEST_GAP: Final = 2.5  # [frames] between poses that are interpolated
+_AT_ENDS: Final = 0.75  # [frames] before the first and after the last pose in which that is shown
+_NEAR: Final = 1e-3  # [frames] from a pose within which it is not interpolated
+_STEP: Final = 1e-3  # [m] of the differences that give the derivative of the projection
+_WEAKEST: Final = int(Provenance.PRIOR)
 
 
 @dataclass(frozen=True)
@@ -121,12 +126,6 @@ class ScaledView:
     def _scaled(self, uv: Array) -> Array:
         """The first pixel's centre is (0, 0) in both pictures."""
         return (uv + 0.5) * self.scale - 0.5
-
-
-_LONGEST_GAP: Final = 2.5  # [frames] between poses that are interpolated
-_AT_ENDS: Final = 0.75  # [frames] before the first and after the last pose in which that is shown
-_NEAR: Final = 1e-3  # [frames] from a pose within which it is not interpolated
-_STEP: Final = 1e-3  # [m] of the differences that give the derivative of the projection
 
 
 @dataclass(frozen=True)
@@ -242,9 +241,6 @@ class ProjectedMotion:
         uv = self.view.project(moved[None], np.array([frame]))[0]
         J = np.swapaxes(uv[:, 1:] - uv[:, :1], -1, -2) / _STEP
         return np.asarray(J @ confidence.position_covariance[frame] @ np.swapaxes(J, -1, -2))
-
-
-_WEAKEST: Final = int(Provenance.PRIOR)
 
 
 def shown_provenance(motion: Motion) -> NDArray[np.uint8]:

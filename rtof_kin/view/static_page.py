@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from jinja2 import Environment
+from markupsafe import Markup
 
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.errors import InvalidInputError, RtofError
@@ -32,6 +34,13 @@ _POLICY: Final = (
 )
 """The browser loads nothing from elsewhere."""
 _PATIENCE: Final = 3600.0  # [s] until a frame is read; a file of hours takes minutes
+_BOX: Final = Environment(autoescape=True).from_string(
+    '<div style="position:fixed;left:12px;top:12px;max-width:min(24em,45vw);z-index:10;font-family:'
+    "system-ui,sans-serif;color:#222;background:rgba(255,255,255,0.86);border-radius:6px;"
+    'padding:0.3em 0">{{ verdict }}'
+    '<div style="font-size:0.8em;padding:0 0.8em;color:#555">{{ part }}</div>{{ legend }}</div>'
+)
+"""Verdict, part of the motion and legend over the scene."""
 Progress = Callable[[str, int, int], None]
 
 
@@ -160,12 +169,7 @@ def _part(times: Array, frames: list[int]) -> str:
 def _finished(text: str, verdict: Verdict, scene: MotionScene, part: str) -> str:
     """Return the page with its policy, title, verdict and legend."""
     legend = legend_html(cameras=bool(scene.cameras), truth=scene.truth is not None, second=scene.second is not None)
-    box = (
-        '<div style="position:fixed;left:12px;top:12px;max-width:min(24em,45vw);z-index:10;font-family:'
-        "system-ui,sans-serif;color:#222;background:rgba(255,255,255,0.86);border-radius:6px;"
-        f'padding:0.3em 0">{verdict_html(verdict)}'
-        f'<div style="font-size:0.8em;padding:0 0.8em;color:#555">{escape(part)}</div>{legend}</div>'
-    )
+    box = _BOX.render(verdict=Markup(verdict_html(verdict)), part=part, legend=Markup(legend))
     head = f'<head><meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
     text = text.replace("<head>", head, 1)
     title = f"<title>{escape(verdict.recording or 'motion')} - rtof_kin</title>"

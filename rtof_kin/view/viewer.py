@@ -33,6 +33,9 @@ FASTEST: Final = 60.0
 _SLIDER_S: Final = 0.1  # Time between two moves of the slider while playing
 _CURVES_S: Final = 0.125  # Time between two updates of the curves while playing
 _PATIENCE: Final = 20.0  # [s] for the first frame
+_PATH_S: Final = 60.0  # [s] of the root's path
+_PATH_STEP: Final = 0.1  # [s] between two points of it
+_OLD: Final = 1.0  # [s] without an estimate after which the viewer says so
 
 
 @dataclass(frozen=True)
@@ -220,11 +223,6 @@ def _check_shape(video: VideoFrames, aspect: float) -> None:
             f"{video.path}: its images are {width} x {height} px, of another shape than those of the camera; "
             "give the video of this recording"
         )
-
-
-_PATH_S: Final = 60.0  # [s] of the root's path
-_PATH_STEP: Final = 0.1  # [s] between two points of it
-_OLD: Final = 1.0  # [s] without an estimate after which the viewer says so
 
 
 class LiveViewer(Viewer):

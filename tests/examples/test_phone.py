@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from detector_support import walking, watching
 from inertial_support import exercising
-from setup_support import walker, write_demo, write_keypoints, write_sensors
+from setup_support import write_demo, write_sensors
 
 from rtof_kin.core.resources import model_path
 from rtof_kin.formats.camera_toml import write_camera_toml
@@ -29,14 +28,6 @@ def run(name: str, *arguments: object, monkeypatch: pytest.MonkeyPatch) -> None:
 def _no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rtof_kin.reporting.figures.write_figures", lambda *_: [])
     monkeypatch.setattr("rtof_kin.setup.init.write_frames_picture", lambda path, *_: path.write_bytes(b""))
-
-
-def test_a_phone_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    given = write_keypoints(tmp_path / "walk.npz", walker())
-    write_camera_toml(tmp_path / "calib.toml", {"phone": watching(walking())})
-    run("phone_alone.py", 1.7, tmp_path / "out", given, tmp_path / "calib.toml", monkeypatch=monkeypatch)
-    assert (tmp_path / "out" / "report.html").read_text().startswith("<!DOCTYPE html>")
-    assert "50 frames; open" in capsys.readouterr().out
 
 
 def test_a_phone_and_dots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -120,26 +120,6 @@ def test_triangulation_is_robust_to_one_wrong_camera(motion: Motion) -> None:
     assert np.isfinite(found).all(axis=-1).sum() == found[..., 0].size - 1
 
 
-def test_misplaced_cameras_are_adjusted(motion: Motion) -> None:
-    true = around(motion)
-    given = off(true)
-    p = motion.poses.p_world_joint[::4]
-    uv = np.stack([camera.project(p) for camera in true])
-    uv[2, 3, :5] += 150.0  # somebody else's
-    weight = np.ones(uv.shape[:-1])
-    before = multi_view.triangulate(given, uv, weight)[1]
-    right = multi_view.adjust_cameras(given, uv, weight)
-    after = multi_view.triangulate(right, uv, weight)[1]
-    assert np.nanmedian(np.abs(before)) > 2.0
-    assert np.nanmedian(np.abs(after)) < 0.1
-    # What no image tells, where and how large all of it is, stays as the file has it.
-    shift = np.mean([a.center_world - b.center_world for a, b in zip(right, given, strict=True)], 0)
-    assert np.linalg.norm(shift) < 0.01
-    for a, b in zip(right, given, strict=True):
-        np.testing.assert_array_equal(a.K, b.K)
-        assert so3.angle_between(a.R_camera_world, b.R_camera_world) < np.radians(2)
-
-
 # --- the session ---------------------------------------------------------------------------------
 
 
@@ -200,17 +180,6 @@ def test_incomplete_sessions_are_refused(folder: Path, tmp_path: Path) -> None:
     shutil.rmtree(root / "Calibration")
     with pytest.raises(RtofError, match=r"no folder \*calib\* with a .toml in it"):
         read(root, "T01_Walk")
-
-
-def test_real_detections_of_two_people_are_grouped(tmp_path: Path) -> None:
-    """Eight frames of one camera, taken for two cameras in one place: whoever is who meets there."""
-    source = ROOT / "tests" / "fixtures" / "detectors" / "two_people"
-    found = pose2sim_trial.read_detector_file(source, 1088, 1920)
-    camera = Camera.looking_at([4.0, 0.0, 1.5], [0.0, 0.0, 1.0], 1680.0, 1088, 1920)
-    beside = Camera.looking_at([4.0, 0.2, 1.5], [0.0, 0.0, 1.0], 1680.0, 1088, 1920)
-    groups, frame = pose2sim_trial._people([camera, beside], [found, found], len(found), 2)
-    assert frame == 5
-    assert sorted(groups) == [(p, p) for p in sorted(p for p, _ in groups)]
 
 
 # --- the whole of it -----------------------------------------------------------------------------

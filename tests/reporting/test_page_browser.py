@@ -70,15 +70,23 @@ def opened(browser: BrowserPage, url: str) -> BrowserPage:
     return browser
 
 
+@pytest.fixture(scope="module")
+def paper(browser: BrowserPage, url: str, tmp_path_factory: pytest.TempPathFactory) -> PdfReader:
+    """The page as it is printed at first."""
+    browser.resize(1280, 900)
+    browser.open(url)
+    browser.until(READY)
+    return PdfReader(browser.pdf(tmp_path_factory.mktemp("paper") / "page.pdf"))
+
+
 def shown(page: BrowserPage, selector: str) -> str:
     """Text of an element as it is shown."""
     return str(page.value(f"document.querySelector({selector!r}).innerText"))
 
 
-def printed(page: BrowserPage, folder: Path, last: int = 0) -> list[str]:
+def printed(paper: PdfReader, last: int = 0) -> list[str]:
     """Text of each printed page, or of the last ones."""
-    pages = PdfReader(page.pdf(folder / "page.pdf")).pages
-    return [" ".join(one.extract_text().split()) for one in pages[-last:]]
+    return [" ".join(one.extract_text().split()) for one in paper.pages[-last:]]
 
 
 def choose(page: BrowserPage, convention: str) -> None:
@@ -131,10 +139,10 @@ def test_faults_of_a_layout_are_found(opened: BrowserPage) -> None:
         opened.value("document.getElementById('planted').remove()")
 
 
-def test_paper_has_at_most_six_pages_without_what_is_folded(opened: BrowserPage, tmp_path: Path) -> None:
-    texts = printed(opened, tmp_path)
+def test_paper_has_at_most_six_pages_without_what_is_folded(paper: PdfReader) -> None:
+    texts = printed(paper)
     assert len(texts) <= 6
-    sides = PdfReader(tmp_path / "page.pdf").pages[0].mediabox[2:]
+    sides = paper.pages[0].mediabox[2:]
     assert [round(float(side) / 72 * 25.4) for side in sides] == [210, 297]
     whole = " ".join(texts)
     assert "warns above" not in whole  # audit
@@ -149,9 +157,8 @@ def test_paper_has_at_most_six_pages_without_what_is_folded(opened: BrowserPage,
     assert all(f"{name} +" in rows for name in names)
 
 
-def test_pages_of_paper_are_full(opened: BrowserPage, tmp_path: Path) -> None:
-    opened.pdf(tmp_path / "page.pdf")
-    for page in PdfReader(tmp_path / "page.pdf").pages[:-1]:
+def test_pages_of_paper_are_full(paper: PdfReader) -> None:
+    for page in paper.pages[:-1]:
         lowest: list[float] = []
         page.extract_text(
             visitor_text=lambda text, cm, tm, *_, to=lowest: to.append(cm[5] + cm[3] * tm[5]) if text.strip() else None
@@ -165,7 +172,7 @@ def test_folded_parts_are_printed_if_asked_for(opened: BrowserPage, url: str, tm
     opened.open("about:blank")
     opened.open(f"{url}#print-all")
     opened.until(READY)
-    texts = printed(opened, tmp_path, last=7)
+    texts = printed(PdfReader(opened.pdf(tmp_path / "page.pdf")), last=7)
     assert sum("warns above" in text for text in texts) > 1  # the head of the audit is repeated
     assert "to be filled in" in " ".join(texts)
     assert opened.value("document.querySelectorAll('details[open]').length") == 0

@@ -39,9 +39,8 @@ class Engine(Protocol):
     def run(self, function: Callable[[Any], Any], jobs: Iterable[tuple[str, Any]]) -> Generator[Ended, None, None]:
         """Run jobs and yield each as it ends; closing the generator stops those that run.
 
-        Args:
-            function: at the top level of a module (or a partial of such a one); called with an argument.
-            jobs: key and argument of each, taken one by one as there is room for them.
+        The function stands at the top level of a module, or is a partial of such a one. The jobs, key and argument of
+        each, are taken one by one as there is room for them.
         """
         ...
 

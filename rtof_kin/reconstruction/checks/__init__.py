@@ -15,7 +15,7 @@ from rtof_kin.core.errors import CalibrationError, InvalidInputError, RtofError,
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.reconstruction.checks.camera import ROOM_CHECKS, check_camera_alone, check_camera_evidence, check_legs
 from rtof_kin.reconstruction.checks.causes import HEADING, RATE, VIEW
-from rtof_kin.reconstruction.checks.image import OF_PICTURE
+from rtof_kin.reconstruction.checks.image import OF_IMAGE
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.checks.sensors import check_sensor_evidence, check_sensor_form
 from rtof_kin.reconstruction.lift import LifterLike
@@ -52,7 +52,7 @@ def run(
         Every check that the recording allows, and what it leaves open of positions in world.
     """
     camera, position = check_camera_evidence(recording, prepared, poses, lifter)
-    view_suspect = any(check.failed and check.name in OF_PICTURE for check in camera)
+    view_suspect = any(check.failed and check.name in OF_IMAGE for check in camera)
     sensors = check_sensor_evidence(recording, prepared, poses, lifter, suspect, view_suspect)
     if not any(check.failed for check in belonging):
         found = (*belonging, *sensors, *camera)
@@ -68,11 +68,7 @@ def run(
 def explained(
     error: RtofError, recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None
 ) -> RtofError | None:
-    """Return an error of a reconstruction with its likely cause, that a check finds, before it; None for no cause.
-
-    Args:
-        recording, skeleton, lifter: of the reconstruction.
-    """
+    """Return an error of a reconstruction with its likely cause, if a check before it finds one; None for no cause."""
     if isinstance(error, ViewError):
         found = check_camera_alone(recording, skeleton, lifter)
         cause = next((check.cause for check in found if check.failed and check.cause), None)

@@ -21,7 +21,7 @@ from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.inertial.root_path import FEET
 from rtof_kin.reconstruction.camera_evidence import ANKLE_HEIGHT, WALK_IN_DEPTH, Scene, check_walk, standing_feet
-from rtof_kin.reconstruction.checks.image import Picture, look_at_picture, sensed
+from rtof_kin.reconstruction.checks.image import ImageExcerpt, check_image, sensed
 from rtof_kin.reconstruction.checks.position import PositionErrors
 from rtof_kin.reconstruction.lift import LifterLike, shipped_lifter
 from rtof_kin.reconstruction.prepare import Prepared
@@ -54,11 +54,7 @@ class Standing:
 
 
 def standing(poses: PoseSequence, k: KeypointSequence, sensed: bool) -> Standing | None:
-    """Estimate where the person stands; None without ankles.
-
-    Args:
-        poses: (T, J), of which the shape is used.
-    """
+    """Estimate where the person stands, for poses of J joints in T frames; None without ankles."""
     feet = [poses.names.index(foot) for foot in FEET if foot in poses.names]
     if not feet:
         return None
@@ -121,12 +117,12 @@ def _length_ratio(imus: BoneImuSequence, skeleton: SkeletonModel) -> tuple[float
     return (float(xy / xx), float(yy / xy)) if explained else None
 
 
-def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
+def check_perspective(image: ImageExcerpt, skeleton: SkeletonModel) -> Check:
     """Check the focal length by the perspective of bones away from the image centre."""
     what = "the picture"
-    if picture.bone_imus is None:
+    if image.bone_imus is None:
         return Check.unknown(_PERSPECTIVE, what, "times", "needs sensors")
-    limbs = Limbs.of(picture.keypoints, picture.bone_imus, skeleton)
+    limbs = Limbs.of(image.keypoints, image.bone_imus, skeleton)
     seen2 = np.sum(limbs.seen**2, axis=(1, 2))
     drawn = limbs.drawn(limbs.bones, _PERSPECTIVES)[:, seen2 > 0]
     seen, seen2 = limbs.seen[seen2 > 0], seen2[seen2 > 0]
@@ -145,7 +141,7 @@ def check_perspective(picture: Picture, skeleton: SkeletonModel) -> Check:
         return Check.unknown(_PERSPECTIVE, what, "times", why)
     share = max(float(_PERSPECTIVES[best]), 0.05)
     advice = f"It is {share:.2f} times what the focal length makes; give that in px, of images of this size"
-    cause = picture.small or "the focal length is probably too short"
+    cause = image.small or "the focal length is probably too short"
     return Check(_PERSPECTIVE, what, 1 / share, 1 / FLATTEST, "times", advice, cause=cause)
 
 
@@ -179,51 +175,47 @@ def check_camera_evidence(
     """
     skeleton, video = prepared.skeleton, prepared.recording.video
     certain = np.isfinite(prepared.lifted.poses.sigma_rad).any()  # the lifter predicts its uncertainty
-    picture = look_at_picture(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
+    image = check_image(recording, skeleton, (lifter or shipped_lifter()) if certain else None)
     some = slice(None, None, max(1, len(video) // _FRAMES))
     stands = standing(prepared.start[some], video[some], prepared.bone_imus is not None)
     contacts = standing_feet(video, poses, skeleton)
     scene = Scene(skeleton, recording.floor_height, contacts, prepared.bone_imus)
-    position = PositionErrors.declared(recording).seen(scene, video, poses, picture)
-    return _ordered(recording, picture, skeleton, stands, (check_walk(scene, video.camera, poses),)), position
+    position = PositionErrors.declared(recording).seen(scene, video, poses, image)
+    return _ordered(recording, image, skeleton, stands, (check_walk(scene, video.camera, poses),)), position
 
 
 def check_camera_alone(
     recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None = None
 ) -> tuple[Check, ...]:
-    """Check the same before a reconstruction.
-
-    Args:
-        lifter: default: the shipped one.
-    """
-    picture = look_at_picture(recording, skeleton, lifter or shipped_lifter())
+    """Check the same before a reconstruction, by default with the shipped lifter."""
+    image = check_image(recording, skeleton, lifter or shipped_lifter())
     stands = None
-    if picture.lifted is not None:
-        p, k = picture.lifted.p_world_joint, picture.keypoints
+    if image.lifted is not None:
+        p, k = image.lifted.p_world_joint, image.keypoints
         R = np.broadcast_to(np.eye(3), (*p.shape, 3))
         stands = standing(PoseSequence(k.times, p, R, skeleton.names), k, False)
-    return _ordered(recording, picture, skeleton, stands)
+    return _ordered(recording, image, skeleton, stands)
 
 
 def _ordered(
     recording: Recording,
-    picture: Picture,
+    image: ImageExcerpt,
     skeleton: SkeletonModel,
     stands: Standing | None,
     of_motion: tuple[Check, ...] = (),
 ) -> tuple[Check, ...]:
     """Order the checks by cause: of several that one mistake fails, the one that names it leads."""
     keypoints, camera = recording.video, recording.video.camera
-    first = (_check_unit(camera), *picture.checks, _check_frozen(keypoints))
+    first = (_check_unit(camera), *image.checks, _check_frozen(keypoints))
     lens, declared = _check_view(camera), (*_declared(keypoints), *_check_body(recording, skeleton))
     wrong = next((check.cause for check in first[:-1] if check.failed), "")
     if wrong:
         unknown = (Check.unknown(name, "the person", "m", wrong) for name in (_DISTANCE, _FEET))
         return (*first, lens, *declared, *unknown)
     bones = check_bones(_own_sensors(recording), skeleton)
-    perspective = check_perspective(picture, skeleton)
+    perspective = check_perspective(image, skeleton)
     known = (bones, lens, perspective, *of_motion)
-    cause = next((check.cause for check in known if check.failed), picture.small)
+    cause = next((check.cause for check in known if check.failed), image.small)
     return (*first, *known, _check_feet(recording, stands, cause), _check_distance(stands), *declared)
 
 
@@ -379,11 +371,7 @@ _TOGETHER = 0.6  # Misfit of the shanks relative to that of the thighs, from whi
 
 
 def check_legs(misfit: LegMisfit, times: Array, sensed: bool) -> Check:
-    """Check that the keypoints of knees and feet, as a whole, fit the hips, the bones and the sensors.
-
-    Args:
-        misfit: of the solution, at times (T,), s.
-    """
+    """Check that the keypoints of knees and feet fit the hips, the bones and the sensors as a whole."""
     worst = int(misfit.thighs.argmax())
     name, value = "distance of the legs' keypoints from the body's place", 1000 * float(misfit.thighs[worst])
     if not value:

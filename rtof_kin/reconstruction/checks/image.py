@@ -44,7 +44,7 @@ _REPROJECTION, _LEAST_REPROJECTION, _LEAST_MISFIT = 0.3, 1e-3, 0.02
 _HEADINGS = np.radians(np.arange(0, 360, 15))
 _REACH = 0.55  # Fraction of the image beyond which points of an image half as large cannot lie
 _SIZE, _TURN, _SIDES = "another size of the picture", "a turned picture or world", "exchanged sides"
-OF_PICTURE: Final = (_SIZE, _TURN, _SIDES)
+OF_IMAGE: Final = (_SIZE, _TURN, _SIDES)
 _LEGS = "left and right of the legs' keypoints are exchanged"
 _SWAPPED, _MIRRORED = "left and right of the keypoints are exchanged", "the picture is mirrored"
 _MIRRORED_OR_HEADING = f"{_MIRRORED}, or all sensors head the wrong way"
@@ -61,7 +61,7 @@ class Lifted:
 
 
 @dataclass(frozen=True)
-class Picture:
+class ImageExcerpt:
     """Excerpt of a recording and the checks of its image."""
 
     keypoints: KeypointSequence
@@ -76,7 +76,7 @@ class Picture:
         return next((check.cause for check in self.checks if check.failed), "")
 
 
-def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> Picture:
+def check_image(recording: Recording, skeleton: SkeletonModel, lifter: LifterLike | None) -> ImageExcerpt:
     """Compare the keypoints with each usual mistake undone.
 
     Args:
@@ -97,7 +97,7 @@ def look_at_picture(recording: Recording, skeleton: SkeletonModel, lifter: Lifte
             wrong = next((earlier.cause for earlier in checks if earlier.failed), "")
             checks += (_unknown(name, wrong) if wrong else check(),)
     small = _SMALL if look.reach < _REACH else ""
-    return Picture(keypoints, look.given, look.bone_imus, checks, small)
+    return ImageExcerpt(keypoints, look.given, look.bone_imus, checks, small)
 
 
 def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
@@ -114,11 +114,7 @@ def excerpt(keypoints: KeypointSequence) -> KeypointSequence:
 
 
 def sensed(recording: Recording, times: Array) -> BoneImuSequence | None:
-    """Return the calibrated sensors at times (T,), s; None where they have no samples.
-
-    Args:
-        times: (T,) s.
-    """
+    """Return the calibrated sensors at times (T,), s; None where they have no samples."""
     try:
         found = recording.bone_imus(times=times)
     except CalibrationError:
@@ -139,11 +135,7 @@ def _unknown(name: str, why: str) -> Check:
 
 
 def exchanged_sides(keypoints: KeypointSequence, only: str = "") -> KeypointSequence:
-    """Return the keypoints with left and right names exchanged.
-
-    Args:
-        only: a group of `side_pairs`; by default all.
-    """
+    """Return the keypoints with left and right names exchanged, of all or `only` one group of `side_pairs`."""
     order = np.arange(len(keypoints.names))
     for group, pairs in side_pairs(keypoints.names).items():
         if only not in ("", group):

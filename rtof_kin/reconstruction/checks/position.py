@@ -49,7 +49,7 @@ from rtof_kin.data.keypoints import KeypointSequence
 from rtof_kin.data.poses import PoseSequence
 from rtof_kin.inertial.initial_poses import refit_root
 from rtof_kin.reconstruction.camera_evidence import Scene, floor_plane, lasting, turn_of_image, walk
-from rtof_kin.reconstruction.checks.image import STEP, Picture
+from rtof_kin.reconstruction.checks.image import STEP, ImageExcerpt
 from rtof_kin.recording.recording import Recording
 
 SIZE_BY_HEIGHT: Final = 0.03  # [1] Standard deviation of the size of a body whose height is declared
@@ -99,12 +99,8 @@ class PositionErrors:
         words = f"{what} {verb} not checked ({remedy})" if open_[worst] > _MENTIONED**2 * own else ""
         return replace(confidence, position_covariance=position), replace(self, unverified=words)
 
-    def seen(self, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, picture: Picture) -> Self:
-        """Return what the evidence of a recording leaves open.
-
-        Args:
-            picture: excerpt, lifted without sensors.
-        """
+    def seen(self, scene: Scene, keypoints: KeypointSequence, poses: PoseSequence, image: ImageExcerpt) -> Self:
+        """Return what the evidence of a recording leaves open; `image` is an excerpt, lifted without sensors."""
         camera, size = keypoints.camera, len(CAMERA_UNKNOWNS)
         feet = scene.skeleton.index(*scene.contacts.joints)
         ankles = refit_root(poses, keypoints, sigma_depth=1.0).p_world_joint[:, feet][scene.contacts.standing]
@@ -120,7 +116,7 @@ class PositionErrors:
         J = np.zeros((3, size))
         J[0, PITCH], J[2, ROLL] = _SEEN_PITCH, 1.0
         J[:, HEADING], J[1, RIGHT], J[0, DOWN] = camera.R_camera_world[:, 2], 1.0, -_SEEN_PITCH
-        rows += [(_rotation(scene, picture), TURN * lasting(STEP * len(picture.keypoints)), J)]
+        rows += [(_rotation(scene, image), TURN * lasting(STEP * len(image.keypoints)), J)]
         value, errors, J = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         weight = np.where(np.isfinite(value), 1 / errors**2, 0.0)
         S = np.sqrt(self.moment)  # C = S (1 + S J' W^-1 J S)^-1 S, also where a sigma is 0
@@ -145,10 +141,10 @@ def _declared_sigma(recording: Recording) -> Array:
     return sigma
 
 
-def _rotation(scene: Scene, picture: Picture) -> Array:
+def _rotation(scene: Scene, image: ImageExcerpt) -> Array:
     """Rotation vector (3,) of the image against the sensors, camera axes, rad; NaN where one is missing."""
-    if picture.lifted is None or picture.bone_imus is None:
+    if image.lifted is None or image.bone_imus is None:
         return np.full(3, np.nan)
-    p, times = picture.lifted.p_world_joint, picture.keypoints.times
+    p, times = image.lifted.p_world_joint, image.keypoints.times
     lifted = PoseSequence(times, p, np.broadcast_to(np.eye(3), (*p.shape, 3)), scene.skeleton.names)
-    return turn_of_image(picture.bone_imus, scene.skeleton, picture.keypoints.camera, lifted)
+    return turn_of_image(image.bone_imus, scene.skeleton, image.keypoints.camera, lifted)

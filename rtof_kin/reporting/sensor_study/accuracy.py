@@ -94,11 +94,7 @@ def spread(angles: ClinicalAngles) -> Array:
 
 
 def true_angles(recording: Recording, like: ClinicalAngles) -> ClinicalAngles | None:
-    """Return the angles of the reference at the times of others; None without a reference.
-
-    Args:
-        recording: with or without a reference.
-    """
+    """Return the angles of the reference at the times of others; None without a reference."""
     truth = recording.truth
     if truth is None:
         return None
@@ -179,10 +175,8 @@ class Part:
 
 
 def liveliest_part(recording: Recording, longest: float) -> Part:
-    """Return the part of a recording in which the sensors turn most while the camera sees the person.
-
-    Args:
-        recording: with IMUs, with or without keypoints. longest: s; a shorter recording is taken whole.
+    """Return the part of a recording with IMUs in which the sensors turn most while the camera sees the
+    person, at most `longest` s.
 
     Raises:
         InvalidInputError: `longest` is not positive.

@@ -74,11 +74,7 @@ def unused_removed(folder: Path) -> Iterator[None]:
 
 
 def document(study: SensorStudy, figures: bool = True) -> Document:
-    """Return a study as a document.
-
-    Args:
-        figures: whether it has any.
-    """
+    """Return a study as a document."""
     part = study.part
     facts = {
         "recording": study.recording,
@@ -164,10 +160,7 @@ def _rows(study: SensorStudy) -> Iterator[list[str]]:
 
 def sentences(study: SensorStudy, tolerance: float = TOLERANCE) -> list[str]:
     """Return what was studied, the contribution of each sensor, the order of removal, and what each angle
-    needs and does not need.
-
-    Args:
-        tolerance: RMS, rad.
+    needs and does not need, to a tolerance of the RMS in rad.
     """
     shown = [study.angles[a] for a in study.shown]
     return [
@@ -235,9 +228,8 @@ def _order(study: SensorStudy, tolerance: float) -> str:
         )
     )
     return (
-        f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of "
-        f"{len(study.angles)} within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets "
-        f"of this order{rest}"
+        f"Removed one after the other, the smallest loss first: {', '.join(gone)}. Angles of {len(study.angles)} "
+        f"within {_deg(tolerance, 0)} by number of sensors: {counts}. These are the sets of this order{rest}"
     )
 
 

@@ -132,11 +132,7 @@ class Runs:
         workers: int | None,
         progress: Progress | None,
     ) -> None:
-        """Take what all runs have in common.
-
-        Args:
-            lifter, settings: as for `reconstruct`. workers: processes, see `run_jobs`. progress: see `Progress`.
-        """
+        """Take what all runs have in common; for `workers` see `run_jobs`, for `progress` see `Progress`."""
         assert recording.imus is not None
         self.names, self.total, self.folder, self.workers = recording.imus.names, total, folder, workers
         self._progress, self._done = progress, 0

@@ -106,11 +106,7 @@ class SensorStudy:
         return last
 
     def as_good(self, step: int) -> tuple[str, ...]:
-        """Return the sensors whose removal at a step was not clearly worse than that of the one removed.
-
-        Args:
-            step: index into `steps`.
-        """
+        """Return the sensors whose removal at a step was not clearly worse than that of the one removed."""
         best = _least(self.steps[step])
         return tuple(
             omitted(found, self.path[step].sensors)
@@ -129,11 +125,7 @@ def omitted(found: SensorSet, sensors: Sequence[str]) -> str:
 
 
 def number_of_runs(sensors: int, camera: bool = True, greedy: bool | None = None) -> int:
-    """Return the largest number of reconstructions of a study; a greedy one usually needs fewer.
-
-    Args:
-        greedy: as in `study_sensors`.
-    """
+    """Return the largest number of reconstructions of a study; a greedy one usually needs fewer."""
     steps = sensors if camera else sensors - 1
     if _is_greedy(sensors, greedy):
         return 1 + sum(sensors - step for step in range(steps))
@@ -210,9 +202,6 @@ def identity_of(
 ) -> dict[str, Any]:
     """Return everything that the runs of a study depend on, as plain values for `open_runs`.
 
-    Args:
-        recording, lifter, settings, longest: as for `study_sensors`.
-
     Raises:
         InvalidInputError: see `study_sensors`.
     """
@@ -254,10 +243,8 @@ def _steps(runs: Runs, full: SensorSet, least: int, greedy: bool) -> tuple[tuple
 
 
 def _greedy_step(runs: Runs, left: tuple[str, ...], tried: Sequence[SensorSet]) -> tuple[SensorSet, ...]:
-    """Sets with one sensor less, the most promising ones first; those that a larger set shows to be worse
-    are not tried.
-
-    The number of processes does not matter to which sets are tried.
+    """Sets with one sensor less, the most promising ones first, but those that a larger set shows to be worse;
+    the number of processes does not matter to which sets are tried.
     """
 
     def bound(sensors: tuple[str, ...]) -> float:
