@@ -11,10 +11,9 @@ second     its complete orientation                the direction of its bone
 third      its complete orientation                its complete orientation
 =========  ======================================  =========================================
 
-The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a
-sensor); the direction where the joint and its only child are observed. A leaf without a sensor (hand, foot)
-has neither. An angle of a knee or elbow that is constant while the joint flexes is fixed by the model of the
-motion, and counts as unobserved.
+The complete orientation is observed where `PoseSequence.orientation_observed` is set (several bones, or a sensor); the
+direction where the joint and its only child are observed. A leaf without a sensor (hand, foot) has neither. An angle of
+a knee or elbow that is constant while the joint flexes is fixed by the model of the motion, and counts as unobserved.
 
 **Coordinates of an OpenSim model** give clinical angles too, to compare them with those of a motion.
 
@@ -202,10 +201,8 @@ def _segment_sources(masks: ObservationMasks) -> Sources:
 def _joint_angles(
     joint: JointCoordinateSystem, decomposed: Array, seen_by: Sources, masks: ObservationMasks
 ) -> tuple[Array, Sources, Mask]:
-    """Values, provenance and singular flags (T, 3) of one joint coordinate system.
-
-    Args:
-        decomposed: (T, 3) rad, see `DecomposedAngles`. seen_by: (T, J) of the segments.
+    """Values, provenance and singular flags (T, 3) of one joint coordinate system; decomposed: (T, 3) rad, see
+    `DecomposedAngles`; seen_by: (T, J) of the segments.
     """
     names, levels = masks.skeleton.names, masks.levels
     child = names.index(joint.child)

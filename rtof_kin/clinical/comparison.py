@@ -56,10 +56,8 @@ class CurveErrors:
 
 
 def curve_errors(axis: Array, a: Array, b: Array) -> CurveErrors:
-    """Compare two curves where both are known.
-
-    Args:
-        axis: (P,) of the samples. a, b: (P,) rad, with at least one common sample.
+    """Compare two curves where both are known; axis: (P,) of the samples; a, b: (P,) rad, with at least one common
+    sample.
     """
     known = np.isfinite(a) & np.isfinite(b)
     difference = (b - a)[known]
@@ -387,10 +385,8 @@ class Choice:
 
 
 def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
-    """Return the best shift of B beyond a given one; None if no common angle moves.
-
-    Args:
-        shift: s, added to the times of B before.
+    """Return the best shift of B beyond a given one; None if no common angle moves; shift: s, added to the times of B
+    before.
     """
     moved = replace(b.angles, times=b.angles.times + shift)
     try:
@@ -400,11 +396,7 @@ def agreement(a: Compared, b: Compared, shift: float = 0.0) -> Alignment | None:
 
 
 def choose_axis(a: Compared, b: Compared, clocks: Alignment | None, by: By | None = None) -> Choice:
-    """Return the axis on which two motions are compared; the reason is empty if it is given.
-
-    Args:
-        clocks: their `agreement`.
-    """
+    """Return the axis on which two motions of some `agreement` are compared; the reason is empty if it is given."""
     if by is not None:
         return _requested(a, b, by)
     if a.other_system or b.other_system:

@@ -8,33 +8,12 @@ forces (floor, seat, rail), and of errors of masses and motion. External forces 
 * the one foot that bears load is known (`ground_reaction`): the whole external wrench acts on it, which
   gives the torques of that leg. The load sharing of two feet is unknown: then torques of the legs are NaN.
 
-**Standard deviations.** Standard deviations of joint torques, and the covariance of the wrench from outside.
-
-Two components, independent of each other:
-
-* motion: the covariances of positions and turns (`Confidence`), by the course in time of `body_dynamics`,
-  through the low-pass and both derivatives, by Pinocchio's derivatives of inverse dynamics;
-* masses: a standard deviation of `MASS_SIGMA` of the mass of each of de Leva's segments, alike on the right
-  and the left, with body mass as given.
-
-In neither: the length of bones, centres of mass, what the low-pass takes away of the motion itself (the
-impact of a heel), an error of the body mass, a contact that is not known.
-
-Measured on seven people from whom nothing was learned (``python -m benchmarks dynamics --corpus DIR``; 21
-simulated recordings with realistic 2D, each with 0, 8 and 10 sensors), the root mean square stated for the
-motion is that of the actual errors times
-
-==============================  ==========  ==========  ==========
-..                              no sensors  8 sensors   10 sensors
-==============================  ==========  ==========  ==========
-shoulder, hip, knee, ankle      1.1 to 1.3  1.0 to 1.7  1.1 to 1.6
-elbow                           1.6         2.5         2.5
-spine                           1.0         1.5         1.7
-force from outside, horizontal  1.0 to 1.2  1.6 to 2.0  1.7 to 2.1
-force from outside, vertical    0.5         1.4         1.5
-==============================  ==========  ==========  ==========
-
-and 95 % bands contain 95 to 100 % of the errors, but only 85 % of those of the vertical force where no sensor is worn.
+Standard deviations have two independent components: the covariances of the motion (`Confidence`), by the course in time
+of `body_dynamics`, through the low-pass and both derivatives, by Pinocchio's derivatives of inverse dynamics; and
+masses of de Leva's segments that are known to `MASS_SIGMA`, alike on the right and the left, with body mass as given.
+In neither: the length of bones, centres of mass, what the low-pass takes away of the motion itself, an error of the
+body mass, a contact that is not known. docs/dynamics.md compares them with actual errors (``python -m benchmarks
+dynamics --corpus DIR``).
 """
 
 from __future__ import annotations
@@ -76,11 +55,7 @@ class DynamicsConfidence:
 
 
 def node_frames(count: int, rate_hz: float) -> Index:
-    """Return the frames in which the confidence is computed, the first and the last among them.
-
-    Args:
-        rate_hz: of the motion, Hz.
-    """
+    """Return the frames in which the confidence is computed, the first and the last of them at any rate."""
     return np.union1d(np.arange(0, count, max(1, math.floor(EVERY * rate_hz))), [count - 1])
 
 
@@ -93,12 +68,9 @@ def dynamics_confidence(
     errors: PoseErrors | None,
     rate_hz: float,
 ) -> DynamicsConfidence:
-    """Return the confidence in some frames.
-
-    Args:
-        body: with the subject's mass. q, v, a: (n, nq), (n, nv), (n, nv), filtered.
-        carries: (n,) see `BodyDynamics.at`.
-        errors: of these frames; None: the component of the motion is NaN. rate_hz: of the motion, Hz.
+    """Return the confidence in some frames; body: with the subject's mass; q, v, a: (n, nq), (n, nv), (n, nv),
+    filtered; carries: (n,) see `BodyDynamics.at`; errors: of these frames; None: the component of the motion is NaN;
+    rate_hz: of the motion, Hz.
     """
     n, D = len(q), body.skeleton.nv - 6
     torques, wrench = np.full((2, n, D), np.nan), np.full((2, n, 6, 6), np.nan)
@@ -115,11 +87,7 @@ def dynamics_confidence(
 
 
 def interpolated(nodes: Index, values: Array, count: int) -> Array:
-    """Return values (2, count, ...) between nodes.
-
-    Args:
-        nodes: (n,) frames, from 0 to count - 1. values: (2, n, ...).
-    """
+    """Return values (2, count, ...) between nodes; nodes: (n,) frames, from 0 to count - 1; values: (2, n, ...)."""
     frames = np.arange(count)
     after = np.clip(np.searchsorted(nodes, frames), 1, max(len(nodes) - 1, 1)) if len(nodes) > 1 else frames
     if len(nodes) == 1:
@@ -316,10 +284,9 @@ def _confidence_notes(found: _Arrays) -> list[str]:
             f"({100 * MASS_SIGMA:.0f} % of each segment)"
         ]
     return [
-        "standard deviations: errors of the motion by its confidence (in simulation with held-out people 1.0 "
-        "to 2.5 times the actual errors of torques; of the vertical force, without sensors, half of them), "
-        f"masses of segments to {100 * MASS_SIGMA:.0f} %; bone lengths, body mass and impacts faster than "
-        f"{CUTOFF_HZ:g} Hz are not in them"
+        "standard deviations: errors of the motion by its confidence (in simulation with held-out people 1.0 to 2.5 "
+        "times the actual errors of torques; of the vertical force, without sensors, half of them), masses of segments "
+        f"to {100 * MASS_SIGMA:.0f} %; bone lengths, body mass and impacts faster than {CUTOFF_HZ:g} Hz are not in them"
     ]
 
 

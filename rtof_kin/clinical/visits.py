@@ -134,10 +134,8 @@ def _stride_sigma(stride: Stride, covariance: Array, analysis: MotionAnalysis) -
 
 
 def incomparable(visits: Sequence[Visit], baseline: int) -> tuple[str, ...]:
-    """Return sentences on what makes visits not comparable with the baseline, the gravest first.
-
-    Args:
-        baseline: index of the visit that the others are compared with.
+    """Return sentences on what makes visits not comparable with the baseline, the gravest first; baseline: index of the
+    visit that the others are compared with.
     """
     first, lines = visits[baseline], list[str]()
     for visit in visits:

@@ -177,11 +177,7 @@ class SectionVerdict:
 
 
 def section_verdict(section: str, results: Sequence[AuditResult], most: int = 6) -> SectionVerdict:
-    """Return the verdict on a section.
-
-    Args:
-        section: one of `SECTIONS`. results: of any sections.
-    """
+    """Return the verdict on one of `SECTIONS`, by results of any sections."""
     own = [result for result in results if result.section == section]
     grades = {result.grade for result in own}
     grade = next((worse for worse in WORST_FIRST if worse in grades), Grade.NOT_CHECKED)
@@ -194,10 +190,8 @@ def section_verdict(section: str, results: Sequence[AuditResult], most: int = 6)
 
 
 def result_lines(results: Sequence[AuditResult], grade: Grade) -> Iterator[str]:
-    """Yield the lines of one grade; results with the same name are merged into the line of the worst.
-
-    Args:
-        results: of any grade. grade: to list; for WEAK, remarks replace the single figures.
+    """Yield the lines of one grade; results with the same name are merged into the line of the worst, and for WEAK
+    remarks replace the single figures.
     """
     chosen = [result for result in results if result.grade is grade]
     if grade is Grade.WEAK:
@@ -255,11 +249,7 @@ class Headline:
 
 
 def headline(results: Sequence[AuditResult]) -> Headline:
-    """Return the overall grades and the headline of an audit.
-
-    Args:
-        results: of `rtof_kin.reporting.audit`, or of some of its sections.
-    """
+    """Return the overall grades and the headline of an audit, or of some of its sections."""
     present = {result.section for result in results}
     sections = tuple(section_verdict(section, results) for section in SECTIONS if section in present)
     of_room = next((verdict.grade for verdict in sections if verdict.section == ROOM), None)

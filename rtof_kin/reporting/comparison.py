@@ -110,11 +110,8 @@ def compare(
 def document(
     found: Comparison, why: str = "", mapped: ComparisonSpm | None = None, all_printed: bool = False
 ) -> Document:
-    """Return a comparison as a document.
-
-    Args:
-        why: of the choice of the axis; '' if it was given. mapped: its SPM.
-        all_printed: whether the terminal shows all angles.
+    """Return a comparison as a document; why: of the choice of the axis; '' if it was given; mapped: its SPM;
+    all_printed: whether the terminal shows all angles.
     """
     headline, *others = _opening(found, why)
     names = Markup('<p class="legend"><span class="key A"></span> A: {} <span class="key B"></span> B: {}</p>')
@@ -207,11 +204,7 @@ def _other_system(path: Path) -> Compared:
 
 
 def _opening(found: Comparison, why: str) -> list[str]:
-    """Return the first lines: identity, what against what, the axis, and the changes.
-
-    Args:
-        why: of the choice of the axis; '' if it was given.
-    """
+    """Return the first lines: identity, what against what, the axis (and why, if it was chosen), and the changes."""
     lines = ["A and B are identical: the same angles at the same times."] if found.identical else []
     if _same_values(found) and not lines:
         lines = ["A and B have the same values, to 0.01 deg, wherever they are compared."]
@@ -265,11 +258,7 @@ def _cautions(found: Comparison) -> list[str]:
 
 
 def degrees(value: float, sign: bool = False, digits: int = 1) -> str:
-    """Return an angle in degrees; '' for NaN.
-
-    Args:
-        value: rad.
-    """
+    """Return an angle, rad, in degrees; '' for NaN."""
     return fixed(float(np.degrees(value)), digits, sign)
 
 

@@ -88,11 +88,7 @@ class Table:
         return cls(tuple(records[0]), [tuple(record.values()) for record in records])
 
     def text(self, missing: str = "") -> list[list[Any]]:
-        """Return the cells as texts; badges and HTML remain what they are.
-
-        Args:
-            missing: for None and NaN.
-        """
+        """Return the cells as texts, `missing` for None and NaN; badges and HTML remain what they are."""
         digits = self.digits or (None,) * len(self.columns)
         return [[_shown(cell, own, missing) for cell, own in zip(row, digits, strict=True)] for row in self.rows]
 
@@ -271,11 +267,7 @@ def write_figures(figures: Iterable[Figure], folder: Path) -> dict[str, bytes]:
 
 
 def page(document: Document, pictures: Mapping[str, bytes] | None = None) -> str:
-    """Return a document as one HTML page.
-
-    Args:
-        pictures: of `write_figures`.
-    """
+    """Return a document as one HTML page, with the pictures of `write_figures`."""
     images = {name: base64.b64encode(data).decode() for name, data in (pictures or {}).items()}
     return render(
         "document.html",
@@ -291,11 +283,7 @@ def page(document: Document, pictures: Mapping[str, bytes] | None = None) -> str
 
 
 def badge(grade: Grade, word: str = "") -> Badge:
-    """Return the badge of a grade.
-
-    Args:
-        word: in place of that of `GRADE_WORDS`.
-    """
+    """Return the badge of a grade, with a word in place of that of `GRADE_WORDS`."""
     return Badge(word or GRADE_WORDS[grade], grade.value.replace(" ", "-"))
 
 

@@ -30,11 +30,7 @@ STAGE_COLORS: Final = {
 
 
 def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
-    """Write all figures that apply as PNG, and return their paths.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Write all figures that apply as PNG, and return their paths."""
     figures = {"skeletons": skeletons(result), "joint_angles": joint_angles(result)}
     if result.stage_metrics:
         figures["error_over_time"] = error_over_time(result)
@@ -42,11 +38,7 @@ def write_figures(result: Reconstruction, folder: str | Path) -> list[Path]:
 
 
 def save_figures(figures: Mapping[str, Plot], folder: str | Path) -> list[Path]:
-    """Write figures as PNG, and return their paths.
-
-    Args:
-        figures: name of the file without suffix -> figure.
-    """
+    """Write figures by the names of their files as PNG, and return their paths."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     paths = []
@@ -98,11 +90,7 @@ def skeletons(result: Reconstruction, instants: int = 5) -> Plot:
 
 
 def error_over_time(result: Reconstruction) -> Plot:
-    """Plot the mean joint error of each stage, absolute and relative to the root, over time.
-
-    Args:
-        result: of `reconstruct`, with a reference.
-    """
+    """Plot the mean joint error of each stage over time, absolute and relative to the root, by a reference."""
     from matplotlib.figure import Figure as Plot
 
     figure = Plot(figsize=(11, 6), layout="constrained")
@@ -124,11 +112,7 @@ def error_over_time(result: Reconstruction) -> Plot:
 
 
 def joint_angles(result: Reconstruction) -> Plot:
-    """Plot flexion of knees and elbows over time, with the reference if there is one.
-
-    Args:
-        result: of `reconstruct`.
-    """
+    """Plot flexion of knees and elbows over time, with the reference if there is one."""
     skeleton, poses = result.motion.skeleton, result.motion.poses
     truth = _truth_at(result)
     joints = hinges(skeleton)
@@ -169,11 +153,7 @@ def _sides(result: Reconstruction) -> tuple[list[tuple[Array, str]], str]:
 
 
 def views(R_camera_world: Array) -> list[tuple[Array, str]]:
-    """Return the projections (2, 3) of a camera's view and of the view from its right, with axis labels.
-
-    Args:
-        R_camera_world: (3, 3).
-    """
+    """Return the projections (2, 3) of a camera's view (3, 3) and of the view from its right, with axis labels."""
     R = R_camera_world
     looks_down = np.hypot(*R[2, :2]) < 0.1  # then the top of the image is ahead
     forward = -R[1] if looks_down else R[2].copy()

@@ -189,10 +189,8 @@ def _origin(summary: Summary, session: Session, made: str) -> str:
 
 
 def range_tables(ranges: Iterable[RangeOfMotion], rows: Iterable[AngleRow]) -> list[Table]:
-    """Return the ranges of motion of pelvis and trunk, then right against left; no tables without an angle.
-
-    Args:
-        rows: the angles; headings among them have no range of motion.
+    """Return the ranges of motion of pelvis and trunk, then right against left; no tables without an angle. Headings
+    among the rows have no range of motion.
     """
     named = {row.name: row for row in rows}
     found: dict[str, dict[str, RangeOfMotion]] = {}
@@ -333,11 +331,7 @@ def gait_table(gait: GaitAnalysis) -> Table:
 
 
 def torque_tables(torques: JointTorques | None, skeleton: SkeletonTable) -> list[Table]:
-    """Return the peak torques, right against left; none without a body mass.
-
-    Args:
-        skeleton: whose degrees of freedom they act on.
-    """
+    """Return the peak torques on the skeleton's degrees of freedom, right against left; none without a body mass."""
     if torques is None:
         return []
     found: dict[str, dict[str, tuple[str, str, str]]] = {}

@@ -87,10 +87,8 @@ def follow(
 
 
 def document(found: FollowUp, notes: Sequence[str] = (), all_printed: bool = False) -> Document:
-    """Return a follow-up as a document.
-
-    Args:
-        notes: cautions about the input. all_printed: whether the terminal shows all measures.
+    """Return a follow-up as a document; notes: cautions about the input; all_printed: whether the terminal shows all
+    measures.
     """
     headline, *others = _opening(found)
     subject = found.visits[0].trials[0].setup.subject or "Follow-up"
@@ -136,11 +134,7 @@ def name_of(measure: Measure) -> str:
 
 
 def value_text(measure: Measure, value: float, sign: bool = False) -> str:
-    """Return a value in its unit of output, without the unit; '' for NaN.
-
-    Args:
-        value: in the unit of computation.
-    """
+    """Return a value, in the unit of computation, in that of output, without the unit; '' for NaN."""
     return fixed(value * measure.scale, _DIGITS[measure.unit], sign)
 
 
@@ -202,11 +196,7 @@ def _listed(shown: Sequence[Followed], visit: int) -> str:
 
 
 def reasoning(one: Followed, visit: int) -> str:
-    """Return one sentence on why a measure has its outcome.
-
-    Args:
-        visit: index of the visit, not of the baseline.
-    """
+    """Return one sentence on why a measure has its outcome at a visit, not the baseline."""
     change, outcome, unit = one.changes[visit], one.outcome(visit), one.measure.unit
     if change is None:
         return "Not observed, or not reliably, in this visit or in the baseline."
