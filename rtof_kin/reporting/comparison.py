@@ -34,11 +34,12 @@ from rtof_kin.clinical.comparison_samples import POOR, Alignment
 from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
+from rtof_kin.core.checks import some
 from rtof_kin.core.errors import FileFormatError, InvalidInputError
 from rtof_kin.data.confidence import BAND_95
 from rtof_kin.formats.opensim import SUFFIXES, read_opensim_table
 from rtof_kin.reporting.angle_names import label
-from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number, some
+from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number
 from rtof_kin.reporting.plot_data import MOST_SAMPLES, Data, packed, shown_frames
 from rtof_kin.reporting.summary_file import SUMMARY, read_summary
 

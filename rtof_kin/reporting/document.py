@@ -300,11 +300,6 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
     return text if float(text) else text.lstrip("-+")
 
 
-def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
-    """Return the first names, and how many more there are."""
-    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
 def _known(cell: Cell) -> Cell:
     if isinstance(cell, str):
         return _plain(cell)

@@ -20,7 +20,7 @@ from rtof_kin.clinical.comparison_change import LEVEL
 from rtof_kin.clinical.follow_up import Followed, FollowUp, Outcome, Repeated, Sem, follow_up
 from rtof_kin.clinical.visits import Better, Measure, Movement
 from rtof_kin.core.array_types import Array
-from rtof_kin.core.checks import indices_of
+from rtof_kin.core.checks import indices_of, some
 from rtof_kin.reporting.angle_names import SIDE_COLORS, label, side_and_name
 from rtof_kin.reporting.document import Badge, Cell, Document, Figure, Section, Table, fixed, number
 from rtof_kin.reporting.visit_folders import Progress, read_visits
@@ -188,11 +188,10 @@ def _listed(shown: Sequence[Followed], visit: int) -> str:
     named = [
         f"{name_of(one.measure)} {one.outcome(visit)} "
         f"({value_text(one.measure, change.difference, True)} {one.measure.unit})"
-        for one in sorted(shown, key=p)[:_MOST]
+        for one in sorted(shown, key=p)
         if (change := one.changes[visit]) is not None
     ]
-    more = f" and {len(shown) - _MOST} more" if len(shown) > _MOST else ""
-    return "; ".join(named) + more
+    return some(named, _MOST, "; ")
 
 
 def reasoning(one: Followed, visit: int) -> str:
