@@ -344,11 +344,7 @@ def _rms(values: Array) -> float:
 
 
 def bone_groups(skeleton: SkeletonModel, names: Sequence[str]) -> tuple[tuple[str, tuple[int, ...]], ...]:
-    """Return groups of bones with the joints at their ends.
-
-    Args:
-        names: of `BONE_GROUPS`, or 'all'.
-    """
+    """Return groups of bones, of `BONE_GROUPS` or 'all', with the joints at their ends."""
     known = {n: tuple(j for j in joints if j in skeleton.names) for n, joints in BONE_GROUPS.items()}
     known["all"] = tuple(skeleton.names[1:])
     indices_of("group of bones", names, tuple(known))

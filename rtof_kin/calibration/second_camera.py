@@ -148,11 +148,7 @@ class _System:
         self._force = self._g_c - eliminated[:, _UNKNOWNS]
 
     def step(self, prior: Array) -> tuple[Array, Array]:
-        """Gauss-Newton step (10,), and that of the joints (F, n, 3).
-
-        Args:
-            prior: (10,) inverse variances, relative to one frame.
-        """
+        """Gauss-Newton step (10,), and that of the joints (F, n, 3); prior: inverse variances relative to one frame."""
         step = -np.linalg.solve(self.information + np.diag(prior), self._force + prior * self._x)
         dp = -self._solved[..., _UNKNOWNS] - self._solved[..., :_UNKNOWNS] @ step
         return step, dp.reshape(self._shape)

@@ -282,11 +282,7 @@ class SequentialCalibration:
         self._quantities = self._listed()
 
     def corrections(self, seconds: float) -> Corrections:
-        """Return what to apply to new samples.
-
-        Args:
-            seconds: since the last call; limits the change.
-        """
+        """Return what to apply to new samples, changed as much as the seconds since the last call allow."""
         wanted, delay = self._wanted()
         most, step = self._pace.turn * seconds, self._pace.delay * seconds
         self._applied += np.clip(wanted - self._applied, -most, most)
@@ -302,20 +298,12 @@ class SequentialCalibration:
         )
 
     def applied(self, given: CalibrationObservations, sampled: Sampled) -> CalibrationObservations:
-        """Return observations corrected by what `corrections` returned last.
-
-        Args:
-            given, sampled: as of `WindowObservations`.
-        """
+        """Return observations, as of `WindowObservations`, corrected by what `corrections` returned last."""
         late = sampled(given.times - self._applied_delay) if self.delay else None
         return self._by(self._applied, given, late)
 
     def as_self_calibration(self, significant: float | None = None) -> SelfCalibration:
-        """Return the present estimate, as `calibrate` would.
-
-        Args:
-            significant: as in `Pace`, which has the default.
-        """
+        """Return the present estimate, as `calibrate` would; `significant` as in `Pace`, which has the default."""
         return SelfCalibration(self._listed(significant), converged=self.windows > 0)
 
     def _by(self, y: Array, given: CalibrationObservations, sampled: Sensors | None) -> CalibrationObservations:

@@ -15,10 +15,7 @@ _log = logging.getLogger(__name__)
 
 
 def optional(module: str, extra: str, purpose: str = "this", remedy: str = "") -> Any:
-    """Import a module of an optional package.
-
-    Args:
-        extra: this package's extra that installs it. purpose: what needs it, the subject of the error's sentence.
+    """Import a module of an optional package, which this package's extra installs; the error says what needs it.
 
     Raises:
         MissingPackageError: it is not installed, or its libraries cannot be loaded.

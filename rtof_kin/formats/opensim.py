@@ -306,9 +306,6 @@ def _rotation(joint: str, axis: str, opensim: str, urdf: str, limits: tuple[floa
 def coordinate_values(motion: AnyMotion) -> tuple[tuple[Coordinate, ...], Array]:
     """Return the coordinates of a motion and their values (T, C), rad and m, continuous over time.
 
-    Args:
-        motion: its configurations must be known, see `formats.motion_views.pieces`.
-
     Raises:
         InvalidInputError: a configuration is unknown.
     """

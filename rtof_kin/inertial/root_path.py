@@ -116,10 +116,8 @@ def detect_contacts(
 
 
 def contact_points(contacts: Contacts, p_world: Array, height: float) -> ContactPoints:
-    """Return the median horizontal position of each contact, at a height.
-
-    Args:
-        p_world: (T, C, 3) their positions, m. height: of the ankles, m.
+    """Return the median horizontal position of each contact, of positions (T, C, 3), m, at a height of the
+    ankles, m.
     """
     places = np.full_like(p_world, np.nan)
     for i, own in enumerate(contacts.standing.T):
