@@ -37,6 +37,11 @@ def readonly(field: str, value: ArrayLike, shape: Shape, dtype: Any = float) -> 
     return array
 
 
+def some(names: Sequence[str], most: int = 3, separator: str = ", ") -> str:
+    """Return the first names, and how many more there are."""
+    return separator.join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
 def freeze(record: object, name: str, **shapes: Shape) -> None:
     """Replace array fields of a frozen dataclass, in its ``__post_init__``, by `readonly` copies of these shapes."""
     for own, shape in shapes.items():

@@ -49,7 +49,11 @@ T = TypeVar("T")
 
 
 class Extensions(Generic[T]):
-    """What is added to one list of this package."""
+    """What is added to one list of this package.
+
+    An installed package names it in its ``pyproject.toml``, as an entry point of `group`, and every command and
+    function then knows it; a script adds it for its own process.
+    """
 
     def __init__(self, group: str, kind: type[T], name: Callable[[T], str]) -> None:
         """Describe the list."""

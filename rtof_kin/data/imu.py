@@ -267,7 +267,17 @@ class BoneImuSequence:
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Rotations of each sensor to world and to its segment, and its position in the segment."""
+    """Rotations of each sensor to world and to its segment, and its position in the segment.
+
+    ::
+
+        R_world_bone = R_world_inertial . R_inertial_sensor . R_sensor_bone
+        a_world      = R_world_inertial . R_inertial_sensor . f_sensor + g,    g = (0, 0, -9.80665)
+
+    The paper has R^imu = R_kj^-1 R_kg R_k (eq. 1); the frames close only in the order above, with
+    R_kg = R_world_inertial, R_k = R_inertial_sensor and R_kj = R_sensor_bone^-1. It subtracts an upward g (eq. 6);
+    here g points down and is added.
+    """
 
     sensors: tuple[str, ...]
     """S sensor names."""

@@ -1,4 +1,4 @@
-"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.measurements`.
+"""``measurements.h5``: what a motion was computed from, beside ``motion.h5``; see `data.keypoints.Measurements`.
 
 The bytes of the array `header` are JSON: names, cameras and faults. The others have the attributes unit, frame, shape:
 

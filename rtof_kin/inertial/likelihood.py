@@ -341,6 +341,14 @@ class Headings:
 def own_headings(likelihood: MotionLikelihood, motions: Sequence[SegmentMotion], R_pose: Array) -> Headings:
     """Estimate a heading for each of S sensors calibrated in a pose, R_world_bone (S, 3, 3) of their segments, with
     headings 0.
+
+    In the pose, at time 0, they are right for any heading h of their reference::
+
+        R_world_bone(t; h) = Rz(h) R_inertial_sensor(t) R_inertial_sensor(0)^T Rz(-h) R_pose.
+
+    h changes the axis in the body about which the segment rotates afterwards; an axis that is vertical in the pose does
+    not determine it. The likelihood is maximised exactly on a grid of headings over the tree of compared pairs
+    (max-product, Pearl 1988), then refined.
     """
     turned = _Turned(likelihood, motions, R_pose)
     angles = turned.best_on_grid()

@@ -2,6 +2,9 @@
 
 Laidig and Seel, Information Fusion 91 (2023), in the library of its authors. The offline filter uses the
 past and the future of each sample, the causal one only the past.
+
+Axes of a phone, with the screen towards the viewer: x to the right, y up, z out of the screen, as Android and iOS
+define them; the camera at its back looks along -z.
 """
 
 from __future__ import annotations

@@ -80,7 +80,13 @@ class MocapClip:
 
 
 def map_motion(motion: ArticulatedMotion, family: Family, unit_m: float, rate_hz: float, name: str) -> MocapClip:
-    """Map a motion without artificial frames to the package's joints, at its rate; `unit_m` is the source's unit, m."""
+    """Map a motion without artificial frames to the package's joints, at its rate; `unit_m` is the source's unit, m.
+
+    A segment's orientation is its source's rotation from the T-pose, in axes x forward, y left, z up:
+    ``R_world_bone(t) = R_world_source(t) R_world_source(T-pose)^T``. Where the T-pose spreads legs or lowers arms, a
+    constant minimal rotation first brings thighs and shanks to -z, arms to +-y. Joint offsets are those of the T-pose
+    and constant: positions are forward kinematics.
+    """
     offsets = restored_offsets(motion, family)
     rigid = replace(motion, offsets=offsets, p_parent_joint=None)
     p_source, R_source = rigid.forward_kinematics()

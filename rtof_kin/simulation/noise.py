@@ -280,6 +280,10 @@ def simulate_imus(
 ) -> tuple[ImuSequence, ImuCalibration]:
     """Simulate the samples of sensors on a body, and their calibration, exact but for the misalignment.
 
+    A sensor has its usual position on its segment, a random mounting and heading. Its specific force is
+    ``R_world_sensor^T (a - g)``, a the second derivative of the cubic spline through ``p_joint + R_world_bone lever``.
+    Slip rotates the sensor on the segment, so that orientation and acceleration stay consistent in sensor axes.
+
     Args:
         rng: source of randomness; a subset of the sensors has the same errors as the whole set.
         sensors: names in the skeleton's table. times: (T',) s, inside the poses' times.
