@@ -55,10 +55,8 @@ class UnitCheck:
         self._still &= (R[1:] == R[:-1]).all(axis=(0, 2, 3))
 
     def check(self, names: Sequence[str]) -> None:
-        """Check the samples that were added.
-
-        Raises:
-            UnitError: a sensor's unit is another one, or its gravity was removed.
+        """Check the samples that were added; `UnitError` where a sensor's unit is another one, or its gravity was
+        removed.
         """
         norms = np.concatenate(self._norms)
         turned = np.sum(self._turned, axis=0)
@@ -223,13 +221,8 @@ class BoneImuSequence:
 
     @classmethod
     def joined(cls, parts: Sequence[Self], times: ArrayLike) -> Self:
-        """Join sensors at given times; `resample` those with other times.
-
-        Args:
-            parts: any number of sensors each. times: (T,) s.
-
-        Raises:
-            InvalidInputError: there are none, or two of the same segment.
+        """Join sensors at given times (T,), s; `resample` those of others. `InvalidInputError`: none, or two of a
+        segment.
         """
         joints = [joint for part in parts for joint in part.joints]
         if not parts or len(set(joints)) < len(joints):
@@ -343,10 +336,8 @@ class ImuCalibration:
         )
 
     def apply(self, imus: ImuSequence) -> BoneImuSequence:
-        """Return orientations of the segments and accelerations in world without gravity.
-
-        Raises:
-            CalibrationError: a sensor has no calibration.
+        """Return orientations of the segments and accelerations in world without gravity; `CalibrationError` where a
+        sensor has no calibration.
         """
         missing = [name for name in imus.names if name not in self.sensors]
         if missing:

@@ -62,11 +62,7 @@ class Declaration:
             raise InvalidInputError(f"rate_hz is {self.rate_hz:g}; give a positive number of samples per second")
 
     def changed(self, **values: Any) -> Self:
-        """Return the declaration with other values of some fields; None leaves one unchanged.
-
-        Raises:
-            UnknownNameError: an unknown field or value.
-        """
+        """Return the declaration with other values, unless None, of some fields; `UnknownNameError` for others."""
         known = [f.name for f in fields(self)]
         unknown = [name for name in values if name not in known]
         if unknown:
@@ -94,10 +90,7 @@ class Declaration:
 
     def specific_force(self, acceleration: Array, R_inertial_sensor: Array | None = None) -> Array:
         """Return f_sensor (T, 3), m/s^2. Gravity removed or inertial axes require R_inertial_sensor (T, 3, 3) of
-        `rotations`.
-
-        Raises:
-            InvalidInputError: it is required and not given.
+        `rotations`, else `InvalidInputError`.
         """
         a = np.asarray(acceleration, dtype=np.float64) * _METRES[self.acceleration_unit]
         if self.gravity == "included" and self.acceleration_axes == "sensor":
@@ -315,20 +308,16 @@ class SensorLog:
         return replace(self, streams=tuple(self.streams[i] for i in index))
 
     def renamed(self, names: Mapping[str, str]) -> Self:
-        """Rename sensors, e.g. from serial numbers to segments.
-
-        Raises:
-            UnknownNameError: a sensor does not exist. InvalidInputError: two would have the same name.
+        """Rename sensors, e.g. from serial numbers to segments; `UnknownNameError` for no sensor, `InvalidInputError`
+        where two would have the same name.
         """
         indices_of("sensor", list(names), self.names)
         streams = [replace(s, name=names.get(s.name, s.name)) for s in self.streams]
         return replace(self, streams=tuple(streams))
 
     def imus(self) -> tuple[ImuSequence, ...]:
-        """Return orientation and specific force for a recording, sensors with equal times joined.
-
-        Raises:
-            InvalidInputError: a sensor has no orientation or no acceleration.
+        """Return orientation and specific force for a recording, sensors with equal times joined; `InvalidInputError`
+        where one has no orientation or no acceleration.
         """
         groups: dict[bytes, list[ImuSequence]] = {}
         for stream in self.streams:

@@ -91,10 +91,8 @@ def read_imu_calibration_toml(path: str | Path, skeleton: SkeletonModel) -> ImuC
 
 
 def write_imu_calibration_toml(path: str | Path, calibration: ImuCalibration, overwrite: bool = False) -> None:
-    """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. RtofError: it cannot be written.
+    """Write a calibration, which `read_imu_calibration_toml` reads back to the same bits; errors as
+    `core.files.folder.new_file`.
     """
     content = {"sensors": calibration_table(calibration)}
     write_text(Path(path), tomli_w.dumps(content), overwrite)

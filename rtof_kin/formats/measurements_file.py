@@ -94,11 +94,7 @@ class MeasurementsReader:
     """
 
     def __init__(self, path: str | Path):
-        """Read what does not change over time.
-
-        Raises:
-            FileFormatError: missing, damaged, of a newer schema, or an array is missing.
-        """
+        """Read what does not change over time; errors as `read_measurements`."""
         self.path = Path(path)
         with ExitStack() as failed:
             self._file = file = failed.enter_context(ArrayFile(self.path))

@@ -84,10 +84,8 @@ def check_known(motion: AnyMotion) -> None:
 
 
 def even_times(times: Array) -> Array:
-    """Return the even grid (T,), s, nearest to measured times (T,), s.
-
-    Raises:
-        InvalidInputError: a time is more than `MOST_UNEVEN` frames beside the grid.
+    """Return the even grid (T,), s, nearest to measured times (T,), s; `InvalidInputError` where one is more than
+    `MOST_UNEVEN` frames beside it.
     """
     times = checked_times("motion times", times)
     even, step = np.linspace(times[0], times[-1], len(times), retstep=True)

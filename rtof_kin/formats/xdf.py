@@ -87,10 +87,8 @@ class _CutError(Exception):
 
 
 def read_structure(path: Path) -> XdfStructure:
-    """Return the streams of a file, all of whose intact chunks fit together.
-
-    Raises:
-        FileFormatError: no XDF file, or damaged; names the byte.
+    """Return the streams of a file, all of whose intact chunks fit together; else `FileFormatError`, which names the
+    byte.
     """
     try:
         with path.open("rb") as stream:

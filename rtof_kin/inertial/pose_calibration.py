@@ -76,10 +76,8 @@ def pose_rotations(pose: str | ArrayLike, skeleton: SkeletonModel) -> Array:
 
 
 def facing_of(R_world_bone: Array) -> float:
-    """Return the heading of the root's forward axis in R_world_bone (J, 3, 3) of a pose, rad about z from x.
-
-    Raises:
-        InvalidInputError: the axis is vertical.
+    """Return the heading of the root's forward axis in R_world_bone (J, 3, 3) of a pose, rad about z from x;
+    `InvalidInputError` where it is vertical.
     """
     forward = R_world_bone[0, :, 0]
     if np.hypot(forward[0], forward[1]) < np.sin(np.radians(10.0)):

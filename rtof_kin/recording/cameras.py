@@ -157,13 +157,8 @@ def _number_of(value: float, unit: float) -> float:
 def filmed_stream(
     camera: CameraTable, keypoints: KeypointsTable, skeleton: SkeletonModel, source: Source
 ) -> tuple[Stream[KeypointSequence], str]:
-    """Read a camera and open its keypoints; those of a camera that turns are stabilised.
-
-    Returns:
-        The keypoints, and a note about the turning, empty without one.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
+    """Read a camera and open its keypoints; those of a camera that turns are stabilised, and a note, else empty, says
+    so. Errors as `read_camera`.
     """
     seen = read_camera(camera)
     found = _keypoint_stream(keypoints, seen, skeleton, source)

@@ -54,10 +54,8 @@ class Session:
 
     @classmethod
     def of(cls, labels: Mapping[str, Any]) -> Self:
-        """Make the labels from plain data by field; missing fields are unknown.
-
-        Raises:
-            InvalidInputError: a label is not text, or the date not a day.
+        """Make the labels from plain data by field; missing ones are unknown. `InvalidInputError`: no text, or the date
+        no day.
         """
         known = {field.name: labels.get(field.name, "") for field in fields(cls)}
         for name, text in known.items():
@@ -122,11 +120,7 @@ def index_of(folder: Path) -> RecordingTable:
 
 
 def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], Streams]:
-    """Return the fields of a `Recording`, and open its streams.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
-    """
+    """Return the fields of a `Recording`, and open its streams; errors as `read_camera`."""
     subject, notes = index.subject, index.notes.text
     facts: dict[str, Any] = {
         "skeleton_table": index.skeleton.table,

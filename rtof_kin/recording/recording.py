@@ -361,11 +361,7 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a folder that has a file ``recording.toml``; to be closed after use.
-
-        Raises:
-            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
-        """
+        """Open a folder that has a file ``recording.toml``; to be closed after use. Errors as `Recording.load`."""
         try:
             return cls._opened(Path(folder))
         except RtofError:

@@ -108,10 +108,9 @@ class SimulationSettings:
 
     @classmethod
     def independent(cls) -> Self:
-        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs.
-
-        Each joint has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is
-        late by 1 to 4 frames. Real detectors' errors are correlated and depend on the view (`realistic`).
+        """Return joints with errors that are independent of each other and of the pose, with realistic IMUs. Each joint
+        has a constant bias, a slow drift and outliers of its own (`KeypointNoise`); the video is late by 1 to 4 frames.
+        Real detectors' errors are correlated and depend on the view (`realistic`).
         """
         return cls(keypoints=KeypointNoise(), video_lag_frames=(1.0, 4.0))
 
@@ -241,10 +240,9 @@ def low_passed(clip: MocapClip, cutoff_hz: float) -> MocapClip:
 
 
 def standard_cameras(poses: PoseSequence, seed: int) -> list[Camera]:
-    """Return the benchmark's four cameras around a motion, about 90 degrees apart.
-
-    1920 x 1080, f = 1250 px, 0.8-2.6 m high, aimed at the middle of the motion from 3-6 m away, or from
-    further where less than nine tenths of it would be in view.
+    """Return the benchmark's four cameras around a motion, about 90 degrees apart: 1920 x 1080, f = 1250 px, 0.8-2.6 m
+    high, aimed at the middle of the motion from 3-6 m away, or from further where less than nine tenths of it would be
+    in view.
     """
     rng = np.random.default_rng(seed)
     p = poses.p_world_joint[np.isfinite(poses.p_world_joint).all(axis=(1, 2))]

@@ -90,10 +90,7 @@ class Detections:
         cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
         """Create detections from the people of each frame by number, at times (T,), s; frames without an entry are
-        empty.
-
-        Raises:
-            InvalidInputError: no people, different numbers of points, or too much data.
+        empty. `InvalidInputError`: no people, different numbers of points, or too much data.
         """
         sizes = {number: {len(p.points) for p in people} for number, people in frames.items()}
         K = next((size for some in sizes.values() for size in some), None)
@@ -286,12 +283,9 @@ def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Ar
 
 
 def read_pixel_trc(path: Path) -> Detections:
-    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it.
-
-    Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
-
-    Raises:
-        FileFormatError: unreadable, in metres, or of markers that are no detector's points.
+    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it; its header says metres. Points
+    of the layout that its markers belong to and that it lacks are missing. `FileFormatError`: unreadable, in metres, or
+    of markers that are no detector's points.
     """
     markers = read_trc(path, up="z")
     uv = markers.p_world[..., :2]

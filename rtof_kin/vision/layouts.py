@@ -106,10 +106,8 @@ def _canonical(name: str) -> str:
 
 
 def is_detector_point(name: str) -> bool:
-    """Return whether a name in a `KeypointSequence` is that of a detector's own point.
-
-    Raises:
-        UnknownNameError: the layout has no such point, or there is no such layout.
+    """Return whether a name in a `KeypointSequence` is that of a detector's own point; `UnknownNameError` where the
+    layout has no such point, or there is no such layout.
     """
     layout, point = layout_and_point(name)
     if layout and point not in (known := detector_table().layout(layout).points):
@@ -151,10 +149,8 @@ def add_layout(layout: Layout) -> None:
 
 
 def detector_table() -> DetectorTable:
-    """Return the shipped table with the layouts that were added.
-
-    Raises:
-        ExtensionError, InvalidInputError, UnknownNameError: that of an installed package cannot be used.
+    """Return the shipped table with the layouts that were added; `ExtensionError`, `InvalidInputError` or
+    `UnknownNameError` where that of an installed package cannot be used.
     """
     return _extended(ADDED.all())
 

@@ -80,10 +80,8 @@ class ModelSet:
 
 
 def model_sets(path: str | Path | None = None) -> tuple[ModelSet, ...]:
-    """Return all sets of models of a .toml file, by default the shipped one, the preferred first.
-
-    Raises:
-        FileFormatError: a field is missing or of the wrong kind.
+    """Return all sets of models of a .toml file, by default the shipped one, the preferred first; `FileFormatError`
+    where a field is missing or of the wrong kind.
     """
     return _read_sets(Path(path) if path is not None else model_path("detector_models.toml"))
 
@@ -116,10 +114,8 @@ def models_folder(wanted: ModelSet) -> Path:
 
 
 def cached_models(wanted: ModelSet) -> Path | None:
-    """Return the folder of a set if all its files are in the cache, after comparing their checksums.
-
-    Raises:
-        FileFormatError: a file is not the published one.
+    """Return the folder of a set if all its files are in the cache, after comparing their checksums; `FileFormatError`
+    where one is not the published one.
     """
     folder = models_folder(wanted)
     if not all((folder / file.name).is_file() for file in wanted.files):

@@ -95,10 +95,7 @@ def made_from(folder: Path) -> dict[str, str]:
 
 def fingerprint(*parts: object) -> str:
     """Return a SHA-256 of files and folders (`Path`, with all contents but manifests), and of other values by their
-    text.
-
-    Raises:
-        OSError: a file cannot be read.
+    text; OSError where a file cannot be read.
     """
     whole = hashlib.sha256()
     for part in parts:
@@ -139,10 +136,8 @@ def make_folders(path: Path) -> None:
 
 
 def sync(path: Path) -> None:
-    """Sync a file or folder to the disk; a folder is skipped where the system cannot sync it.
-
-    Raises:
-        OSError: it cannot be written, e.g. the disk is full.
+    """Sync a file or folder to the disk (OSError, e.g. if full); a folder is skipped where the system cannot sync
+    it.
     """
     folder = path.is_dir()
     with suppress(OSError) if folder else nullcontext():  # Windows does not open folders

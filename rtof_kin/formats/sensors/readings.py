@@ -111,11 +111,8 @@ def lost(times: Array, rate_hz: float | None = None) -> tuple[str, ...]:
 
 
 def aligned(first: Sequence[int], wrap: int) -> list[int]:
-    """Return what to add to each sensor's counts so that all begin within half a wrap of the first one.
-
-    Args:
-        first: count of each sensor's first packet; in one trial one may have 65535 and another 0.
-        wrap: the first number that the counters cannot show.
+    """Return what to add to each sensor's counts, which wrap at `wrap`, so that all begin within half a wrap of the
+    first packet of the first one; in one trial one may have 65535 and another 0.
     """
     return [wrap * round((first[0] - one) / wrap) for one in first]
 

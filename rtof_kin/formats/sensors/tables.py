@@ -442,10 +442,8 @@ def _first_line(path: Path) -> str:
 
 
 def read_phone(paths: Sequence[Path]) -> SensorLog:
-    """Read gyroscope and, where there is one, accelerometer of a phone as the sensor *phone*.
-
-    Raises:
-        FileFormatError: no gyroscope, or damaged.
+    """Read gyroscope and, where there is one, accelerometer of a phone as the sensor *phone*; `FileFormatError` without
+    gyroscope, or where damaged.
     """
     found: dict[str, tuple[Array, Array]] = {}
     left: list[str] = []
