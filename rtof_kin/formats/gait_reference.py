@@ -149,11 +149,7 @@ def _curves(person: PersonTable, side: str) -> list[Array]:
 
 
 def write_gait_reference(path: str | Path, reference: GaitReference, overwrite: bool = False) -> None:
-    """Write a reference, to a millionth of a degree.
-
-    Raises:
-        OutputExistsError: the file exists and `overwrite` is False. WritingError: it cannot be written.
-    """
+    """Write a reference, to a millionth of a degree; errors as `core.files.folder.new_file`."""
     about = {name: getattr(reference, name) for name in ("licence", "source", "system", "zero", "people")}
     data: dict[str, Any] = {"format": FORMAT, "version": VERSION} | about | {"unit": "deg"}
     if reference.speed_range is not None:

@@ -86,10 +86,8 @@ class Fault:
         return f"{self.what} ({ratio}{others}). {self.remedy}."
 
     def corrected(self, calibration: ImuCalibration) -> ImuCalibration:
-        """Return the calibration without the fault.
-
-        Raises:
-            CalibrationError: it has no sensor on one of the segments concerned.
+        """Return the calibration without the fault; `CalibrationError` where it has no sensor on one of the segments
+        concerned.
         """
         missing = [c.declared for c in self.changes if c.declared not in calibration.joints]
         if missing:
@@ -163,10 +161,8 @@ def diagnose_setup(
 def setup_log_likelihood(
     bone_imus: BoneImuSequence, skeleton: SkeletonModel, visual: PoseSequence | None = None
 ) -> float:
-    """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations.
-
-    Args:
-        bone_imus, skeleton, visual: as for `diagnose_setup`.
+    """Return the log-likelihood, nats, of the movement of calibrated sensors, to compare calibrations; see
+    `diagnose_setup`.
     """
     return _scores(bone_imus, skeleton, visual)[0].total(segment_motions(bone_imus))
 

@@ -74,11 +74,7 @@ def index_of(folder: Path) -> RecordingTable:
 
 
 def read_index(index: RecordingTable, source: Source) -> tuple[dict[str, Any], Streams]:
-    """Return the fields of a `Recording`, and open its streams.
-
-    Raises:
-        FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
-    """
+    """Return the fields of a `Recording`, and open its streams; errors as `read_camera`."""
     subject, notes = index.subject, index.notes.text
     facts: dict[str, Any] = {
         "skeleton_table": index.skeleton.table,
@@ -131,11 +127,7 @@ def body_of(
     mass_kg: float | None = None,
     sex: str | None = None,
 ) -> SkeletonModel:
-    """Return a table's skeleton with these offsets, or else this height and then these lengths.
-
-    Args:
-        skeleton_table, joint_offsets, bone_lengths, height, mass_kg, sex: fields of `Recording`.
-    """
+    """Return a table's skeleton with a `Recording`'s offsets, or else its height and then its lengths."""
     skeleton = shipped(skeleton_table)
     if joint_offsets is None:
         skeleton = skeleton if height is None else skeleton.with_height(height)

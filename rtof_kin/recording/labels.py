@@ -37,13 +37,8 @@ class Session:
 
     @classmethod
     def of(cls, labels: Mapping[str, Any]) -> Self:
-        """Make the labels from plain data.
-
-        Args:
-            labels: text by field; missing fields are unknown.
-
-        Raises:
-            InvalidInputError: a label is not text, or the date not a day.
+        """Make the labels from plain data by field; missing ones are unknown. `InvalidInputError`: no text, or the date
+        no day.
         """
         known = {field.name: labels.get(field.name, "") for field in fields(cls)}
         for name, text in known.items():

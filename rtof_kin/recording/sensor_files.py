@@ -101,9 +101,7 @@ def _opened(
 
 def _read_log(table: ImusTable, skeleton: SkeletonModel, named: Sequence[str] = ()) -> SensorLog:
     """Read the sensor files of a recording: those in use, by the segments that carry them, on the recording's clock.
-
-    Raises:
-        FileFormatError, UnknownNameError: the message names file, field and remedy.
+    Errors name file, field and remedy.
     """
     path = data_path(table, or_folder=True)
     declared = {name: getattr(table, name) for name in ("rate_hz", *CHOICES)}
@@ -143,13 +141,9 @@ def _mapped(table: ImusTable, log: SensorLog, skeleton: SkeletonModel, named: Se
 
 
 def imus_of_log(log: SensorLog) -> ImuSequence:
-    """Return orientation and specific force of all sensors at common times.
-
-    Orientations that are missing are estimated by VQF; a sensor of orientation alone has NaN for its
-    specific force. Sensors of other times are resampled to even times at the fastest sensor's rate.
-
-    Raises:
-        InvalidInputError: a sensor has neither an orientation nor what it is estimated from.
+    """Return orientation and specific force of all sensors at common times. Orientations that are missing are estimated
+    by VQF, else `InvalidInputError`; a sensor of orientation alone has NaN for its specific force. Sensors of other
+    times are resampled to even times at the fastest sensor's rate.
     """
     streams = log_with_orientation(log).streams
     unknown = {one.name: np.full((len(one), 3), np.nan) for one in streams if one.f_sensor is None}

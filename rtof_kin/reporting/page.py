@@ -23,6 +23,7 @@ from rtof_kin.clinical.gait import MEASURES, GaitAnalysis
 from rtof_kin.clinical.range_of_motion import RangeOfMotion
 from rtof_kin.clinical.torques import NO_WEIGHT, JointTorques
 from rtof_kin.clinical.travel import Travel
+from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.labels import Session
 from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
@@ -412,9 +413,8 @@ def _missing_data(motion: MotionSource) -> str:
     gaps = runs(~motion.masks.valid.any(axis=1))
     if not gaps:
         return f"no frame without an observation; missing samples: see {SECTIONS['streams']}"
-    spans = ", ".join(f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps[:8])
-    more = f" and {len(gaps) - 8} more" if len(gaps) > 8 else ""
-    return f"the person was not observed at {spans}{more}; interpolated, and marked as such"
+    spans = some([f"{times[start]:.2f} to {times[stop - 1]:.2f} s" for start, stop in gaps], 8)
+    return f"the person was not observed at {spans}; interpolated, and marked as such"
 
 
 def _verdicts(verdicts: Iterable[SectionVerdict], names: AngleTable) -> tuple[Table, list[str]]:

@@ -89,13 +89,8 @@ class Detections:
     def of_frames(
         cls, frames: Mapping[int, Sequence[Person]], times: Array | None = None, names: tuple[str, ...] | None = None
     ) -> Self:
-        """Create detections from the people of each frame.
-
-        Args:
-            frames: frame number -> people; frames without an entry are empty. times: (T,) s.
-
-        Raises:
-            InvalidInputError: no people, different numbers of points, or too much data.
+        """Create detections from the people of each frame by number, at times (T,), s; frames without an entry are
+        empty. `InvalidInputError`: no people, different numbers of points, or too much data.
         """
         sizes = {number: {len(p.points) for p in people} for number, people in frames.items()}
         K = next((size for some in sizes.values() for size in some), None)
@@ -124,10 +119,8 @@ class Detections:
         return np.asarray((self.confidence > 0).any(axis=-1))
 
     def in_pixels(self, width_px: int | None, height_px: int | None) -> Self:
-        """Return detections in pixels; coordinates up to 3 are taken as fractions of the image size.
-
-        Raises:
-            InvalidInputError: the image size is missing.
+        """Return detections in pixels; coordinates up to 3 are fractions of the image size, without which is
+        `InvalidInputError`.
         """
         largest = float(np.nanmax(np.abs(self.uv_px), initial=0.0))
         if largest > _LARGEST_RELATIVE:
@@ -141,11 +134,7 @@ class Detections:
 
 
 def of_body(found: Detections) -> Detections:
-    """Return detections without face and hands, where they are of a whole body; else unchanged.
-
-    Args:
-        found: in any layout.
-    """
+    """Return detections without face and hands, where they are of a whole body; else unchanged."""
     K = _BODY_OF_WHOLE.get(found.uv_px.shape[2])
     if K is None:
         return found
@@ -176,11 +165,7 @@ _NO_POINTS = {"frame", "frame_id", "index", ""}
 
 
 def read_csv_table(path: Path) -> Detections:
-    """Read a .csv of either form.
-
-    Raises:
-        FileFormatError: unreadable, or its columns are no points.
-    """
+    """Read a .csv of either form; `FileFormatError` where it is unreadable, or its columns are no points."""
     columns = read_csv(path)
     return _of_rows(path, columns) if has_rows(columns) else _of_columns(path, columns)
 
@@ -298,12 +283,9 @@ def _times(found: Mapping[str, Array], rows: Array, frames: Array, T: int) -> Ar
 
 
 def read_pixel_trc(path: Path) -> Detections:
-    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it.
-
-    Its header says metres. Points of the layout that its markers belong to and that it lacks are missing.
-
-    Raises:
-        FileFormatError: unreadable, in metres, or of markers that are no detector's points.
+    """Read the keypoints of one person from a TRC file in pixels, as Sports2D writes it; its header says metres. Points
+    of the layout that its markers belong to and that it lacks are missing. `FileFormatError`: unreadable, in metres, or
+    of markers that are no detector's points.
     """
     markers = read_trc(path, up="z")
     uv = markers.p_world[..., :2]

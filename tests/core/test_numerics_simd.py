@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rtof_kin.core.errors import ShapeError
 from rtof_kin.core.numerics import c_compiler as module
-from rtof_kin.core.numerics import simd, simd_codegen
-from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd, whole
+from rtof_kin.core.numerics import simd
+from rtof_kin.core.numerics.simd import Columns, Mapped, Over, compile_simd
 from rtof_kin.core.numerics.simd_codegen import GROUP, FrameFunction
 
 Array = NDArray[np.float64]
@@ -107,21 +106,6 @@ def test_every_operation_equals_the_interpreter() -> None:
                 np.testing.assert_allclose(own, expected, rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.usefixtures("vectors")
-def test_long_function_is_split_into_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    x = ca.SX.sym("x", 6)
-    values = [x[i] for i in range(6)]
-    for k in range(400):  # many values are used again much later
-        values.append(ca.sin(values[-1 - k % 5]) + 0.9 * values[k // 2] * values[(7 * k) % len(values)])
-    given = FrameFunction(ca.Function("long", [x], [ca.vertcat(*values[-50:])]))
-    rows = 0.3 * np.random.default_rng(0).normal(size=(11, 6))
-    (expected,) = one_by_one(given.function, rows)
-    for piece in (7, 100):
-        monkeypatch.setattr(simd_codegen, "_PIECE", piece)
-        (own,) = Mapped(code_of(given)["long"], given, len(rows))(rows)
-        np.testing.assert_allclose(own, expected, rtol=1e-10, atol=1e-12)
-
-
 def test_neighbouring_frames_are_the_shifted_array_and_zero_beyond() -> None:
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     given = FrameFunction(ca.Function("between", [x, y], [y - x]))
@@ -153,49 +137,8 @@ def test_placed_output_is_scattered_in_every_frame() -> None:
         np.testing.assert_allclose(columns.rows(total)[:, 0], rows.sum(axis=1), rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize("frames, padded", [(1, 8), (8, 8), (9, 16), (50, 56)])
-def test_columns_are_aligned_and_padded(frames: int, padded: int) -> None:
-    assert whole(frames) == padded
-    columns = Columns(frames)
-    array = columns.zeros(3)
-    assert array.ctypes.data % 64 == array.strides[0] % 64 == 0
-    assert array.shape[1] >= padded + 2 * GROUP
-    rows = np.arange(3.0 * frames).reshape(frames, 3)
-    np.testing.assert_array_equal(columns.rows(columns.given(rows)), rows)
-
-
 def zeros(rows: int, frames: int = 9) -> Array:
     return Columns(frames).at(Columns(frames).zeros(rows))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"x": zeros(3)}, r"input 0: \(3, 24\) where \(4, 16\)"),
-        ({"frames": 25}, r"input 0: \(4, 24\) where \(4, 32\) is expected"),
-        ({"s": np.zeros(1)}, r"input 1: \(1,\) where \(2,\) is expected"),
-        ({"out": [zeros(29, 40), zeros(4)]}, "output 0: give columns of double precision, of one width"),
-        ({"x": zeros(4).astype(np.float32)}, "input 0: give columns of double precision"),
-        ({"out": [zeros(29)]}, "everything: give 2 inputs and 2 outputs"),
-    ],
-)
-def test_arrays_of_wrong_shape_or_layout_are_refused(change: dict[str, Any], message: str) -> None:
-    given = everything()
-    right = {"x": zeros(4), "s": np.zeros(2), "out": [zeros(29), zeros(4)], "frames": 9}
-    x, s, out, frames = (right | change).values()
-    with pytest.raises(ShapeError, match=message):
-        Over(code_of(given)["everything"], given, frames, [x, s], out)
-
-
-def test_places_outside_the_rows_are_refused() -> None:
-    x = ca.SX.sym("x", 1)
-    given = FrameFunction(ca.Function("put", [x], [ca.repmat(x, GROUP, 1)]), placed=True)
-    code, here = code_of(given)["put"], [zeros(1, 4)]
-    with pytest.raises(ShapeError, match="put output 0: give a place for each group of 8 of 8"):
-        Over(code, given, 4, here, [np.zeros((4, 20))])
-    for rows, place in [(4, 13), (3, 0), (4, -1)]:
-        with pytest.raises(ShapeError, match=rf"put output 0: \({rows}, 20\) for 4 rows of"):
-            Over(code, given, 4, here, [np.zeros((rows, 20))], np.array([place]))
 
 
 def test_library_is_cached_by_function_and_sharing(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

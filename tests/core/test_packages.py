@@ -20,10 +20,6 @@ from rtof_kin.vision.layouts import Layout, add_layout, detector_table
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_package_that_is_there_is_imported() -> None:
-    assert optional("numpy.linalg", "lift") is sys.modules["numpy.linalg"]
-
-
 def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
     said = 'reading a video needs av, which is not installed: pip install "rtof-kin[video]"'
@@ -85,12 +81,6 @@ def installed(folder: Path, monkeypatch: pytest.MonkeyPatch, **values: str) -> E
     return Extensions("a.group", str, lambda text: text)
 
 
-def test_installed_and_added_are_known_in_alphabetical_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = installed(tmp_path, monkeypatch, b="added_values:SECOND", a="added_values:FIRST")
-    known.add("other")
-    assert known.all() == ("first", "other", "second")
-
-
 @pytest.mark.parametrize(
     ("value", "message"),
     [
@@ -104,12 +94,6 @@ def test_what_cannot_be_used_names_the_package(
 ) -> None:
     with pytest.raises(ExtensionError, match=message):
         installed(tmp_path, monkeypatch, a=value).all()
-
-
-def test_names_of_built_in_formats_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files.ADDED, "_added", {})
-    with pytest.raises(InvalidInputError, match="'plain CSV' is the name of one that is built in"):
-        files.add_format(files.FORMATS[-1])
 
 
 def test_a_layout_is_known_everywhere_once_added(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,3 +116,9 @@ def test_wrong_layouts_are_named_and_not_added(monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(error, match=message):
             add_layout(wrong)
     assert "own" not in detector_table().layouts
+
+
+def test_names_of_built_in_formats_are_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files.ADDED, "_added", {})
+    with pytest.raises(InvalidInputError, match="'plain CSV' is the name of one that is built in"):
+        files.add_format(files.FORMATS[-1])

@@ -19,7 +19,7 @@ from rtof_kin.core import rotations as so3
 from rtof_kin.core.errors import CalibrationError, FileFormatError, UnitError, UnknownNameError
 from rtof_kin.data.camera import Camera
 from rtof_kin.datasets.human36m import RATE_HZ, Human36M, bone_lengths
-from rtof_kin.datasets.human36m_files import CAMERA_IDS, JOINTS_OF_32, read_cameras
+from rtof_kin.datasets.human36m_files import read_cameras
 
 SKELETON = SkeletonModel.human36m()
 TWO = ("S9", "S11")
@@ -56,27 +56,6 @@ def own(template: tuple[Path, files.Positions], tmp_path: Path) -> tuple[Path, f
     """A folder of two subjects that a test may spoil."""
     shutil.copytree(template[0], tmp_path, dirs_exist_ok=True)
     return tmp_path, copy.deepcopy(template[1])
-
-
-# --- positions -----------------------------------------------------------------------------------
-
-
-def test_the_17_joints_have_the_skeletons_order(root: Path, truth: files.Positions) -> None:
-    data = Human36M(root)
-    assert data.sequences == tuple((s, a) for s in TWO for a in ("Action 0", "Action 1"))  # S9 before S11
-    motion = data.motion("S9", "Action 1")
-    np.testing.assert_array_equal(motion.p_world_joint, truth["S9"]["Action 1"])
-    assert (motion.subject, motion.action, motion.rate_hz) == ("S9", "Action 1", 50.0)
-    assert motion.p_world_joint.dtype == np.float64
-
-
-def test_the_archives_32_joints_have_the_places_that_human36m_gives_them() -> None:
-    names = "Hip RHip RKnee RFoot RFootEnd RToes LHip LKnee LFoot LFootEnd LToes Root2 Spine Thorax Neck Head LClavicle"
-    names += " LShoulder LElbow LWrist LThumb LThumb2 LHand LHand2 RClavicle RShoulder RElbow RWrist RThumb RThumb2"
-    names_of_32 = f"{names} RHand RHand2".split()
-    assert tuple(names_of_32[i] for i in JOINTS_OF_32) == SKELETON.names
-    unused = {4, 5, 9, 10, 11, 16, 20, 21, 22, 23, 24, 28, 29, 30, 31}
-    assert sorted({*JOINTS_OF_32, *unused}) == list(range(32))
 
 
 # --- recordings ----------------------------------------------------------------------------------
@@ -203,43 +182,6 @@ def test_the_camera_file_can_be_given(root: Path, own: tuple[Path, files.Positio
         Human36M(folder).recording("S9", "Action 0", 0)
 
 
-def change_json(change: Callable[[dict[str, Any]], Any]) -> str:
-    data = files.camera_json(("S9",))
-    change(data)
-    return json.dumps(data)
-
-
-def setter(*keys: str, value: Any) -> Callable[[dict[str, Any]], None]:
-    def set_(data: dict[str, Any]) -> None:
-        for key in keys[:-1]:
-            data = data[key]
-        if value is None:
-            del data[keys[-1]]
-        else:
-            data[keys[-1]] = value
-
-    return set_
-
-
-LAST = CAMERA_IDS[3]
-
-
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        (setter("extrinsics", value={}), "there is no camera of any subject"),
-        (setter("intrinsics", LAST, "distortion", value=None), f"S9, camera {LAST}: distortion is missing"),
-        (setter("extrinsics", "S9", LAST, "R", value=np.ones((3, 3)).tolist()), "not a rotation matrix"),
-        (setter("extrinsics", "S9", LAST, "t", value=[[1.0], [2.0]]), r"shape \(3\), got \(2, 1\)"),
-    ],
-)
-def test_wrong_json_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], Any], message: str) -> None:
-    path = tmp_path / "cameras.json"
-    path.write_text(change_json(change))
-    with pytest.raises(FileFormatError, match=rf"cameras\.json: .*{message}"):
-        read_cameras(path)
-
-
 def changed_source(old: str, new: str) -> str:
     intrinsics, extrinsics = files.camera_source(("S9",))
     text = f"h36m_cameras_intrinsic_params = {intrinsics!r}\nh36m_cameras_extrinsic_params = {extrinsics!r}\n"
@@ -300,17 +242,6 @@ def test_cameras_of_another_subject_are_refused(own: tuple[Path, files.Positions
     with pytest.raises(CalibrationError, match=message):
         Human36M(root).recording("S9", "Action 0", 1)
     Human36M(root).recording("S11", "Action 0", 1)
-
-
-@pytest.mark.parametrize("change", [lambda uv: [uv[1], uv[0], uv[2], uv[3]], lambda uv: [one / 500 - 1 for one in uv]])
-def test_keypoints_of_other_cameras(own: tuple[Path, files.Positions], change: Callable[[Any], Any]) -> None:
-    root, positions = own
-    entries = files.keypoints(positions)
-    changed = {s: {a: change(uv) for a, uv in actions.items()} for s, actions in entries.items()}
-    for kind, limit in (("gt", 3), ("cpn_ft_h36m_dbb", 30)):
-        files.write_keypoints(root, changed, kind)
-        with pytest.raises(CalibrationError, match=rf"camera 0: the truth projects .*more than {limit}: "):
-            Human36M(root, keypoints=kind).recording("S9", "Action 0", 0)
 
 
 def test_a_misplaced_truth_is_kept_with_a_note(own: tuple[Path, files.Positions]) -> None:
@@ -381,25 +312,6 @@ def test_positions_in_millimetres_are_refused(own: tuple[Path, files.Positions])
 
 
 @pytest.mark.parametrize(
-    "entry, message",
-    [
-        ([np.zeros((12, 17, 2))] * 3, "not a list of four cameras"),
-        ([np.zeros((12, 16, 2))] * 4, r"camera 0: expected shape \(T, 17, 2\), got \(12, 16, 2\)"),
-        ([np.full((12, 17, 2), np.nan)] * 4, "camera 0: there is no finite number"),
-    ],
-)
-def test_corrupt_keypoints_are_refused(own: tuple[Path, files.Positions], entry: Any, message: str) -> None:
-    root, positions = own
-    entries = files.keypoints(positions)
-    entries["S9"]["Action 2"] = entry
-    files.write_keypoints(root, entries)
-    data = Human36M(root)
-    with pytest.raises(FileFormatError, match=rf"data_2d_h36m_gt\.npz: S9 'Action 2'.*{message}"):
-        data.recording("S9", "Action 2", 0)
-    data.recording("S9", "Action 1", 0)
-
-
-@pytest.mark.parametrize(
     "metadata",
     [
         {**files.METADATA, "layout_name": "coco"},
@@ -415,20 +327,3 @@ def test_17_points_of_another_layout_are_refused(own: tuple[Path, files.Position
     files.write_keypoints(root, files.keypoints(positions), "detectron_pt_coco", metadata)
     with pytest.raises(FileFormatError, match=r"coco\.npz: metadata: .*only Human3\.6M's own 17"):
         Human36M(root, keypoints="detectron_pt_coco").recording("S9", "Action 0", 0)
-
-
-@pytest.mark.parametrize(
-    "content, message",
-    [
-        (None, "not a dictionary of subjects"),
-        ([1], "not a dictionary"),
-        ({"S9": [1, 2]}, "not a dictionary"),
-        ({"S9": None}, "not a dictionary"),
-    ],
-)
-def test_an_archive_of_something_else_is_refused(tmp_path: Path, content: Any, message: str) -> None:
-    box = np.empty((), dtype=object)
-    box[()] = content
-    np.savez(tmp_path / "data_3d_h36m.npz", positions_3d=box)
-    with pytest.raises(FileFormatError, match=rf"data_3d_h36m\.npz: positions_3d: .*{message}"):
-        Human36M(tmp_path).motion("S9", "Action 0")

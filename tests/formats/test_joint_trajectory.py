@@ -13,7 +13,6 @@ import planted
 import pytest
 
 from rtof_kin.body.skeleton import Motion, SkeletonModel
-from rtof_kin.core.errors import FileFormatError
 from rtof_kin.formats.joint_trajectory import (
     BASE_COLUMNS,
     joint_velocities,
@@ -68,19 +67,6 @@ def test_written_table_is_read_back(table: Path, motion: Motion) -> None:
     assert (numbers[:, 1 + BODY.nq :] == 1).all()
 
 
-def test_sidecar_has_unit_names_and_limits_of_every_column(table: Path) -> None:
-    sidecar = json.loads(table.with_suffix(".json").read_text())
-    names, _ = read_joint_trajectory_csv(table)
-    units = sidecar["units"]
-    assert tuple(units) == names
-    assert (units["time"], units["base_z"], units["base_qw"]) == ("s", "m", "1")
-    assert {units[name] for name in BODY.dof_names} == {"rad"}
-    assert (sidecar["file"], sidecar["urdf"]) == ("walk.csv", "skeleton.urdf")
-    assert tuple(sidecar["names"]) == tuple(sidecar["limits"]) == BODY.dof_names
-    assert sidecar["names"]["LeftLeg_y"] == {"clinical": "left knee flexion", "opensim": "knee_angle_l"}
-    assert all(low < high for low, high in sidecar["limits"].values())
-
-
 def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     q = np.array(motion.q)
     q[4] = np.nan
@@ -88,13 +74,6 @@ def test_gap_is_nan_and_not_valid(tmp_path: Path, motion: Motion) -> None:
     _, numbers = read_joint_trajectory_csv(tmp_path / "a.csv")
     np.testing.assert_array_equal(numbers[:, 1 : 1 + BODY.nq], q)
     np.testing.assert_array_equal((numbers[:, 1 + BODY.nq :] == 0).all(axis=1), np.arange(T) == 4)
-
-
-@pytest.mark.parametrize("text", ["time,a\n", "a,time\n1,2\n", "1,2\n3,4\n", "time,a\n1,x\n"])
-def test_other_table_is_refused_with_its_name(tmp_path: Path, text: str) -> None:
-    (tmp_path / "walk.csv").write_text(text)
-    with pytest.raises(FileFormatError, match=r"walk\.csv"):
-        read_joint_trajectory_csv(tmp_path / "walk.csv")
 
 
 def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: Motion) -> None:
@@ -109,15 +88,6 @@ def test_messages_have_angles_velocities_and_root_pose(tmp_path: Path, motion: M
     (transform,) = base["points"][3]["transforms"]
     np.testing.assert_allclose(list(transform["translation"].values()), motion.q[3, :3])
     np.testing.assert_allclose(list(transform["rotation"].values()), motion.q[3, 3:7])
-
-
-def test_stamps_count_seconds_and_nanoseconds_from_the_start(tmp_path: Path, motion: Motion) -> None:
-    times = np.linspace(12.25, 12.25 + 0.7 * (T - 1), T)
-    for message in messages(tmp_path, replace(motion, poses=replace(motion.poses, times=times))):
-        stamps = [point["time_from_start"] for point in message["points"]]
-        assert stamps[0] == {"sec": 0, "nanosec": 0}
-        assert stamps[3] == {"sec": 2, "nanosec": 100_000_000}
-        assert all(0 <= stamp["nanosec"] < 10**9 for stamp in stamps)
 
 
 def test_unknown_frames_separate_two_trajectories(tmp_path: Path, motion: Motion) -> None:

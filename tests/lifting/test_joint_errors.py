@@ -12,22 +12,16 @@ import torch
 from torch import Tensor
 
 from lifting.body import Body
-from lifting.training.data import MotionBank, plain
 from lifting.training.joint_errors import (
     Draw,
     JointErrors,
     View,
     about_axis,
     exchanged,
-    harmonics,
-    hidden_joints,
     jumps,
     mean_error,
-    path_basis,
-    rig_places,
     smooth_errors,
 )
-from lifting.training.noise import TRAINING_NOISE
 from rtof_kin.body.kinematics import shared_frames, to_shared
 from rtof_kin.body.skeleton import SkeletonModel
 from rtof_kin.data.camera import Camera
@@ -115,49 +109,6 @@ def test_drawn_errors_have_the_tables_mean_and_covariance(body: Body) -> None:
     assert correlation.abs().mean() < 0.06, "amplitudes differ between limbs, so a little is lost"
 
 
-def test_paths_are_ornstein_uhlenbeck_or_constant() -> None:
-    for memory in (0.5, 0.3):
-        basis = path_basis(W, RATE_HZ, memory)
-        lag = (torch.arange(W)[:, None] - torch.arange(W)).abs() / RATE_HZ
-        np.testing.assert_allclose(basis @ basis.T, torch.exp(-lag / memory), atol=0.12)
-    assert torch.equal(path_basis(W, RATE_HZ, float("inf")), torch.ones(W, 1))
-
-
-def test_a_place_is_projected_as_a_camera_does(body: Body) -> None:
-    """Independent reference: move the joint and project."""
-    view = standing(body, 50.0, rows=1, side=0.8)
-    zero = {name: torch.zeros_like(getattr(TABLE, name)) for name in ("view", "follows")}
-    found = mean_error(body, replace(TABLE, **zero), view, torch.ones(1))[0]
-    p = view.joints[0].T
-    moved = p + torch.einsum("jab,jb->ja", view.segments()[0], 0.01 * TABLE.place)
-    shift = (moved[:, :2] / moved[:, 2:] - p[:, :2] / p[:, 2:]) * p[:, 2:]
-    np.testing.assert_allclose(found * 0.01, shift, atol=1e-5)
-
-
-def test_trunk_joints_of_an_unusual_rig_are_found_where_most_rigs_have_them(body: Body) -> None:
-    rig = OFFSETS.clone()
-    rig[body.names.index("Spine")] -= torch.tensor([0.0, 0.0, 0.05])
-    rig[[body.names.index(f"{side}UpLeg") for side in ("Left", "Right")]] -= torch.tensor([0.0, 0.0, 0.05])
-    view = standing(body, 90.0, rows=1)  # Hips 50 mm higher over the hips, and below the lumbar joint
-    other = View(view.joints, view.axes, rig[None])
-    change = (mean_error(body, TABLE, other, torch.ones(1)) - mean_error(body, TABLE, view, torch.ones(1)))[0]
-    assert 0.02 < change[0, 1] < 0.05, "found lower than the rig has it"
-    assert change[8:11].abs().max() < 1e-6, "arms stay"
-    place = rig_places(body, OFFSETS[None] * 1.3)
-    torch.testing.assert_close(place, rig_places(body, OFFSETS[None]), atol=1e-6, rtol=0)
-
-
-def test_the_far_arm_is_hidden_in_profile(body: Body) -> None:
-    view = standing(body, 90.0, rows=1)  # from the left
-    hidden = {body.names[j] for j in hidden_joints(body, view)[0].nonzero()[:, 0]}
-    assert "RightArm" in hidden
-    assert not {name for name in hidden if name.startswith("Left")}
-    assert not hidden_joints(body, standing(body, 0.0, rows=1)).any()
-    table = replace(TABLE, hidden=TABLE.hidden * 3)
-    larger = errors(body, view, table).std() / errors(body, view).std()
-    assert larger > 1.01
-
-
 @pytest.mark.parametrize(("azimuth", "per_minute"), [(90.0, 106.0), (0.0, 0.0)])
 def test_sides_are_exchanged_in_profile(body: Body, azimuth: float, per_minute: float) -> None:
     view = standing(body, azimuth, rows=20_000)
@@ -183,29 +134,6 @@ def test_limbs_jump_rarely_briefly_and_far(body: Body) -> None:
     assert there.sum(dim=1)[there.any(dim=1)].float().median() <= 4
     assert error[:, 0, :, arm[2]][there[..., arm[2]]].abs().median() == pytest.approx(0.115, rel=0.3)
     assert not there[..., arm[0]].any()
-
-
-def test_harmonics_of_a_mirrored_direction_change_signs_alone() -> None:
-    v = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), dim=1)
-    one, other = harmonics(v), harmonics(v * torch.tensor([1.0, -1.0, 1.0]))
-    torch.testing.assert_close(one.abs(), other.abs())
-
-
-def test_realistic_windows_err_as_the_table_says() -> None:
-    """End to end: the errors in the image of drawn windows, in m at the joints' depth."""
-    bank = MotionBank(support.tiny_corpus(frames=200), [0, 1], torch.device("cpu"))
-    noise = replace(TRAINING_NOISE["realistic"], amplitude=(1.0, 1.0))
-
-    def seen(kind: object) -> tuple[Tensor, Tensor]:
-        batch = bank.draw(800, W, plain(kind), torch.Generator().manual_seed(0))  # type: ignore[arg-type]
-        assert batch.windows.picture is not None
-        p = batch.windows.picture.R_camera_world @ (batch.pose + batch.root[:, :, None])
-        return batch.windows.picture.xy[:, :, W // 2] * 960 / 1250, p
-
-    xy, p = seen(noise)
-    error = ((xy - p[:, :2] / p[:, 2:]) * p[:, 2:]).norm(dim=1).median(dim=0).values
-    assert error.min() > 0.015
-    assert error.max() < 0.09
 
 
 def test_drawn_errors_are_as_large_as_those_of_the_simulated_detector(body: Body) -> None:

@@ -27,10 +27,8 @@ from rtof_kin.datasets.total_capture import TotalCapture
 from rtof_kin.protocols import Measured, measures, published, run, total_capture
 from rtof_kin.protocols.tables import LOW_PASSED, STILL, Table
 from rtof_kin.protocols.total_capture import (
-    CAMERAS,
     SENSOR_SETS,
     SIXTEEN,
-    TEST_TAKES,
     TotalCaptureProtocol,
     all_tables,
     length_name,
@@ -169,20 +167,6 @@ def test_the_calibration_rows_are_those_by_hand(root: Path, measured: Found) -> 
             assert (found["angle_deg"] is None) == (method == LOW_PASSED)  # the truth's own rotations
 
 
-def test_the_default_protocol_is_that_of_the_paper() -> None:
-    usual = TotalCaptureProtocol(Path("data"))
-    assert usual.takes == TEST_TAKES == ("walking2", "acting3", "freestyle3")
-    assert usual.cameras == CAMERAS == (1, 3, 4, 5, 6, 7, 8)
-    assert set(usual.modes) == set(MODES)
-    assert len(usual.jobs()) == 15 * (7 + 1)
-    assert len(set(SIXTEEN)) == len(SIXTEEN) == 16
-    known = SkeletonModel.default().sensors
-    for count, sensors in SENSOR_SETS.items():
-        assert len(set(sensors) & set(known)) == len(sensors) == int(count)
-    joints = {known[sensor][0] for sensor in usual.sensors}
-    assert joints == {f"{side}{limb}" for side in ("Left", "Right") for limb in ("Arm", "ForeArm", "UpLeg", "Leg")}
-
-
 # --- what the command leaves ---------------------------------------------------------------------
 
 
@@ -306,38 +290,6 @@ def test_a_take_without_sensors_has_the_modes_that_need_none(tmp_path: Path) -> 
     assert (tmp_path / "out/runs/S5_acting3_cam1.json").stat().st_mtime_ns == before
 
 
-@pytest.mark.usefixtures("unpictured")
-def test_without_cameras_nothing_is_measured(tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    tc.dataset(data, WALKING)["cameras"].unlink()
-    settings = {"subjects": ("S1",), "takes": ("walking2",), "cameras": (1,), "studies": False, "modes": ("lift",)}
-    found = run("total-capture", data, tmp_path / "out", workers=1, **settings)
-    assert found.problem.startswith("nothing could be measured; first of all: ")
-    assert "calibration.cal" in found.problem
-    tables = read_json(tmp_path / "out" / "tables.json")["tables"]
-    assert tables["inertial_only"]["rows"][-1][0] == LOW_PASSED
-    assert tables["inertial_only"]["rows"][-1][1] is not None  # for that no camera is needed
-
-
-def test_a_glitch_of_the_reference_does_not_affect_the_low_passed_row(tmp_path: Path) -> None:
-    """Frames 655 to 659 of S4 acting3 are one; a filter would smear it over the frames beside."""
-    take = tc.take("S4", "acting3", frames=690)
-    about = protocol(tmp_path, subjects=("S4",), takes=("acting3",))
-    job = replace(about.jobs()["S4_acting3"])
-    rows = {}
-    for name in ("steady", "jumping"):
-        p = np.array(take.poses.p_world_joint)
-        if name == "jumping":
-            p[655:660] += [0.8, 0.0, 0.3]
-        poses = replace(take.poses, p_world_joint=p)
-        tc.dataset(tmp_path / name, replace(take, poses=poses), bvh=False)
-        facts = replace(about, root=tmp_path / name).measure(job).facts
-        rows[name] = facts["methods"][LOW_PASSED]
-    assert rows["jumping"]["frames"] == len(take.poses) - 9  # with two frames on either side
-    for figure in ("mpjpe_mm", "mpjae", "mpjje"):
-        assert rows["jumping"][figure] == pytest.approx(rows["steady"][figure], rel=0.02)
-
-
 # --- detections, cameras, sensors, spaces --------------------------------------------------------
 
 
@@ -387,26 +339,6 @@ def test_files_of_a_detector_and_a_shipped_lifter_are_used(root: Path, tmp_path:
     written = read_json(tmp_path / "all.json")["settings"]
     assert written["lifter_sha256"] == hashlib.sha256(model_path("lifter_perfect.pt").read_bytes()).hexdigest()
     assert written["layout"] == "auto"
-
-
-def test_space_and_calibration_are_passed_to_the_reconstruction(
-    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = []
-
-    def reconstructions(recording: Any, modes: Any, lifter: Any, settings: Any, calibrate: bool) -> dict[str, Any]:
-        given.append((type(settings.fragment), calibrate))
-        return {}
-
-    monkeypatch.setattr(total_capture, "reconstructions", reconstructions)
-    about = protocol(root, subjects=("S1",), takes=("walking2",), cameras=(1,))
-    for space, calibrate, text in (("joint", True, "each take itself"), ("cartesian", False, "files have it")):
-        chosen = replace(about, space=space, calibrate=calibrate)
-        outcome = chosen.run(tmp_path / space, workers=1)
-        note = tables_of(chosen, outcome)["by_take"].notes[0]
-        assert f"solved in {space} space" in note
-        assert text in note
-    assert given == [(type(None), True), (CartesianSettings, False)]  # None: settings of joint space
 
 
 # --- studies -------------------------------------------------------------------------------------

@@ -191,25 +191,6 @@ def test_any_span_equals_that_of_the_whole(both: tuple[Recording, RecordingReade
     assert_same(reader.between(*span), wanted)
 
 
-def test_all_of_it_equals_the_whole(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    assert_same(reader.whole(), whole)
-
-
-def test_the_time_axis_is_that_of_the_whole(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    np.testing.assert_array_equal(reader.times, whole.times)
-    assert (reader.name, reader.start_s, reader.stop_s) == (whole.name, whole.start_s, whole.stop_s)
-    assert reader.rate_hz == whole.rate_hz == pytest.approx(60)
-    assert (reader.frame_times is None) == (whole.keypoints is None)
-
-
-def test_random_access_goes_back_and_forth(both: tuple[Recording, RecordingReader]) -> None:
-    whole, reader = both
-    for start in (8.0, 0.5, 7.5, 3.0, 3.5):
-        assert_same(reader.between(start, start + 1), whole.between(start, start + 1))
-
-
 # --- borders and streams that are missing --------------------------------------------------------
 
 
@@ -272,18 +253,6 @@ def test_errors_are_those_of_loading(
     else:
         arrays[array][rows] = value(arrays[array])
     np.savez(folder / file, **arrays)
-    same_error(folder)
-
-
-def test_clocks_and_damaged_files_raise_as_in_loading(tmp_path: Path) -> None:
-    folder = tmp_path / "recording"
-    demo().save(folder)
-    with changed(folder) as index:
-        index["imus"]["start_s"] = 1000.0
-    same_error(folder)
-    (folder / "imus.npz").write_bytes((folder / "imus.npz").read_bytes()[:-500])
-    same_error(folder)
-    (folder / "imus.npz").unlink()
     same_error(folder)
 
 

@@ -62,10 +62,8 @@ def _system() -> str:
 
 @contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
-    """Yield a new folder, of this user alone, that is removed when the block ends; see `clear`.
-
-    Raises:
-        OSError: it cannot be created.
+    """Yield a new folder, of this user alone, that is removed when the block ends, see `clear`; OSError if
+    impossible.
     """
     remove_leftovers(parent)
     while True:
@@ -111,11 +109,7 @@ def clear(folder: Path) -> None:
 
 
 def remove_leftovers(parent: Path) -> None:
-    """Remove temporary folders of killed processes.
-
-    Args:
-        parent: their parent folder, which need not exist.
-    """
+    """Remove temporary folders of killed processes from their parent folder, which need not exist."""
     with suppress(OSError):
         for entry in list(os.scandir(parent)):
             found = _OWN.fullmatch(entry.name)
@@ -366,10 +360,8 @@ def new_file(path: str | Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def check_new_file(path: str | Path, overwrite: bool) -> None:
-    """Check that an output file may be written.
-
-    Raises:
-        OutputExistsError: it exists. WritingError: its folder cannot be written.
+    """Check that an output file may be written: `OutputExistsError` where it exists, `WritingError` where its folder
+    cannot be.
     """
     path = Path(path)
     _check_length(path)
@@ -398,10 +390,8 @@ def _put_file(new: Path, path: Path, overwrite: bool) -> None:
 
 @contextmanager
 def only_one(lock: Path, what: str) -> Iterator[None]:
-    """Hold a lock while the block runs.
-
-    Raises:
-        OutputExistsError: another process holds it; the message names it. WritingError: it cannot be made.
+    """Hold a lock while the block runs; `OutputExistsError`, which names the process, where another one holds it,
+    `WritingError` where it cannot be made.
     """
     try:
         held = FileLock(lock, timeout=0).acquire()
