@@ -48,12 +48,7 @@ shipped = cache(SkeletonModel.named)
 
 
 def index_of(folder: Path) -> RecordingTable:
-    """Return the tables of a recording's ``recording.toml``.
-
-    Raises:
-        FileFormatError, UnknownNameError: it does not exist, is not TOML or has something wrong; the message names
-            file, field and remedy.
-    """
+    """Return the tables of a recording's ``recording.toml``; errors as `InputTable.read`."""
     path = folder / INDEX
     if folder.is_dir() and not path.exists():
         if (folder / UNFINISHED / INDEX).is_file():

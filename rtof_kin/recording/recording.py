@@ -217,7 +217,11 @@ class Recording(RecordingSource):
         return self.cut(self.streams, start_s, stop_s)
 
     def cut(self, streams: Streams, start_s: float, stop_s: float) -> Self:
-        """Return what was recorded in a closed interval, s; see `between`."""
+        """Return what was recorded in a closed interval; see `between`.
+
+        Args:
+            start_s, stop_s: first and last instant, s.
+        """
         parts = streams.parts(lambda stream: stream.between(start_s, stop_s))
         if parts["keypoints"] is None and parts["imus"] is None:
             raise InvalidInputError(f"recording {self.name}: no samples from {start_s:g} to {stop_s:g} s")
@@ -234,7 +238,10 @@ class Recording(RecordingSource):
 
     @classmethod
     def load(cls, folder: str | Path) -> Self:
-        """Read a folder that has a file ``recording.toml``.
+        """Read a recording folder.
+
+        Args:
+            folder: that has a file ``recording.toml``.
 
         Raises:
             FileFormatError, UnknownNameError, UnitError: the message names file, field and remedy.
@@ -352,7 +359,14 @@ class RecordingReader(RecordingSource):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a folder that has a file ``recording.toml``; to be closed after use. Errors as `Recording.load`."""
+        """Open a recording's folder; to be closed after use.
+
+        Args:
+            folder: that has a file ``recording.toml``.
+
+        Raises:
+            FileFormatError, UnknownNameError, UnitError: those of `Recording.load`.
+        """
         try:
             return cls._opened(Path(folder))
         except RtofError:
