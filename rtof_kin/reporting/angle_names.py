@@ -24,15 +24,8 @@ ISB: Final = "isb"
 XZY: Final = "xzy"
 OPENSIM: Final = "opensim"
 MAIN: Final = frozenset(
-    {
-        "spine flexion",
-        "hip flexion",
-        "knee flexion",
-        "ankle dorsiflexion",
-        "shoulder elevation",
-        "shoulder flexion",
-        "elbow flexion",
-    }
+    {"spine flexion", "hip flexion", "knee flexion", "ankle dorsiflexion"}
+    | {"shoulder elevation", "shoulder flexion", "elbow flexion"}
 )
 """Angles that a narrow screen shows at first, without their side."""
 SECOND_SHOULDER: Final = "shoulder_xzy_"
@@ -105,6 +98,11 @@ class AngleName:
 def label(name: str) -> str:
     """Return the name of an angle in words."""
     return name.replace("_", " ")
+
+
+def sentence(text: str) -> str:
+    """Return a text that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
 
 
 def side_and_name(name: str) -> tuple[str, str]:

@@ -31,7 +31,7 @@ from rtof_kin.clinical.comparison import (
 )
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.clinical.comparison_samples import POOR, Alignment
-from rtof_kin.clinical.comparison_spm import AngleSpm, ComparisonSpm, compare_spm
+from rtof_kin.clinical.comparison_spm import ComparisonSpm, compare_spm
 from rtof_kin.clinical.gait import PHASES
 from rtof_kin.core.array_types import Array
 from rtof_kin.core.checks import some
@@ -237,7 +237,12 @@ def _cautions(found: Comparison) -> list[str]:
                 f"The zero of {one.name} is that of its own model: a constant difference may be one of "
                 "definition; see the errors without offset and the ranges"
             )
-    lines += _outside(found)
+    if often := sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside):
+        names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
+        lines.append(
+            "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
+            f"their means: {names}"
+        )
     single = [letter for k, letter in enumerate("AB") if any(one.repeats[k] == 1 for one in found.angles)]
     if found.by in ("cycle", "repetition") and single:
         lines.append(
@@ -347,18 +352,15 @@ def _clock_cautions(found: Comparison) -> list[str]:
             f"{found.shift + clocks.shift:+.2f} s: if the clocks differ, use --align"
         )
     if found.shift:
-        lines.append(_sharpness(clocks, found.shift))
+        text = f"The shift of B is {found.shift:+.3f}"
+        text += f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else " s"
+        if np.isfinite(clocks.rival):
+            second = f"{found.shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
+            text += f"; the second best is {second}"
+        if clocks.ambiguous:
+            text += ", nearly as good, as in a periodic movement: check it by an event that both show"
+        lines.append(text)
     return lines
-
-
-def _sharpness(clocks: Alignment, shift: float) -> str:
-    sd = f" \u00b1 {clocks.sigma:.3f} s" if np.isfinite(clocks.sigma) else ""
-    text = f"The shift of B is {shift:+.3f}{sd or ' s'}"
-    if np.isfinite(clocks.rival):
-        text += f"; the second best is {shift + clocks.rival:+.2f} s (agreement {clocks.rival_agreement:.2f})"
-    if clocks.ambiguous:
-        text += ", nearly as good, as in a periodic movement: check it by an event that both show"
-    return text
 
 
 def _band_cautions(found: Comparison) -> list[str]:
@@ -386,32 +388,12 @@ def _band_cautions(found: Comparison) -> list[str]:
     return lines
 
 
-def _outside(found: Comparison) -> list[str]:
-    """Angles whose curves differ by more than the stated errors for long."""
-    often = sorted((one for one in found.angles if one.outside > _OFTEN), key=lambda one: -one.outside)
-    if not often:
-        return []
-    names = some([f"{label(one.name)} ({100 * one.outside:.0f} %)" for one in often])
-    return [
-        "The curves differ by more than their 95 % bands allow in a large share of the samples, whatever "
-        f"their means: {names}"
-    ]
-
-
 # --- tables --------------------------------------------------------------------------------------
 
 _DIFFERENCES: Final = ("angle", "measure", "B - A", "verdict", "95 % interval", "detectable", "p (Holm)", "A", "B")
 _ERRORS: Final = (
-    "angle",
-    "RMSE",
-    "MAE",
-    "median",
-    "without offset",
-    "largest",
-    "at",
-    "correlation",
-    "outside band",
-    "compared",
+    *("angle", "RMSE", "MAE", "median", "without offset", "largest", "at", "correlation"),
+    *("outside band", "compared"),
 )
 _ABOUT_DIFFERENCES: Final = Markup(
     '<p class="note">Degrees. Mean angle, and range of motion, of A and B; their difference with the 95 % interval of '
@@ -542,11 +524,9 @@ def _error_cells(found: Comparison, one: AngleComparison) -> tuple[str, ...]:
 
 
 def _facts(found: Comparison) -> dict[str, Any]:
-    clocks = found.alignment
-    shifts = (
-        {}
-        if clocks is None
-        else {
+    clocks, shifts = found.alignment, dict[str, float]()
+    if clocks is not None:
+        shifts = {
             "at_the_shift": clocks.unshifted,
             "best": clocks.agreement,
             "best_further_shift_s": clocks.shift,
@@ -554,7 +534,6 @@ def _facts(found: Comparison) -> dict[str, Any]:
             "second_best_further_shift_s": clocks.rival,
             "second_best": clocks.rival_agreement,
         }
-    )
     return {
         "a": found.a.name,
         "b": found.b.name,
@@ -631,35 +610,30 @@ def spm_lines(found: ComparisonSpm) -> list[str]:
 
 
 def _spm_facts(found: ComparisonSpm) -> dict[str, Any]:
+    angles = [
+        {
+            "angle": one.name,
+            "test": "paired" if one.paired else "two-sample, Welch",
+            "repeats": list(one.repeats),
+            "degrees_of_freedom": one.dof,
+            "threshold": one.threshold,
+            "t": list(map(number, one.t)),
+            "clusters": [
+                {"start": c.start, "stop": c.stop, "p": c.p, "larger": "B" if c.sign > 0 else "A"}
+                | {"beyond_bands": c.beyond_bands}
+                for c in one.clusters
+            ],
+        }
+        for one in found.angles
+    ]
     return {
         "differences": "B - A",
         "level_of_each_angle": found.level,
         "correction": "Bonferroni over angles",
         "phases": found.phases.tolist(),
         "sentences": spm_lines(found),
-        "angles": [_angle_facts(one) for one in found.angles],
+        "angles": angles,
         "not_tested": found.not_tested,
-    }
-
-
-def _angle_facts(one: AngleSpm) -> dict[str, Any]:
-    return {
-        "angle": one.name,
-        "test": "paired" if one.paired else "two-sample, Welch",
-        "repeats": list(one.repeats),
-        "degrees_of_freedom": one.dof,
-        "threshold": one.threshold,
-        "t": list(map(number, one.t)),
-        "clusters": [
-            {
-                "start": c.start,
-                "stop": c.stop,
-                "p": c.p,
-                "larger": "B" if c.sign > 0 else "A",
-                "beyond_bands": c.beyond_bands,
-            }
-            for c in one.clusters
-        ],
     }
 
 
