@@ -184,7 +184,7 @@ def summary_lines(
 ) -> tuple[SummaryLine, ...]:
     """Return the lines of a report's summary; one on the position in the room where its audit has one."""
     seconds = float(analysis.paths.times[-1] - analysis.paths.times[0])
-    room = ()
+    room: tuple[SummaryLine, ...] = ()
     if overall.room:
         verdict, _, why = plain_words(overall.room_text, analysis.table).partition(": ")
         room = (SummaryLine("Position in the room", f"{sentence(why or verdict)}.", overall.room),)
