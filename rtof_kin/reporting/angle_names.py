@@ -100,11 +100,6 @@ def label(name: str) -> str:
     return name.replace("_", " ")
 
 
-def sentence(text: str) -> str:
-    """Return a text that begins with a capital letter."""
-    return text[:1].upper() + text[1:]
-
-
 def side_and_name(name: str) -> tuple[str, str]:
     """Split the name of an angle into 'right', 'left' or '', and the rest."""
     side = next((side for side in SIDES if name.startswith(f"{side}_")), "")

@@ -19,16 +19,7 @@ from markupsafe import Markup
 from rtof_kin.body.motion_file import EARLIER, MOTION, MotionReader, motion_path
 from rtof_kin.clinical import comparison as clinical
 from rtof_kin.clinical.angles import opensim_angles
-from rtof_kin.clinical.comparison import (
-    AngleComparison,
-    By,
-    Compared,
-    Comparison,
-    agreement,
-    choose_axis,
-    compare_sides,
-    compared,
-)
+from rtof_kin.clinical.comparison import AngleComparison, By, Compared, Comparison
 from rtof_kin.clinical.comparison_change import LEVEL, Change, Verdict
 from rtof_kin.clinical.comparison_samples import POOR, Alignment
 from rtof_kin.clinical.comparison_spm import ComparisonSpm, compare_spm
@@ -89,20 +80,20 @@ def compare(
     if shifted and (b is None or by not in (None, "time")):
         raise InvalidInputError("compare: --shift and --align are for two motions compared --by time")
     if b is None:
-        found, why = compare_sides(read_compared(a), by, names=angles, kind=repetitions)
+        found, why = clinical.compare_sides(read_compared(a), by, names=angles, kind=repetitions)
     else:
         first, second = read_compared(a), read_compared(b)
         names = distinct(first, second, (a, b))
         first, second = replace(first, name=names[0]), replace(second, name=names[1])
-        clocks = agreement(first, second)
-        choice = choose_axis(first, second, clocks, "time" if shifted else by)
+        clocks = clinical.agreement(first, second)
+        choice = clinical.choose_axis(first, second, clocks, "time" if shifted else by)
         if align and clocks is None:
             raise InvalidInputError("compare: no common angle moves, so that --align finds no shift; give --shift")
         added = clocks.shift if align and clocks is not None else shift or 0.0
         if choice.by != "time":
             clocks = None
         elif added:
-            clocks = agreement(first, second, added)
+            clocks = clinical.agreement(first, second, added)
         kind, why = repetitions or choice.kind, choice.why
         found = clinical.compare(first, second, choice.by, names=angles, shift=added, alignment=clocks, kind=kind)
     return document(found, why, compare_spm(found) if spm else None, all_printed=bool(angles))
@@ -174,7 +165,7 @@ def read_compared(path: str | Path) -> Compared:
         motion, mode = reader.read(), mode or reader.mode
     named = path.resolve().parent if path.name in (MOTION, EARLIER) and not path.is_dir() else path.resolve()
     name = named.name + (f" ({mode})" if mode else "")
-    return compared(name, motion, recording)
+    return clinical.compared(name, motion, recording)
 
 
 def distinct(a: Compared, b: Compared, paths: tuple[str | Path, str | Path]) -> tuple[str, str]:

@@ -26,17 +26,7 @@ from rtof_kin.clinical.travel import Travel
 from rtof_kin.core.checks import some
 from rtof_kin.core.signals import runs
 from rtof_kin.recording.index import Session
-from rtof_kin.reporting.angle_names import (
-    ISB,
-    MAIN,
-    OPENSIM,
-    XZY,
-    AngleName,
-    angle_name,
-    plain_words,
-    sentence,
-    side_and_name,
-)
+from rtof_kin.reporting.angle_names import ISB, MAIN, OPENSIM, XZY, AngleName, angle_name, plain_words, side_and_name
 from rtof_kin.reporting.audit_results import (
     SECTIONS,
     AuditResult,
@@ -47,7 +37,7 @@ from rtof_kin.reporting.audit_results import (
     section_verdict,
 )
 from rtof_kin.reporting.clinical_findings import NO_BANDS, clinical_findings
-from rtof_kin.reporting.document import Cell, Table, badge, fixed
+from rtof_kin.reporting.document import Cell, Table, badge, fixed, sentence
 from rtof_kin.reporting.html import css_string, render
 from rtof_kin.reporting.plot_data import angle_curves, cycle_curves_data, player_data, shown_frames
 from rtof_kin.reporting.provenance import CITATION, isb_items
