@@ -63,10 +63,6 @@ class Place:
         """Return the latest row of every recording, of all shards."""
         return read_rows(sorted((self.out / BOOKS).glob("*.jsonl")))
 
-    def table_lock(self) -> FileLock:
-        """Return the lock of the table and the index, for which shards wait."""
-        return FileLock(self.out / BOOKS / "table.lock")
-
 
 @contextmanager
 def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Place]:
@@ -79,7 +75,10 @@ def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Pl
     if overwrite and shard.count > 1:
         raise InvalidInputError("a shard does not overwrite what others may just have made; name a new folder")
     books = out / BOOKS
-    _check_own(out)
+    if out.exists() and not out.is_dir():
+        raise OutputExistsError(f"{out}: is a file; name a folder")
+    if out.is_dir() and not mark_of(out).is_file() and {path.name for path in out.iterdir()} - {BOOKS}:
+        raise OutputExistsError(f"{out}: contains files that no batch wrote; name a new folder")
     try:
         make_folders(books)
     except OSError as error:
@@ -97,14 +96,6 @@ def claim(out: Path, source: Path, shard: Shard, overwrite: bool) -> Iterator[Pl
 
 def _name(shard: Shard) -> str:
     return f"shard-{shard.number}-of-{shard.count}"
-
-
-def _check_own(out: Path) -> None:
-    """Raise unless the folder is new, empty or that of a batch."""
-    if out.exists() and not out.is_dir():
-        raise OutputExistsError(f"{out}: is a file; name a folder")
-    if out.is_dir() and not mark_of(out).is_file() and {path.name for path in out.iterdir()} - {BOOKS}:
-        raise OutputExistsError(f"{out}: contains files that no batch wrote; name a new folder")
 
 
 def _check_others(books: Path, out: Path, shard: Shard) -> None:
@@ -222,12 +213,8 @@ def _tasks(
             ]
             known[own] = tuple(map(with_absolute_files, own)), tuple(marks)
         absolute, made_from = known[own]
-        yield (
-            entry.name,
-            Task(
-                entry.name, entry.folder.resolve(), batch.out.resolve(), place.token, absolute, made_from, batch.version
-            ),
-        )
+        folder, out = entry.folder.resolve(), batch.out.resolve()
+        yield entry.name, Task(entry.name, folder, out, place.token, absolute, made_from, batch.version)
 
 
 class Tables:
@@ -251,7 +238,7 @@ class Tables:
     def write(self) -> None:
         """Write them with the rows of all shards."""
         began = time.monotonic()
-        with self.place.table_lock():
+        with FileLock(self.place.out / BOOKS / "table.lock"):  # shards wait for each other
             found = self.place.rows()
             rows = [row for name, (_, row) in sorted(found.items()) if name in self.names]
             columns = [column.name for column in fields(Row)]
