@@ -194,7 +194,8 @@ def _run(batch: Batch, place: Place, command: Command, engine: Engine, report: P
                     raise WritingError(
                         f"{batch.out}: the disk is full ({failed}); make room, and the same command goes on"
                     )
-                tables.write_if_due()
+                if time.monotonic() >= tables.due:
+                    tables.write()
     finally:
         tables.write()
     return [rows.rows[entry.name][1] for entry in batch.entries if entry.name in names]
@@ -228,12 +229,7 @@ class Tables:
     def __init__(self, out: Path, title: str, names: frozenset[str], place: Place):
         """Take the folder of the batch, the names of its source and of all its recordings, and its books."""
         self.out, self.title, self.names, self.place = out, title, names, place
-        self._next = time.monotonic() + self.PAUSE
-
-    def write_if_due(self) -> None:
-        """Write them unless they were written a moment ago."""
-        if time.monotonic() >= self._next:
-            self.write()
+        self.due = time.monotonic() + self.PAUSE
 
     def write(self) -> None:
         """Write them with the rows of all shards."""
@@ -246,7 +242,7 @@ class Tables:
             worst_first = sorted(rows, key=lambda row: row.severity)
             write_index(self.out, worst_first, len(self.names), self.title)
         took = time.monotonic() - began
-        self._next = time.monotonic() + max(self.PAUSE, took / self.SHARE)
+        self.due = time.monotonic() + max(self.PAUSE, took / self.SHARE)
 
 
 Check = Callable[[list[str]], object]

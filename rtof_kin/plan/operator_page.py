@@ -141,21 +141,14 @@ def _body(ax: Any, skeleton: SkeletonModel, places: dict[str, str], sign: float,
         joint, offset = skeleton.sensors[name]
         (j,) = skeleton.index(joint)
         spots[name] = flat(p[0, j] + R[0, j] @ offset)
+    style: Any = {"arrowprops": {"arrowstyle": "-", "color": SENSOR, "lw": 0.8}, "in_layout": False}
     for side in (-1, 1):
+        align = "left" if side > 0 else "right"
         own = sorted((n for n in spots if (spots[n][0] >= 0) == (side > 0)), key=lambda n: -spots[n][1])
         heights = _spread([float(spots[name][1]) for name in own])
         for name, height in zip(own, heights, strict=True):
-            place = textwrap.wrap(places[name], _LABEL_WIDTH)
-            ax.annotate(
-                "\n".join([name, *place]),
-                spots[name],
-                (side * 0.36, height),
-                va="center",
-                ha="left" if side > 0 else "right",
-                fontsize=7.5,
-                arrowprops={"arrowstyle": "-", "color": SENSOR, "lw": 0.8},
-                in_layout=False,
-            )
+            text = "\n".join([name, *textwrap.wrap(places[name], _LABEL_WIDTH)])
+            ax.annotate(text, spots[name], (side * 0.36, height), va="center", ha=align, fontsize=7.5, **style)
         if own:
             ax.plot(*np.stack([spots[n] for n in own]).T, "s", color=SENSOR, ms=6, mec="k", mew=0.5)
     ax.text(-0.26, -0.08, "L" if sign > 0 else "R", color=LEFT if sign > 0 else RIGHT, fontsize=9)

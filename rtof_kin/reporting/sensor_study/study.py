@@ -180,20 +180,8 @@ def study_sensors(
     words = {joint: label(name) for name, joint in angle_table(recording.skeleton.table).segments.items()}
     places = {sensor: words.get(joint, joint) for sensor, joint in segments.items()}
     reference = full.angles if full.truth is None else full.truth
-    return SensorStudy(
-        recording.name,
-        part,
-        segments,
-        places,
-        full.angles.names,
-        spread(reference),
-        full.accuracy,
-        steps,
-        full.truth is not None,
-        camera,
-        full.verdict,
-        full.choices,
-    )
+    measured = full.angles.names, spread(reference), full.accuracy, steps, full.truth is not None
+    return SensorStudy(recording.name, part, segments, places, *measured, camera, full.verdict, full.choices)
 
 
 def identity_of(
